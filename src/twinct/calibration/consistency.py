@@ -142,15 +142,21 @@ def self_calibrated(
                 volume.array, p, counts, believed, free, change, coarse, one.factor
             )
             residuals.append(spread)
-            hessian = precision.copy()
-            for view in range(len(believed)):
-                own = slice(size * view, size * view + size)
-                hessian[own, own] += normal[view]
-            pull = right.ravel() - precision @ change.ravel()
-            step_on = np.linalg.solve(hessian, pull).reshape(change.shape)
+            step_on = _newton_step(precision, normal, right, change)
             before, change = change, change + step_on + MOMENTUM * (change - before)
             step()
     return SelfCalibration(free.all(believed, change), change, tuple(residuals))
+
+
+def _newton_step(precision: Floats, normal: Floats, right: Floats, change: Floats) -> Floats:
+    """Solve the normal equations of all views, with the prior's precision, (views, n)."""
+    views, size = change.shape
+    hessian = precision.copy()
+    for view in range(views):
+        own = slice(size * view, size * view + size)
+        hessian[own, own] += normal[view]
+    pull = right.ravel() - precision @ change.ravel()
+    return np.linalg.solve(hessian, pull).reshape(change.shape)
 
 
 def _fitted(

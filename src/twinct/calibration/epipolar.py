@@ -101,11 +101,7 @@ def epipolar_consistent(
         InputError: arrays have other shapes or values that are not finite, or ``across`` is empty.
         CalibrationError: no view has enough usable planes.
     """
-    checks = Checks((len(believed), *believed.panel.shape))
-    p, pixels = checks.projections(line_integrals, mask)
-    checks.done()
-    if not across:
-        raise InputError("across is empty; it must name at least one round")
+    p, pixels = _checked(line_integrals, believed, mask, across)
     free = Freedom(what, grid.world_from_grid.position)
     change = np.zeros((len(believed), len(free.steps)))
     precision = prior.precision(len(believed), what)
@@ -138,6 +134,20 @@ def epipolar_consistent(
         seen.per_view(seen.used & seen.complete),
         seen.problems(),
     )
+
+
+def _checked(
+    line_integrals: NDArray[np.float32],
+    believed: ScanGeometry,
+    mask: NDArray[np.bool_] | None,
+    across: Sequence[int],
+) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+    checks = Checks((len(believed), *believed.panel.shape))
+    p, pixels = checks.projections(line_integrals, mask)
+    checks.done()
+    if not across:
+        raise InputError("across is empty; it must name at least one round")
+    return p, pixels
 
 
 def _tangents(believed: ScanGeometry, free: Freedom, change: Floats, factor: int) -> Floats:

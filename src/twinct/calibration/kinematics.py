@@ -225,16 +225,7 @@ def calibrated_arms(
     Raises:
         CalibrationError: there are too few views, or they do not belong to these arms.
     """
-    least = -(-(4 * len(chains[0]) + 3) // 3)
-    if len(seen) < least:
-        raise CalibrationError(
-            f"{len(seen)} views show the arms, but at least {least} are needed: each gives three "
-            f"numbers for the {4 * len(chains[0]) + 3} parameters of the source's arm"
-        )
-    if (count := sum(map(len, chains))) != seen.joints.shape[1]:
-        raise CalibrationError(
-            f"the views have {seen.joints.shape[1]} joints, but the arms have {count}"
-        )
+    _require_enough(chains, seen)
     arms = [
         _Arm(side, chain, prior, gear_periods)
         for side, chain, prior in zip(SIDES, chains, priors, strict=True)
@@ -275,6 +266,19 @@ def calibrated_arms(
         predicted_mm=_predicted(arms, seen),
         views=len(seen),
     )
+
+
+def _require_enough(chains: tuple[Chain, Chain], seen: Seen) -> None:
+    least = -(-(4 * len(chains[0]) + 3) // 3)
+    if len(seen) < least:
+        raise CalibrationError(
+            f"{len(seen)} views show the arms, but at least {least} are needed: each gives three "
+            f"numbers for the {4 * len(chains[0]) + 3} parameters of the source's arm"
+        )
+    if (count := sum(map(len, chains))) != seen.joints.shape[1]:
+        raise CalibrationError(
+            f"the views have {seen.joints.shape[1]} joints, but the arms have {count}"
+        )
 
 
 def _registered(chains: tuple[Chain, Chain], seen: Seen) -> Pose:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from twinct.calibration import (
 )
 from twinct.core.errors import CalibrationError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
+from twinct.core.progress import Progress
 from twinct.geometry import Floats, VolumeGrid
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience, Observers, audience_of
@@ -254,23 +255,7 @@ def calibrate_self(
     with audience_of(observers) as audience, sole_owner(folder.lock):
         panel, grid = scan.scenario.detector.panel, scan.scenario.reconstruction.volume_grid
         believed = scan.believed.geometry(panel)
-        p = line_integrals(scan.transmission)
-        mask = None if scan.bad_pixels is None else ~scan.bad_pixels
-        first = None
-        if start == "epipolar":
-            first = epipolar_consistent(
-                p, believed, grid, prior, what=what, mask=mask, progress=audience
-            )
-        found = self_calibrated(
-            p,
-            believed,
-            grid,
-            prior,
-            what=what,
-            mask=mask,
-            start=None if first is None else first.change,
-            progress=audience,
-        )
+        first, found = _from_projections(scan, prior, what, start, audience)
         executed, points = scan.relative.geometry(panel), _points_of(grid)
         at_executed = aligned(found.geometry, executed, points)
         kept = at_executed.geometry if align else found.geometry
@@ -295,6 +280,20 @@ def calibrate_self(
         first,
         None if first is None else aligned(first.geometry, executed, points),
     )
+
+
+def _from_projections(
+    scan: Scan, prior: PosePrior, what: What, start: Start, progress: Progress
+) -> tuple[EpipolarConsistency | None, SelfCalibration]:
+    """Estimate a scan's geometry, by epipolar planes first if the start asks for it."""
+    believed = scan.believed.geometry(scan.scenario.detector.panel)
+    mask = None if scan.bad_pixels is None else ~scan.bad_pixels
+    p, grid = line_integrals(scan.transmission), scan.scenario.reconstruction.volume_grid
+    how: Any = {"what": what, "mask": mask, "progress": progress}
+    if start != "epipolar":
+        return None, self_calibrated(p, believed, grid, prior, **how)
+    first = epipolar_consistent(p, believed, grid, prior, **how)
+    return first, self_calibrated(p, believed, grid, prior, start=first.change, **how)
 
 
 def _points_of(grid: VolumeGrid) -> Floats:

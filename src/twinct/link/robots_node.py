@@ -93,8 +93,7 @@ def spin_robots(
 
     Args:
         scenario: scenario to simulate.
-        epoch: epoch of the node's scan, whose targets alone are accepted, in order. None accepts
-            any target.
+        epoch: epoch of the scan whose targets alone are accepted, in order; None: any target.
         first_view: first view of that scan.
         planned: take the plan from ``/scan/plan``; else make it here.
         restore: ``.npy`` file with the simulator state to start from.
@@ -105,13 +104,8 @@ def spin_robots(
     Returns:
         Exit code: 0.
     """
-    turns = None
-    if epoch is not None:
-        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
-        targets = PosePairs.from_geometry(geometry).targets()
-        turns = Turns(Epoch.parse(epoch), targets, first_view)
+    turns = None if epoch is None else _turns(scenario, epoch, first_view)
     state = np.load(restore) if restore is not None else None
-
     description: str | None = None
 
     def build_simulation() -> Robots:
@@ -144,6 +138,12 @@ def spin_robots(
         return lambda: plan.taken and node.connected()
 
     return run_node(ROBOTS, build_simulation, open_node, lifeline=lifeline, members=members)
+
+
+def _turns(scenario: Scenario, epoch: str, first_view: int) -> Turns:
+    geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+    targets = PosePairs.from_geometry(geometry).targets()
+    return Turns(Epoch.parse(epoch), targets, first_view)
 
 
 class Turns:

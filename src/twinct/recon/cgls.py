@@ -1,15 +1,21 @@
-"""CGLS: conjugate gradients for the least-squares problem."""
+"""CGLS: conjugate gradients for the least-squares problem.
+
+Iterate n is the best one in x0 + span{g, A^T A g, ..., (A^T A)^(n-1) g} with g = A^T (p - A x0).
+All rays have the same weight. The residual falls fastest of all algorithms here. Noise returns
+after some iterations, so that their number acts as the regularisation. There is no ``nonnegative``:
+clipping would make the directions lose their conjugacy.
+"""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
-from twinct.recon.checks import Checks, counting_rays, masked_image, start_volume
+from twinct.recon.checks import Checks, Mask, counting_rays, masked_image, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector
@@ -36,14 +42,8 @@ def cgls(
 ) -> Volume:
     """Minimise |A x - p|^2 over the rays that count (Hestenes, Stiefel 1952).
 
-    Iterate n is the best one in x0 + span{g, A^T A g, ..., (A^T A)^(n-1) g} with
-    g = A^T (p - A x0). The residual falls fastest of all algorithms here. Noise returns after some
-    iterations, so that their number acts as the regularisation. All rays have the same weight; rays
-    that do not count in ``sart`` do not count here.
-
-    There is no ``nonnegative``: clipping would make the directions lose their conjugacy. n steps,
-    then m from their result, are not n + m steps: the directions start afresh and converge more
-    slowly.
+    Rays that do not count in ``sart`` do not count here. n steps, then m from their result, are not
+    n + m steps: the directions start afresh and converge more slowly.
 
     Peak memory: 3 volumes and 2.25 times the projections, besides the projections.
 
@@ -68,17 +68,10 @@ def cgls(
     checks.done()
     require_memory(CGLS, A)
     x = start_volume(A, x0, nonnegative=False)
-    counts, rest = counting_rays(A, pixels)
+    counts, rest = _residual(A, p, pixels, None if x0 is None else x)
     rays = int(counts.sum())
-    for view, image in enumerate(rest):
-        image[:] = masked_image(p, view, pixels)
-    if x0 is not None:
-        rest -= A(x)
-    rest *= counts
-    gradient = A.T(rest)
-    direction = gradient.copy()
-    slope = sum_of_squares(gradient)
-    del gradient
+    direction = A.T(rest)
+    slope = sum_of_squares(direction)
     listener = Listener(callback)
     for iteration in range(iterations):
         if slope == 0.0:
@@ -98,6 +91,19 @@ def cgls(
         direction += gradient
         del gradient
     return Volume(x, A.grid)
+
+
+def _residual(
+    A: Projector, p: NDArray[Any], mask: Mask | None, x: Singles | None
+) -> tuple[Mask, Singles]:
+    """Return the mask of rays that count, and p - A x on them; None for x: zero."""
+    counts, rest = counting_rays(A, mask)
+    for view, image in enumerate(rest):
+        image[:] = masked_image(p, view, mask)
+    if x is not None:
+        rest -= A(x)
+    rest *= counts
+    return counts, rest
 
 
 def _add(to: Singles, factor: np.float32, values: Singles) -> None:

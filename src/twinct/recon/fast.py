@@ -1,4 +1,17 @@
-"""SART from coarse to fine: a good volume in a tenth of the passes."""
+"""SART from coarse to fine: a good volume in a tenth of the passes.
+
+The updates are as in ``sart``, view after view in golden-angle order. From level to level, voxels
+and pixels become half as large, so that a pass takes an eighth of the next level's time. Each level
+starts from the interpolated volume of the previous one, and a pass at full resolution only adds
+details. The coarsest grid is larger, and the contents of its margin are projected and subtracted
+from then on, as in ``without_surroundings``.
+
+An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several views
+see each voxel. If views outnumber the voxels along an axis, the relaxation therefore falls over a
+level, in geometric steps, from its first value to that value times voxels along an axis over views.
+The remaining noise is reduced by total variation (``lower_variation``), as strong as the volume's
+``noise`` requires. docs/reconstruction.md gives the reasons for these numbers.
+"""
 
 from __future__ import annotations
 
@@ -89,19 +102,6 @@ def fast(
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals, mostly in larger voxels and pixels.
-
-    The updates are as in ``sart``, view after view in golden-angle order. From level to level,
-    voxels and pixels become half as large, so that a pass takes an eighth of the next level's time.
-    Each level starts from the interpolated volume of the previous one, and a pass at full
-    resolution only adds details. The coarsest grid is larger, and the contents of its margin are
-    projected and subtracted from then on, as in ``without_surroundings``.
-
-    An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several
-    views see each voxel. If views outnumber the voxels along an axis, the relaxation therefore
-    falls over a level, in geometric steps, from its first value to that value times voxels along an
-    axis over views. The remaining noise is reduced by total variation (``lower_variation``), as
-    strong as the volume's ``noise`` requires. docs/reconstruction.md gives the reasons for these
-    numbers.
 
     Peak memory: 3 volumes and half of the projections, besides the projections.
 

@@ -1,8 +1,21 @@
-"""FDK: filtered back projection of circular cone-beam scans."""
+"""FDK: filtered back projection of circular cone-beam scans.
+
+Circle, axis and spacing are estimated from the views (``orbit``). The back projection uses each
+view's own geometry, so that small deviations only affect the direction of the filter. A scan that
+deviates from a circle by more than the bounds in ``orbit`` is refused. An arc must cover 180
+degrees and the fan; its rays are weighted after Parker (1982), and in a longer arc the angle beyond
+180 degrees replaces the fan angle. Each view is weighted by its arc.
+
+Rows that do not end at zero, as of a truncated specimen, are extended to zero by half a cosine over
+half the panel's width before they are filtered. A view adds nothing to voxels that project beside
+its panel. Values fall with the distance from the circle's plane: a circle does not measure all
+data.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Literal, get_args
 
@@ -51,17 +64,6 @@ def fdk(
 ) -> Volume:
     """Reconstruct a circular scan, a whole turn or a short scan (Feldkamp, Davis, Kress 1984).
 
-    Circle, axis and spacing are estimated from the views (``orbit``). The back projection uses each
-    view's own geometry, so that small deviations only affect the direction of the filter. A scan
-    that deviates from a circle by more than the bounds in ``orbit`` is refused. An arc must cover
-    180 degrees and the fan; its rays are weighted after Parker (1982), and in a longer arc the
-    angle beyond 180 degrees replaces the fan angle. Each view is weighted by its arc.
-
-    Rows that do not end at zero, as of a truncated specimen, are extended to zero by half a cosine
-    over half the panel's width before they are filtered. A view adds nothing to voxels that project
-    beside its panel. Values fall with the distance from the circle's plane: a circle does not
-    measure all data.
-
     There is no ``x0`` and there are no ``iterations``.
 
     Peak memory: 1 volume and some images, besides the projections.
@@ -87,25 +89,11 @@ def fdk(
     """
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
-    if window not in get_args(Window):
-        checks.problems.append(f"window is {window!r}; choose from {', '.join(get_args(Window))}")
-    if pixels is not None and pixels.ndim == 3 and not pixels.any(axis=(1, 2)).all():
-        view = int(pixels.any(axis=(1, 2)).argmin())
-        checks.problems.append(
-            f"the mask leaves no pixel of view {view}; fdk needs pixels of every view"
-        )
-    circle = None
-    try:
-        circle = circular(A.geometry)
-    except InputError as error:
-        checks.problems.extend(error.problems)
-    checks.done()
-    assert circle is not None
-    fan = _fan(A.geometry, circle)
+    circle = _checked_circle(checks, A.geometry, window, pixels)
     require_memory(FDK, A)
-    sdd, sod = A.geometry.sdd, A.geometry.depth(circle.centre)
+    sod = A.geometry.depth(circle.centre)
+    weights = _weights(A.geometry, circle, sod)
     response = _response(A.geometry.panel.columns, window)
-    across, up = _coordinates(A.geometry, circle)
     x = np.zeros(A.domain_shape, np.float32)
     blocks = range(0, len(A), BLOCK)
     listener = Listener(callback, len(blocks))
@@ -114,13 +102,8 @@ def fdk(
         part = A[views.start : views.stop]
         images = np.empty((len(views), *A.range_shape[1:]), np.float32)
         for view, image in zip(views, images, strict=True):
-            u, v = across[view], up[view]
-            weight = sdd[view] / np.sqrt(sdd[view] ** 2 + u**2 + v[:, None] ** 2)
-            weight *= _redundancy(circle, view, fan[view])
-            # The filter's unit is the pixel; at the axis a pixel is pitch * SOD / SDD wide.
-            weight *= circle.steps[view] * sdd[view] / (sod[view] * A.geometry.panel.pitch_u)
             image[:] = _complete(masked_image(p, view, pixels), pixels, view)
-            image *= weight.astype(np.float32)
+            image *= weights(view)
             image[:] = _filtered(image, response)
         part.back_project(images, sod[views] ** 2, x)
         if listener(0, block, math.nan, 1, x):
@@ -128,6 +111,40 @@ def fdk(
     if nonnegative:
         np.maximum(x, 0.0, out=x)
     return Volume(x, A.grid, {"circle": circle})
+
+
+def _checked_circle(
+    checks: Checks, geometry: ScanGeometry, window: str, mask: Mask | None
+) -> Circle:
+    """Return the circle of the scan; raise InputError for all problems together."""
+    if window not in get_args(Window):
+        checks.problems.append(f"window is {window!r}; choose from {', '.join(get_args(Window))}")
+    if mask is not None and mask.ndim == 3 and not mask.any(axis=(1, 2)).all():
+        view = int(mask.any(axis=(1, 2)).argmin())
+        checks.problems.append(
+            f"the mask leaves no pixel of view {view}; fdk needs pixels of every view"
+        )
+    try:
+        circle = circular(geometry)
+    except InputError as error:
+        raise InputError([*checks.problems, *error.problems]) from None
+    checks.done()
+    return circle
+
+
+def _weights(geometry: ScanGeometry, circle: Circle, sod: Floats) -> Callable[[int], Singles]:
+    """Return a function from a view to the weights of its pixels, (rows, columns)."""
+    fan, (across, up) = _fan(geometry, circle), _coordinates(geometry, circle)
+
+    def weights(view: int) -> Singles:
+        sdd, u, v = geometry.sdd[view], across[view], up[view]
+        weight = sdd / np.sqrt(sdd**2 + u**2 + v[:, None] ** 2)
+        weight *= _redundancy(circle, view, fan[view])
+        # The filter's unit is the pixel; at the axis a pixel is pitch * SOD / SDD wide.
+        weight *= circle.steps[view] * sdd / (sod[view] * geometry.panel.pitch_u)
+        return weight.astype(np.float32)
+
+    return weights
 
 
 def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats]:

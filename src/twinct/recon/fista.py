@@ -153,10 +153,7 @@ def minimised(
     """Run FISTA from ``x``, which is overwritten; see ``fista_tv``, which checks the arguments."""
     parts = [(A[views], views) for views in subsets_of(A.geometry, subsets)]
     trust = _trust(A, weights, mask)
-    curvature = _curvature(parts, trust)
-    mean = float(curvature.mean(dtype=np.float64))
-    curvature /= np.float32(mean)
-    np.maximum(curvature, np.float32(LEAST_WEIGHT), out=curvature)
+    curvature, mean = _curvature(parts, trust)
     before, z = x.copy(), x.copy()
     momentum = 1.0
     listener = Listener(callback, subsets)
@@ -173,12 +170,8 @@ def minimised(
         early = iteration < iterations // 2
         for update, (part, views) in enumerate(parts):
             rest = remainder(part, z, p, views, mask)
-            square, rays = 0.0, 0
+            square, rays = _total(rest, trust, views) if listener.wanted else (0.0, 0)
             for here, view in enumerate(views):
-                if listener.wanted:
-                    counts = trust[view] > 0
-                    square += sum_of_squares(rest[here][None, counts])
-                    rays += int(counts.sum())
                 if huber is not None:
                     bound = max(huber, LOOSE * float(np.abs(rest[here]).mean()) * early)
                     np.clip(rest[here], -bound, bound, out=rest[here])
@@ -202,6 +195,16 @@ def minimised(
     return Volume(x, A.grid)
 
 
+def _total(rest: Singles, trust: Singles, views: list[int]) -> tuple[float, int]:
+    """Return the sum of squared residuals over the rays that count, and their number."""
+    square, rays = 0.0, 0
+    for image, view in zip(rest, views, strict=True):
+        counts = trust[view] > 0
+        square += sum_of_squares(image[None, counts])
+        rays += int(counts.sum())
+    return square, rays
+
+
 def _trust(A: Projector, weights: NDArray[Any] | None, mask: Mask | None) -> Singles:
     """Return W for the rays that count, and 0 for the others."""
     counts, trust = counting_rays(A, mask)
@@ -210,8 +213,11 @@ def _trust(A: Projector, weights: NDArray[Any] | None, mask: Mask | None) -> Sin
     return trust
 
 
-def _curvature(parts: list[tuple[Projector, list[int]]], trust: Singles) -> Singles:
-    """Return the row sums of A^T W A, the largest over the subsets times their number."""
+def _curvature(parts: list[tuple[Projector, list[int]]], trust: Singles) -> tuple[Singles, float]:
+    """Return the row sums of A^T W A, as shares of their mean but not below a least one; the mean.
+
+    A row sum is the largest over the subsets times their number.
+    """
     largest = np.zeros(parts[0][0].domain_shape, np.float32)
     ones = np.ones_like(largest)
     for part, views in parts:
@@ -220,4 +226,6 @@ def _curvature(parts: list[tuple[Projector, list[int]]], trust: Singles) -> Sing
             image *= trust[view]
         np.maximum(largest, part.T(rows), out=largest)
     largest *= np.float32(len(parts))
-    return largest
+    mean = float(largest.mean(dtype=np.float64))
+    largest /= np.float32(mean)
+    return np.maximum(largest, np.float32(LEAST_WEIGHT), out=largest), mean

@@ -1,4 +1,22 @@
-"""FISTA with total variation, for few views or few photons."""
+"""FISTA with total variation, for few views or few photons.
+
+The method is FISTA (Beck, Teboulle 2009) with ordered subsets of views, and a momentum that
+continues from subset to subset (Kim, Ramani, Fessler 2015). The step of each voxel is the inverse
+of the row sums of A^T W A, the largest over the subsets (a separable quadratic surrogate). The
+proximal step solves the dual problem (Chambolle 2004) in that metric, starting from the dual of the
+previous update. With one subset the objective converges to its minimum; with more, the volume comes
+near the minimum much sooner and then moves about it, less so with more views per subset.
+
+With ``huber`` a residual beyond this bound counts by its size: 2 huber |r| - huber^2 (Huber 1964)
+replaces its square, and is bounded by the same surrogate. In the first half of the iterations the
+bound is at least twice the mean residual of a view.
+
+Total variation lowers contrast. The contrast of a ball falls by up to 3 regularisation over its
+radius, times d over the ball's own curvature, which is many times smaller in a large grid. With
+``rounds`` the iterations are split into as many parts; after each part, p - A x is added to p
+(Osher et al., Multiscale Model. Simul. 4 (2005) 460). Contrast returns first in large structures,
+and noise returns last: few rounds leave it out.
+"""
 
 from __future__ import annotations
 
@@ -45,24 +63,6 @@ def fista_tv(
 
     d is the mean over the grid of A^T W A 1 per mm^3. It makes the regularisation a pure number
     that means the same for any number of views, pixels or voxels.
-
-    The method is FISTA (Beck, Teboulle 2009) with ordered subsets of views, and a momentum that
-    continues from subset to subset (Kim, Ramani, Fessler 2015). The step of each voxel is the
-    inverse of the row sums of A^T W A, the largest over the subsets (a separable quadratic
-    surrogate). The proximal step solves the dual problem (Chambolle 2004) in that metric, starting
-    from the dual of the previous update. With one subset the objective converges to its minimum;
-    with more, the volume comes near the minimum much sooner and then moves about it, less so with
-    more views per subset.
-
-    With ``huber`` a residual beyond this bound counts by its size: 2 huber |r| - huber^2 (Huber
-    1964) replaces its square, and is bounded by the same surrogate. In the first half of the
-    iterations the bound is at least twice the mean residual of a view.
-
-    Total variation lowers contrast. The contrast of a ball falls by up to 3 regularisation over its
-    radius, times d over the ball's own curvature, which is many times smaller in a large grid. With
-    ``rounds`` the iterations are split into as many parts; after each part, p - A x is added to p
-    (Osher et al., Multiscale Model. Simul. 4 (2005) 460). Contrast returns first in large
-    structures, and noise returns last: few rounds leave it out.
 
     n iterations, then m from their result, are not n + m iterations: momentum and dual start
     afresh.

@@ -1,4 +1,21 @@
-"""Implants of known shape: pose estimation from projections, and removal from line integrals."""
+"""Implants of known shape: pose estimation from projections, and removal from line integrals.
+
+Two steps alternate, as in Stayman, Otake, Prince, Khanna and Siewerdsen (IEEE Trans Med Imaging 31,
+2012). With the background fixed, Gauss-Newton steps with exact derivatives
+(``twinct.recon.shadow``) estimate the implants' poses and densities from the residuals about their
+shadows. With the implants fixed, ``sart`` reconstructs the background from line integrals without
+the implants. Unlike in the paper, the background is not part of one objective function, so that any
+algorithm can continue with the line integrals afterwards.
+
+The steps go from coarse to fine: residuals and derivatives are blurred by the possible error of the
+implant's position, then by less. The believed poses of source and panel have independent errors in
+every view. An implant may therefore be displaced a little along the panel in each view, as a random
+effect of standard deviation ``slack_mm`` that is eliminated from the normal equations of its pose.
+
+The background in the implants' place cannot be separated from their density: shadows are removed as
+far as they exceed the background. Rays with hardly any transmission are set to the values expected
+from the background.
+"""
 
 from __future__ import annotations
 
@@ -163,23 +180,6 @@ def without_implants(
     callback: Callback | None = None,
 ) -> WithoutImplants:
     """Find implants of known shape and material, and remove them (known components).
-
-    Two steps alternate, as in Stayman, Otake, Prince, Khanna and Siewerdsen (IEEE Trans Med Imaging
-    31, 2012). With the background fixed, Gauss-Newton steps with exact derivatives
-    (``twinct.recon.shadow``) estimate the implants' poses and densities from the residuals about
-    their shadows. With the implants fixed, ``sart`` reconstructs the background from line integrals
-    without the implants. Unlike in the paper, the background is not part of one objective function,
-    so that any algorithm can continue with the line integrals afterwards.
-
-    The steps go from coarse to fine: residuals and derivatives are blurred by the possible error of
-    the implant's position, then by less. The believed poses of source and panel have independent
-    errors in every view. An implant may therefore be displaced a little along the panel in each
-    view, as a random effect of standard deviation ``slack_mm`` that is eliminated from the normal
-    equations of its pose.
-
-    The background in the implants' place cannot be separated from their density: shadows are
-    removed as far as they exceed the background. Rays with hardly any transmission are set to the
-    values expected from the background.
 
     Peak memory: 2 volumes and 3 times the projections, besides the input.
 

@@ -1,4 +1,14 @@
-"""Metal artefact reduction: a prior image replaces the line integrals of rays through metal."""
+"""Metal artefact reduction: a prior image replaces the line integrals of rays through metal.
+
+This is normalised metal artefact reduction, for any algorithm. A first volume, by ``sart`` of all
+line integrals, locates the metal and classifies the rest. The prior contains air, tissue and bone,
+each with its own attenuation, and tissue in place of metal. A voxel is classified by its share of
+the step from air to tissue, or from tissue to bone: below a quarter as the lower material, above
+three quarters as the higher, in between in proportion. The measured line integrals are divided by
+the prior's. The ratio is smooth and close to 1. It is interpolated from the rays beside the metal
+into the rays through metal, in both directions of the panel, by Laplace's equation, and multiplied
+by the prior's line integrals again.
+"""
 
 from __future__ import annotations
 
@@ -69,15 +79,6 @@ def without_metal(
 ) -> WithoutMetal:
     """Replace the line integrals of rays through metal (Meyer et al., Med Phys 37, 2010).
 
-    This is normalised metal artefact reduction, for any algorithm. A first volume, by ``sart`` of
-    all line integrals, locates the metal and classifies the rest. The prior contains air, tissue
-    and bone, each with its own attenuation, and tissue in place of metal. A voxel is classified by
-    its share of the step from air to tissue, or from tissue to bone: below a quarter as the lower
-    material, above three quarters as the higher, in between in proportion. The measured line
-    integrals are divided by the prior's. The ratio is smooth and close to 1. It is interpolated
-    from the rays beside the metal into the rays through metal, in both directions of the panel, by
-    Laplace's equation, and multiplied by the prior's line integrals again.
-
     If something lies around the grid, remove it first (``without_surroundings``): the prior does
     not contain it.
 
@@ -125,10 +126,7 @@ def without_metal(
     found = voxels, first.flat[voxels], least, float(first.max())
     if not voxels.size:
         return WithoutMetal(p, *found)
-    prior = np.empty_like(first)
-    for plane, given in zip(prior, first, strict=True):
-        bones = _share(given, tissue, bone)
-        plane[:] = tissue * _share(given, 0.0, tissue) + (bone - tissue) * bones
+    prior = _classified(first, tissue, bone)
     prior.flat[voxels] = tissue
     del first
     solid = np.zeros_like(prior)
@@ -147,6 +145,15 @@ def without_metal(
 def metal_bytes(voxels: int, pixels: int) -> int:
     """Return the bytes that ``without_metal`` needs besides its input; pixels of all views."""
     return int(4 * (2.25 * voxels + pixels)) + SPARE_BYTES
+
+
+def _classified(volume: Singles, tissue: float, bone: float) -> Singles:
+    """Return a volume of air, tissue and bone, each with its own attenuation."""
+    prior = np.empty_like(volume)
+    for plane, given in zip(prior, volume, strict=True):
+        bones = _share(given, tissue, bone)
+        plane[:] = tissue * _share(given, 0.0, tissue) + (bone - tissue) * bones
+    return prior
 
 
 def _share(values: Singles, low: float, high: float) -> Singles:

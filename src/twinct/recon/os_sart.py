@@ -1,4 +1,15 @@
-"""OS-SART: ordered subsets of views, one subset per update."""
+"""OS-SART: ordered subsets of views, one subset per update.
+
+With S the views of a subset, and B_i, L_i and the rays that count as in ``sart``:
+
+    x <- x + relaxation * mean over the views i of S that see the voxel of
+                          B_i[(p_i - A_i x) / L_i] / B_i[1]
+
+Subset k holds the views k, k + subsets, k + 2 subsets, ... (but see ``subsets_of``), and the
+subsets are used in golden-angle order. With as many subsets as views this is ``sart`` in that
+order; with one subset all views count alike, as in ``sirt`` but with the voxel-driven back
+projection. Fewer subsets average out more noise and converge more slowly.
+"""
 
 from __future__ import annotations
 
@@ -41,16 +52,6 @@ def os_sart(
 ) -> Volume:
     """Reconstruct a volume from line integrals, several views per update.
 
-    With S the views of a subset, and B_i, L_i and the rays that count as in ``sart``:
-
-        x <- x + relaxation * mean over the views i of S that see the voxel of
-                              B_i[(p_i - A_i x) / L_i] / B_i[1]
-
-    Subset k holds the views k, k + subsets, k + 2 subsets, ... (but see ``subsets_of``), and the
-    subsets are used in golden-angle order. With as many subsets as views this is ``sart`` in that
-    order; with one subset all views count alike, as in ``sirt`` but with the voxel-driven back
-    projection. Fewer subsets average out more noise and converge more slowly.
-
     Peak memory: 3 volumes and a few images, besides the projections.
 
     Args:
@@ -80,8 +81,7 @@ def os_sart(
     listener = Listener(callback, subsets)
     for iteration in range(iterations):
         for update, views in enumerate(subsets_of(A.geometry, subsets)):
-            change[:] = 0.0
-            seen[:] = 0.0
+            change[:] = seen[:] = 0.0
             square, rays = 0.0, 0
             for view in views:
                 measured, mask = masked_image(p, view, pixels), mask_of(pixels, view)
@@ -91,8 +91,7 @@ def os_sart(
                 if listener.wanted:
                     own, number = residual_of(measured, estimate, counts)
                     square, rays = square + own, rays + number
-            np.maximum(seen, np.float32(1.0), out=seen)
-            np.divide(change, seen, out=change)
+            change /= np.maximum(seen, np.float32(1.0), out=seen)
             np.add(x, change, out=x)
             if nonnegative:
                 np.maximum(x, 0.0, out=x)

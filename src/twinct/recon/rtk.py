@@ -71,37 +71,45 @@ def rtk_sart(
     x0 = checks.start(x0, grid.shape)
     views = view_order(checks, geometry, order, rng)
     checks.done()
-    try:
-        # itk creates its names at import, so the type checker cannot find them.
-        itk: Any = import_module("itk")
-        RTK: Any = itk.RTK
-    except (ImportError, AttributeError) as error:
-        raise MissingExtraError("itk-rtk", "rtk") from error
-
+    itk, RTK = _modules()
     x = np.zeros(grid.shape, np.float32) if x0 is None else np.array(x0, np.float32, order="C")
     listener = Listener(callback, len(views))
     local = grid.world_from_grid.inverse() @ geometry
-    image_type = itk.Image[itk.F, 3]
     for iteration in range(iterations):
         for update, view in enumerate(views):
             numbers = local[view].to_rtk()
-            volume = _image(itk, x, grid.first_voxel_mm, grid.voxel)
             stack = np.ascontiguousarray(p[view : view + 1], dtype=np.float32)
             projection = _image(itk, stack, (*numbers["origin"], 0.0), (*numbers["spacing"], 1.0))
-            sart = RTK.SARTConeBeamReconstructionFilter[image_type, image_type].New()
-            sart.SetInput(0, volume)
+            sart = _filter(itk, RTK, relaxation, nonnegative)
+            sart.SetInput(0, _image(itk, x, grid.first_voxel_mm, grid.voxel))
             sart.SetInput(1, projection)
             sart.SetGeometry(_geometry(itk, RTK, numbers))
-            sart.SetNumberOfIterations(1)
-            sart.SetNumberOfProjectionsPerSubset(1)
-            sart.SetLambda(float(relaxation))
-            sart.SetEnforcePositivity(bool(nonnegative))
-            sart.SetDisableDisplacedDetectorFilter(True)
             sart.Update()
             x = itk.array_from_image(sart.GetOutput())
             if listener(iteration, update, math.nan, 1, x):
                 return Volume(np.array(x), grid)
     return Volume(x, grid)
+
+
+def _modules() -> tuple[Any, Any]:
+    try:
+        # itk creates its names at import, so the type checker cannot find them.
+        itk: Any = import_module("itk")
+        return itk, itk.RTK
+    except (ImportError, AttributeError) as error:
+        raise MissingExtraError("itk-rtk", "rtk") from error
+
+
+def _filter(itk: Any, RTK: Any, relaxation: float, nonnegative: bool) -> Any:
+    """Return the filter for one pass over one view."""
+    image_type = itk.Image[itk.F, 3]
+    sart = RTK.SARTConeBeamReconstructionFilter[image_type, image_type].New()
+    sart.SetNumberOfIterations(1)
+    sart.SetNumberOfProjectionsPerSubset(1)
+    sart.SetDisableDisplacedDetectorFilter(True)
+    sart.SetLambda(float(relaxation))
+    sart.SetEnforcePositivity(bool(nonnegative))
+    return sart
 
 
 def _image(itk: Any, array: NDArray[np.float32], origin: Any, spacing: Any) -> Any:

@@ -1,4 +1,20 @@
-"""SART: simultaneous algebraic reconstruction, one view per update."""
+"""SART: simultaneous algebraic reconstruction, one view per update.
+
+The views are used in an order that is the same in every iteration:
+
+    x <- x + relaxation * B_i[(p_i - A_i x) / L_i] / B_i[1]
+
+L_i is each ray's path length in the grid; rays shorter than the smallest voxel edge count as
+missing the grid and are left out. B_i is not the adjoint of A_i but the voxel-driven back
+projection: the image value at the projection of the voxel's centre, bilinear between pixel centres,
+with border pixels extended over their outer half. It is faster, and its B_i[1] is 1 wherever all
+rays count. A voxel that projects beside the panel is not updated.
+
+Where many views see every voxel, errors fall with any relaxation below 2. A single ray through a
+corner of the grid, whose samples exceed its length (A 1 / L, below 2 for cubic voxels), is stable
+below 2 / (A 1 / L), and so always up to 1. With one or two views alone, some errors grow by 1 to 3
+% per pass, because B_i and A_i are not adjoint: stop early.
+"""
 
 from __future__ import annotations
 
@@ -44,21 +60,6 @@ def sart(
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals, one view per update.
-
-    The views are used in ``order``, the same in every iteration:
-
-        x <- x + relaxation * B_i[(p_i - A_i x) / L_i] / B_i[1]
-
-    L_i is each ray's path length in the grid; rays shorter than the smallest voxel edge count as
-    missing the grid and are left out. B_i is not the adjoint of A_i but the voxel-driven back
-    projection: the image value at the projection of the voxel's centre, bilinear between pixel
-    centres, with border pixels extended over their outer half. It is faster, and its B_i[1] is 1
-    wherever all rays count. A voxel that projects beside the panel is not updated.
-
-    Where many views see every voxel, errors fall with any relaxation below 2. A single ray through
-    a corner of the grid, whose samples exceed its length (A 1 / L, below 2 for cubic voxels), is
-    stable below 2 / (A 1 / L), and so always up to 1. With one or two views alone, some errors grow
-    by 1 to 3 % per pass, because B_i and A_i are not adjoint: stop early.
 
     Peak memory: 1 volume and a few images, besides the projections; 2.3 volumes with ``stop``.
 
@@ -106,12 +107,10 @@ def sart(
             estimate, counts = A.update(
                 x, view, measured, relaxation=relaxation, mask=mask, floor=floor
             )
-            if update + 1 == len(views) and best.is_over(x):
+            over = update + 1 == len(views) and best.is_over(x)
+            square, rays = residual_of(measured, estimate, counts) if listener.wanted else (0.0, 0)
+            if over or listener(iteration, update, square, rays, x):
                 return Volume(x, A.grid, best.told)
-            if listener.wanted:
-                square, rays = residual_of(measured, estimate, counts)
-                if listener(iteration, update, square, rays, x):
-                    return Volume(x, A.grid, best.told)
     return Volume(x, A.grid, best.told)
 
 

@@ -1,4 +1,10 @@
-"""SIRT: simultaneous iterative reconstruction, all views per update."""
+"""SIRT: simultaneous iterative reconstruction, all views per update.
+
+The iteration converges to a minimum of the residual weighted by R if the relaxation is below 2 / q,
+with q the largest eigenvalue of C A^T R A. q is at most the largest A 1 / L of a ray: samples at
+whole planes over the exact length. For cubic voxels this is below 2, so that any relaxation up to 1
+is stable; only rays through corners come near 2, and with many rays q was 1.003 to 1.014.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
-from twinct.recon.checks import Checks, counting_rays, remainder, start_volume
+from twinct.recon.checks import Checks, Mask, counting_rays, remainder, start_volume
+from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.projector import Projector
 from twinct.recon.shared_keys import Iterations, Nonnegative, Relaxation
@@ -42,11 +49,7 @@ def sirt(
         x <- x + relaxation * C A^T R (p - A x)
 
     R divides by each ray's path length in the grid and leaves out rays that do not count, as in
-    ``sart``; C divides by A^T 1 over the rays that count. The transpose is exact. The iteration
-    converges to a minimum of the residual weighted by R if the relaxation is below 2 / q, with q
-    the largest eigenvalue of C A^T R A. q is at most the largest A 1 / L of a ray: samples at whole
-    planes over the exact length. For cubic voxels this is below 2, so that any relaxation up to 1
-    is stable; only rays through corners come near 2, and with many rays q was 1.003 to 1.014.
+    ``sart``; C divides by A^T 1 over the rays that count. The transpose is exact.
 
     Peak memory: 3 volumes and 2.25 times the projections, besides the projections.
 
@@ -71,16 +74,7 @@ def sirt(
     checks.done()
     require_memory(SIRT, A)
     x = start_volume(A, x0, nonnegative)
-    counts, rows = counting_rays(A, pixels)
-    np.divide(1.0, rows, out=rows, where=counts)
-    rays = int(counts.sum())
-    columns = A.T(counts)
-    del counts
-    # A voxel that rays hardly touch would take up the noise of one ray: it is left as it is.
-    touched = columns > np.float32(1e-3 * A.grid.voxel.min())
-    np.divide(relaxation, columns, out=columns, where=touched)
-    columns[~touched] = 0.0
-    del touched
+    rows, columns, rays = _weights(A, pixels, relaxation)
     listener = Listener(callback)
     for iteration in range(iterations):
         rest = remainder(A, x, p, range(len(A)), pixels)
@@ -97,6 +91,18 @@ def sirt(
         if listener(iteration, 0, square, rays, x):
             break
     return Volume(x, A.grid)
+
+
+def _weights(A: Projector, mask: Mask | None, relaxation: float) -> tuple[Singles, Singles, int]:
+    """Return R, relaxation * C, and the number of rays that count."""
+    counts, rows = counting_rays(A, mask)
+    np.divide(1.0, rows, out=rows, where=counts)
+    columns = A.T(counts)
+    # A voxel that rays hardly touch would take up the noise of one ray: it is left as it is.
+    touched = columns > np.float32(1e-3 * A.grid.voxel.min())
+    np.divide(relaxation, columns, out=columns, where=touched)
+    columns[~touched] = 0.0
+    return rows, columns, int(counts.sum())
 
 
 SIRT = Algorithm(Sirt, partial(solve_by, sirt), volumes=3, projections=2.25, resumes=True)

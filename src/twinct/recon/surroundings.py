@@ -1,4 +1,22 @@
-"""Truncation: removal of the grid's surroundings from the line integrals."""
+"""Truncation: removal of the grid's surroundings from the line integrals.
+
+A specimen that extends beyond the grid adds to the line integrals, but no voxel can take up the
+addition; the algorithms press it into the voxels at the edge, and some of it into the middle. Two
+steps remove it (Ziegler, Nielsen, Grass, Med Phys 35, 2008). A coarse grid that is larger by a
+margin on every side is reconstructed from binned projections with ``sart``. Its part outside the
+grid is projected at full resolution and subtracted. That part is computed as the coarse volume's
+line integrals less the line integrals of the same volume interpolated on the grid, so that nothing
+is blurred across the border.
+
+One grid with coarse voxels around fine ones would be worse: every projector and algorithm would
+have to support both lattices, a border inside the volume causes artefacts, and the coarse voxels
+would be updated in every iteration. This method costs two projections and, if the coarse voxels are
+many times larger, part of an iteration; and any algorithm may follow.
+
+From few views the coarse volume is poor, and its deficits around the grid harm the grid. With
+``expected``, the line integrals of these values are left out first, so that the coarse volume has
+to explain little but the surroundings.
+"""
 
 from __future__ import annotations
 
@@ -32,23 +50,6 @@ def without_surroundings(
     callback: Callback | None = None,
 ) -> Singles:
     """Subtract the surroundings of the grid from the line integrals, for any algorithm.
-
-    A specimen that extends beyond the grid adds to the line integrals, but no voxel can take up the
-    addition; the algorithms press it into the voxels at the edge, and some of it into the middle.
-    Two steps remove it (Ziegler, Nielsen, Grass, Med Phys 35, 2008). A coarse grid that is larger
-    by a margin on every side is reconstructed from binned projections with ``sart``. Its part
-    outside the grid is projected at full resolution and subtracted. That part is computed as the
-    coarse volume's line integrals less the line integrals of the same volume interpolated on the
-    grid, so that nothing is blurred across the border.
-
-    One grid with coarse voxels around fine ones would be worse: every projector and algorithm would
-    have to support both lattices, a border inside the volume causes artefacts, and the coarse
-    voxels would be updated in every iteration. This method costs two projections and, if the coarse
-    voxels are many times larger, part of an iteration; and any algorithm may follow.
-
-    From few views the coarse volume is poor, and its deficits around the grid harm the grid. With
-    ``expected``, the line integrals of these values are left out first, so that the coarse volume
-    has to explain little but the surroundings.
 
     Contents beyond the margin stay unexplained: the specimen should end within the margin.
 

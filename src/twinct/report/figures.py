@@ -335,9 +335,8 @@ def side_by_side(
             title = [*textwrap.wrap(name, 100 // abreast)]
             if section is not None and section.position != first.position:
                 title.append(f"({section.position})")
-            for line, (cmap, norm) in enumerate(looks[: 1 if index == 0 else 2]):
+            for line, look in enumerate(looks[: 1 if index == 0 else 2]):
                 axes = grid[2 * band + line, column]
-                axes.set(visible=True, xlim=(left, right), ylim=(bottom, top), aspect="equal")
                 axes.set_facecolor(_OUTSIDE)
                 for axis in (axes.xaxis, axes.yaxis):
                     axis.set_major_locator(MaxNLocator(5))
@@ -351,14 +350,8 @@ def side_by_side(
                     axes.set_xlabel(f"{first.axes[0]} / mm", labelpad=1)
                 else:
                     axes.tick_params(labelbottom=False)
-                if section is None:
-                    said = {"transform": axes.transAxes, "ha": "center", "va": "center"}
-                    axes.text(0.5, 0.5, "outside its grid", **said, color=LIMIT_COLOUR)
-                    continue
-                shown = section.reconstruction.astype(np.float64) - (section.truth if line else 0)
-                axes.imshow(shown, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
-                _outline(axes, section, INK if line else REGION_COLOUR)
-                axes.set(xlim=(left, right), ylim=(bottom, top))
+                _show(axes, section, look, error=line == 1)
+                axes.set(visible=True, xlim=(left, right), ylim=(bottom, top), aspect="equal")
         half = abreast // 2
         for part, look, label in (
             (grid[:, :half], looks[0], "attenuation / mm⁻¹"),
@@ -366,6 +359,18 @@ def side_by_side(
         ):
             _bar_below(figure, part, look, label, shrink=0.8, aspect=30)
         return png(figure, dpi)
+
+
+def _show(axes: Any, section: CrossSection | None, look: Look, error: bool) -> None:
+    """Draw a section of a reconstruction, or its error; or say that there is none."""
+    if section is None:
+        said = {"transform": axes.transAxes, "ha": "center", "va": "center"}
+        axes.text(0.5, 0.5, "outside its grid", **said, color=LIMIT_COLOUR)
+        return
+    shown = section.reconstruction.astype(np.float64) - (section.truth if error else 0)
+    cmap, norm = look
+    axes.imshow(shown, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
+    _outline(axes, section, INK if error else REGION_COLOUR)
 
 
 _OUTSIDE = "#eceff2"

@@ -73,14 +73,21 @@ def build_metrics(
         "simulated_seconds": simulated_seconds,
         "real_time_factor": real_time_factor,
     }
-    if len(by_geometry) > 1:
-        metrics["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
-    if {"believed", "executed"} <= by_geometry.keys():
-        both = (replace(by_geometry[name], zero={}).as_dict() for name in ("believed", "executed"))
-        metrics["believed_minus_executed"] = _difference(*both)
+    metrics |= _compared(by_geometry)
     if taken := sorted(metrics.keys() & extra.keys()):
         raise ValueError(f"extra keys {', '.join(taken)} are taken")
     return plain(metrics | extra)
+
+
+def _compared(by_geometry: Mapping[str, ImageFigures]) -> dict[str, Any]:
+    """Return the figures of all geometries if there are several, and the cost of poses' errors."""
+    told: dict[str, Any] = {}
+    if len(by_geometry) > 1:
+        told["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
+    if {"believed", "executed"} <= by_geometry.keys():
+        both = (replace(by_geometry[name], zero={}).as_dict() for name in ("believed", "executed"))
+        told["believed_minus_executed"] = _difference(*both)
+    return told
 
 
 def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:

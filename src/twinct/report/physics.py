@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from twinct import scenario as sections
@@ -67,72 +69,73 @@ def _beam(source: Source) -> list[str]:
     return [kind, *([f"filtered by {' and '.join(plates)}"] if plates else [])]
 
 
-def _exposure(source: Source, mas: Floats) -> list[str]:
-    words = []
+def _exposure(source: Source, mas: Floats) -> Iterator[str]:
     if source.photons_per_mm2_mas or isinstance(source.spectrum, sections.TubeSpectrum):
         low, high = mas.min(), mas.max()
-        words.append(f"{low:g} mAs" if low == high else f"{low:g} to {high:g} mAs")
+        yield f"{low:g} mAs" if low == high else f"{low:g} to {high:g} mAs"
     spot = source.focal_spot
     if isinstance(spot, sections.GaussianSpot):
-        words.append(f"Gaussian spot, sigma {_size(spot.sigma_mm)} mm")
+        yield f"Gaussian spot, sigma {_size(spot.sigma_mm)} mm"
     elif isinstance(spot, sections.SquareSpot):
-        words.append(f"square spot of {_size(spot.size_mm)} mm")
+        yield f"square spot of {_size(spot.size_mm)} mm"
     elif spot is not None:
-        words.append(f"spot {spot.path.name} of {_size(spot.size_mm)} mm")
+        yield f"spot {spot.path.name} of {_size(spot.size_mm)} mm"
     if source.motion_samples > 1:
-        words.append(f"motion blur, {source.motion_samples} instants of {source.exposure_ms:g} ms")
-    return words
+        yield f"motion blur, {source.motion_samples} instants of {source.exposure_ms:g} ms"
 
 
-def _signal(detector: Detector) -> list[str]:
+def _response(detector: Detector) -> list[str]:
+    match detector.response:
+        case sections.ScintillatorResponse(thickness_mm=thickness, material=material):
+            return [f"{thickness:g} mm {_name(material)}"]
+        case sections.CountingResponse():
+            return ["photon counting"]
+        case sections.FileResponse(path=path):
+            return [f"efficiency {path.name}"]
+        case _:
+            return []
+
+
+def _signal(detector: Detector) -> Iterator[str]:
     """Describe the signal up to the readout."""
-    words = []
-    response, spread, noise = detector.response, detector.point_spread, detector.noise
-    if isinstance(response, sections.ScintillatorResponse):
-        words.append(f"{response.thickness_mm:g} mm {_name(response.material)}")
-    elif isinstance(response, sections.CountingResponse):
-        words.append("photon counting")
-    elif isinstance(response, sections.FileResponse):
-        words.append(f"efficiency {response.path.name}")
+    yield from _response(detector)
+    spread, noise = detector.point_spread, detector.noise
     if (n := detector.pixel_samples) > 1:
-        words.append(f"{n} × {n} samples a pixel")
+        yield f"{n} × {n} samples a pixel"
     if detector.scatter is not None:
-        words.append(f"scatter × {detector.scatter.scale:g}")
+        yield f"scatter × {detector.scatter.scale:g}"
     if detector.lag:
-        words.append(f"lag {100 * detector.lag:g} %")
+        yield f"lag {100 * detector.lag:g} %"
     if isinstance(spread, sections.GaussianSpread):
-        words.append(f"spread, sigma {spread.sigma_mm:g} mm")
+        yield f"spread, sigma {spread.sigma_mm:g} mm"
     elif spread is not None:
-        words.append(f"MTF {spread.path.name}")
+        yield f"MTF {spread.path.name}"
     if isinstance(noise, sections.SnrNoise):
-        words.append(f"SNR {noise.snr:g}")
+        yield f"SNR {noise.snr:g}"
     elif noise is not None:
-        words.append("quantum noise")
-    return words
+        yield "quantum noise"
 
 
-def _raw(detector: Detector) -> list[str]:
+def _raw(detector: Detector) -> Iterator[str]:
     """Describe the grey values and their correction."""
-    words = []
     readout, bad, correction = detector.readout, detector.bad_pixels, detector.correction
     if readout is not None:
-        words.append(
+        yield (
             f"{'fractions' if readout.bits is None else f'{readout.bits} bit'}, "
             f"free beam {readout.free_beam:g} above an offset of {readout.offset:g}"
         )
         if readout.saturation is not None:
-            words.append(f"saturation {readout.saturation:g}")
+            yield f"saturation {readout.saturation:g}"
         if readout.electronic_noise:
-            words.append(f"electronic noise {readout.electronic_noise:g}")
+            yield f"electronic noise {readout.electronic_noise:g}"
     if isinstance(bad, sections.RandomBadPixels):
-        words.append(f"{100 * bad.share:g} % bad pixels")
+        yield f"{100 * bad.share:g} % bad pixels"
     elif bad is not None:
-        words.append(f"bad pixels {bad.path.name}")
+        yield f"bad pixels {bad.path.name}"
     if correction.flat_frames or correction.dark_frames:
-        words.append(f"{correction.flat_frames} flat, {correction.dark_frames} dark frames")
+        yield f"{correction.flat_frames} flat, {correction.dark_frames} dark frames"
     if correction.flat_geometry == "first":
-        words.append("flat image of the first view")
-    return words
+        yield "flat image of the first view"
 
 
 def _name(material: str | Composition) -> str:

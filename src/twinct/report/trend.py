@@ -68,10 +68,7 @@ def trend_picture(
             return [x if numbers else places[json.dumps(x)] for x, _ in points]
 
         if shown.cloud:
-            y = factor * np.array([mean for _, mean in shown.cloud])
-            dots = {"marker": "o", "ls": "none", "mew": 0, "color": _COLOURS[0], "alpha": 0.35}
-            dots |= {"ms": 2.5, "rasterized": len(y) > _MOST_SHAPES, "zorder": 1}
-            axes.plot(placed(shown.cloud), y, **dots)
+            _draw_dots(axes, placed(shown.cloud), [factor * mean for _, mean in shown.cloud])
         for index, (told, line) in enumerate(shown.lines):
             y, half = (
                 factor * np.array([np.nan if v is None else v for v in column], dtype=np.float64)
@@ -87,27 +84,10 @@ def trend_picture(
             beside = ScaledTranslation(shift, 0, figure_.dpi_scale_trans)
             for artist in bars.get_children():
                 artist.set_transform(artist.get_transform() + beside)
-        if numbers and log:
-            positive = [value for value in values if value > 0]
-            if len(positive) == len(values):
-                axes.set_xscale("log")
-            elif positive:
-                axes.set_xscale("symlog", linthresh=min(positive))
         if numbers:
-            names = [f"{value:.4g}" for value in values]
-            axes.get_xlim()  # sets the scale that the next line needs
-            across = axes.transData.transform([(value, 0) for value in values])[:, 0]
-            if np.diff(across).min() > _NARROWEST_PX and max(map(len, names)) <= 6:
-                axes.set_xticks(values, names)
-                axes.set_xticks([], minor=True)
+            _scale(axes, values, log)
         else:
-            names = [textwrap.shorten(in_words(v), 28, placeholder=" …") for v in values]
-            turned = {"rotation": 30, "ha": "right"} if sum(map(len, names)) > 48 else {}
-            axes.set_xlim(-0.5, len(values) - 0.5)
-            if len(values) <= _MOST_NAMES:
-                axes.set_xticks(range(len(values)), names, **turned)
-            else:
-                axes.set_xticks([])
+            _name(axes, values)
         axes.set_xlabel(axis)
         axes.set_ylabel(textwrap.fill(figure, 34))
         axes.grid(axis="y", color="#e4e7eb", lw=0.7)
@@ -117,3 +97,36 @@ def trend_picture(
             place: dict[str, Any] = {"loc": "outside upper left", "alignment": "left"}
             figure_.legend(**place, ncols=min(many, 3), title=title, borderpad=0)
         return svg(figure_)
+
+
+def _draw_dots(axes: Any, x: Sequence[float], y: Sequence[float]) -> None:
+    dots = {"marker": "o", "ls": "none", "mew": 0, "color": _COLOURS[0], "alpha": 0.35}
+    dots |= {"ms": 2.5, "rasterized": len(y) > _MOST_SHAPES, "zorder": 1}
+    axes.plot(x, y, **dots)
+
+
+def _scale(axes: Any, values: Sequence[float], log: bool) -> None:
+    """Scale an axis of numbers, and mark the values themselves if there is room."""
+    if log:
+        positive = [value for value in values if value > 0]
+        if len(positive) == len(values):
+            axes.set_xscale("log")
+        elif positive:
+            axes.set_xscale("symlog", linthresh=min(positive))
+    names = [f"{value:.4g}" for value in values]
+    axes.get_xlim()  # sets the scale that the next line needs
+    across = axes.transData.transform([(value, 0) for value in values])[:, 0]
+    if np.diff(across).min() > _NARROWEST_PX and max(map(len, names)) <= 6:
+        axes.set_xticks(values, names)
+        axes.set_xticks([], minor=True)
+
+
+def _name(axes: Any, values: Sequence[Any]) -> None:
+    """Write the values below an axis, if there are few."""
+    names = [textwrap.shorten(in_words(v), 28, placeholder=" …") for v in values]
+    turned = {"rotation": 30, "ha": "right"} if sum(map(len, names)) > 48 else {}
+    axes.set_xlim(-0.5, len(values) - 0.5)
+    if len(values) <= _MOST_NAMES:
+        axes.set_xticks(range(len(values)), names, **turned)
+    else:
+        axes.set_xticks([])

@@ -137,20 +137,15 @@ def implants_taken_out(
     known = known_implants(scenario, section)
     energy = effective_energy_kev(scenario.source, scenario.detector)
     mus = {name: of.mu_per_mm(energy) for name, of in _prior(section).items()}
-    first = hardening_corrected(scenario, measured, A, mask)
-    inner, around = first, scenario.reconstruction.around
-    surroundings = None
-    if around is not None:
-        inner = without_surroundings(A, first, **around._asdict(), mask=mask)
-        surroundings = first - inner
-        if mask is not None:
-            surroundings *= mask
+    inner, surroundings = _parted(
+        scenario, hardening_corrected(scenario, measured, A, mask), A, mask
+    )
     iterations = section.first_iterations
     metal = min(one.material.mu_per_mm(energy) for one in known)
     replaced = without_metal(
         A, inner, **mus, metal=metal, first_iterations=iterations, mask=mask, callback=callback
     ).line_integrals
-    del inner, first
+    del inner
     background = sart(
         A, replaced, iterations=iterations, relaxation=0.3, mask=mask, callback=callback
     ).array
@@ -177,6 +172,23 @@ def implants_taken_out(
             *(one[key] for key in ("name", "moved_mm", "turned_deg", "density_rel")),
         )
     return result
+
+
+def _parted(
+    scenario: Scenario,
+    integrals: NDArray[np.float32],
+    A: Projector,
+    mask: NDArray[np.bool_] | None,
+) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """Return the parts of line integrals inside the grid, and around it if the scenario says so."""
+    around = scenario.reconstruction.around
+    if around is None:
+        return integrals, None
+    inner = without_surroundings(A, integrals, **around._asdict(), mask=mask)
+    surroundings = integrals - inner
+    if mask is not None:
+        surroundings *= mask
+    return inner, surroundings
 
 
 def volumes_of(section: KnownImplants) -> int:

@@ -11,7 +11,8 @@ from twinct.geometry import Floats
 from twinct.report import plain
 from twinct.scan import SimulationBuilder
 from twinct.scenario import GantryCell
-from twinct.uncertainty.propagation import NominalScan, Propagation, propagate
+from twinct.uncertainty.nominal_scan import NominalScan
+from twinct.uncertainty.propagation import Propagation, propagate
 
 LATTICE = 5
 """Points along each axis of the grid; only points that every view sees are used."""

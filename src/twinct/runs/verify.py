@@ -11,7 +11,7 @@ from twinct.recon.volume import Volume
 from twinct.runs.folder import Folder, read_metrics
 from twinct.runs.reconstruction_folder import check_files
 from twinct.scan import NamedGeometry, ScanStore, frame_damage, unknown_files, view_damage
-from twinct.scan.damage import views_taken
+from twinct.scan.status import views_taken
 
 
 @dataclass(frozen=True)

@@ -145,11 +145,7 @@ def _reconstruct(
     scenario = scan.scenario
     section = scenario.reconstruction
     which = "given" if isinstance(geometry, ScanGeometry) else geometry or section.geometries[0]
-    pixels = None if mask is None else np.asarray(mask)
-    if pixels is not None and not algorithm.masks:
-        raise InputError(f"{algorithm.name} takes no mask: omit it, or choose another algorithm")
-    if algorithm.masks:
-        pixels = _good_pixels(scan, pixels)
+    pixels = _good_pixels(scan, algorithm, mask)
     poses = geometry if isinstance(geometry, ScanGeometry) else _poses(scan, which)
     _require_fit(scan, poses)
     grid = section.volume_grid
@@ -157,41 +153,26 @@ def _reconstruct(
     if checkpoints is not None and algorithm.resumes:
         kept = _Checkpoints(checkpoints, f"{which}-{_digest(scan, poses, pixels)[:16]}")
     done, x0, residuals = kept.newest(grid)
-    if watch is not None:
-        for number, residual in enumerate(residuals, start=1):
-            watch(number, residual)
+    watch = watch or (lambda number, residual: None)
+    for number, residual in enumerate(residuals, start=1):
+        watch(number, residual)
     iterations: int = getattr(section, "iterations", 1)
-    if x0 is not None and done >= iterations and section.metal is None:
-        return _counted(Volume(x0, grid), section, done)
+    finished = None
+    if x0 is not None and done >= iterations:
+        finished = _counted(Volume(x0, grid), section, done)
+        if section.metal is None:
+            return finished
     A = Projector(poses, grid)
-    integrals = line_integrals(scan.transmission)
-    metal: WithoutMetal | TakenOut | None = None
-    if isinstance(section.metal, KnownImplants):
-        with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
-            known = scenario, section.metal, integrals, A, pixels
-            metal = implants_taken_out(*known, lambda _: tick())
-        integrals = metal.line_integrals
-    else:
-        integrals = hardening_corrected(scenario, integrals, A, pixels)
-    if section.around is not None:
-        integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
-    if isinstance(section.metal, Nmar):
-        with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
-            metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
-        integrals = metal.line_integrals
-        if nothing := none_found(metal):
-            log.warning(nothing)
-            audience.say(nothing, warning=True)
-    if metal and x0 is not None and done >= iterations:
-        return metal.put_back(_counted(Volume(x0, grid), section, done))
+    integrals, metal = _corrected(scan, A, algorithm, pixels, audience)
+    if finished is not None and metal:
+        return metal.put_back(finished)
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
     updates = algorithm.updates(section, len(scan))
     name = f"{algorithm.name}, {which} geometry"
 
     def told(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
-        if watch is not None:
-            watch(iteration, residual)
+        watch(iteration, residual)
         if audience.wants(IterationDone):
             whole = Volume(volume.copy(), grid)
             course = iteration, iterations, residual
@@ -210,6 +191,36 @@ def _reconstruct(
         )
         volume = _counted(algorithm.solve(problem, section), section, done)
     return metal.put_back(volume) if metal else volume
+
+
+def _corrected(
+    scan: Scan,
+    A: Projector,
+    algorithm: Algorithm[Any],
+    pixels: NDArray[np.bool_] | None,
+    audience: Audience,
+) -> tuple[NDArray[np.float32], WithoutMetal | TakenOut | None]:
+    """Return the line integrals as the scenario corrects them, and the metal that is put back."""
+    scenario, section = scan.scenario, scan.scenario.reconstruction
+    integrals = line_integrals(scan.transmission)
+    metal: WithoutMetal | TakenOut | None = None
+    if isinstance(section.metal, KnownImplants):
+        with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
+            known = scenario, section.metal, integrals, A, pixels
+            metal = implants_taken_out(*known, lambda _: tick())
+        integrals = metal.line_integrals
+    else:
+        integrals = hardening_corrected(scenario, integrals, A, pixels)
+    if section.around is not None:
+        integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
+    if isinstance(section.metal, Nmar):
+        with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
+            metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
+        integrals = metal.line_integrals
+        if nothing := none_found(metal):
+            log.warning(nothing)
+            audience.say(nothing, warning=True)
+    return integrals, metal
 
 
 def _poses(scan: Scan, which: str) -> ScanGeometry:
@@ -270,8 +281,17 @@ def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:
     return replace(volume, extras={**volume.extras, "passes": passes})
 
 
-def _good_pixels(scan: Scan, mask: NDArray[np.bool_] | None) -> NDArray[np.bool_] | None:
+def _good_pixels(
+    scan: Scan, algorithm: Algorithm[Any], given: ArrayLike | None
+) -> NDArray[np.bool_] | None:
     """Exclude bad pixels from a mask: their filled-in values are no measurements."""
+    if not algorithm.masks:
+        if given is not None:
+            raise InputError(
+                f"{algorithm.name} takes no mask: omit it, or choose another algorithm"
+            )
+        return None
+    mask = None if given is None else np.asarray(given)
     if scan.bad_pixels is None:
         return mask
     good = ~scan.bad_pixels

@@ -25,6 +25,7 @@ from twinct.scan.manifest import (
     row_file,
     view_of,
 )
+from twinct.scan.status import status_file, views_taken
 
 MOST_DIMENSIONS = 8
 """Limit on the dimensions of a view's values, twice the real maximum; file names list them."""
@@ -47,23 +48,13 @@ def view_damage(path: Path) -> list[Damage]:
     found: list[Damage] = []
     for view in range(max(taken, default=-1) + 1):
         if view not in taken:
-            found.append(Damage(_status(view), "missing", view))
+            found.append(Damage(status_file(view), "missing", view))
             continue
-        status = path / _status(view)
+        status = path / status_file(view)
         if not status.is_file() or status.read_bytes() != ACQUIRED:
-            found.append(Damage(_status(view), "changed", view))
+            found.append(Damage(status_file(view), "changed", view))
         found += _by_row(path, view) if sizes is None else _by_size(path, view, sizes)
     return found
-
-
-def views_taken(path: Path) -> set[int]:
-    """Return the views that have a status."""
-    views = (
-        view_of(file.name)
-        for file in (path / "status").glob("c.*")
-        if not file.suffix[1:] == "partial"
-    )
-    return {view for view in views if view is not None}
 
 
 def unknown_files(path: Path) -> list[str]:
@@ -80,7 +71,7 @@ def unknown_files(path: Path) -> list[str]:
     whole: set[int] = set()
     for view in views_taken(path):
         try:
-            known |= {_status(view), row_file(view), *read_row(path, view)}
+            known |= {status_file(view), row_file(view), *read_row(path, view)}
             whole.add(view)
         except DamagedError:  # the files of this view are unknown
             continue
@@ -122,10 +113,6 @@ def _number_of_views(path: Path) -> int:
         return int(told["shape"][0])
     except (OSError, ValueError, TypeError, LookupError):
         return 0
-
-
-def _status(view: int) -> str:
-    return f"status/{chunk_name(view, 0)}"
 
 
 def _by_row(path: Path, view: int) -> list[Damage]:

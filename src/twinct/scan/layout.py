@@ -90,15 +90,15 @@ def write_frame(
     zarr: Any = _zarr  # typed in part only
     views, panel = len(commanded), scenario.detector.panel
     group: Any = zarr.create_group(str(path), zarr_format=3)
-    attributes = {
-        "format": FORMAT,
-        "digests": digests or kept_digests(scenario),
-        "scenario": scenario.resolved(),
-        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
-        "joint_names": list(joint_names),
-    }
-    group.attrs.update(attributes)
-
+    group.attrs.update(
+        {
+            "format": FORMAT,
+            "digests": digests or kept_digests(scenario),
+            "scenario": scenario.resolved(),
+            "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
+            "joint_names": list(joint_names),
+        }
+    )
     last: list[str] = []
 
     def add(name: str, shape: tuple[int, ...], dtype: str = "f8", compressed: bool = False) -> None:
@@ -118,8 +118,7 @@ def write_frame(
     rows = [pose_columns("commanded", *commanded[view]) for view in range(views)]
     for name, value in rows[0].items():
         add(name.replace("commanded", "executed"), value.shape)
-        column = np.array([row[name] for row in rows])
-        group.create_array(name, data=column, compressors=None)
+        group.create_array(name, data=np.array([row[name] for row in rows]), compressors=None)
     add("executed/object", (3,))
     add("executed/object_quat", (4,))
     if scenario.source.motion_samples > 1:
@@ -127,13 +126,12 @@ def write_frame(
     for name in ("joints", "joint_velocity", "joint_torque"):
         add(name, (len(joint_names),))
     add("state", (state_size,))
-    add("simulated_s", ())
-    add("clearance_mm", ())
+    for name in ("simulated_s", "clearance_mm"):
+        add(name, ())
     of_a_view = tuple(last)
-    if (bad := bad_pixels_of(scenario)) is not None:
-        group.create_array(BAD_PIXELS, data=bad, chunks=bad.shape, compressors=None)
-    if mas is not None:
-        group.create_array(MAS, data=mas, chunks=mas.shape, compressors=None)
+    for name, values in ((BAD_PIXELS, bad_pixels_of(scenario)), (MAS, mas)):
+        if values is not None:
+            group.create_array(name, data=values, chunks=values.shape, compressors=None)
     add("status", (), "u1")
     if plan is not None:
         _write_plan(group, plan)

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import errno
 import logging
-import os
 import shutil
-from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -23,11 +21,10 @@ from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import require_space, storage_errors
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs
-from twinct.scan.damage import frame_damage, make_way, view_damage, views_taken
+from twinct.scan.damage import frame_damage, make_way, view_damage
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
 from twinct.scan.layout import FORMAT, READABLE, columns_of, kept_digests, write_frame
 from twinct.scan.manifest import (
-    ACQUIRED,
     FOLDER,
     FRAME_FILE,
     Damage,
@@ -45,6 +42,7 @@ from twinct.scan.metadata import (
     readable,
 )
 from twinct.scan.named_geometries import NamedGeometry
+from twinct.scan.status import is_acquired, mark_acquired, status_file, views_taken
 from twinct.scenario import Scenario, parse_scenario
 
 if TYPE_CHECKING:
@@ -172,7 +170,7 @@ class ScanStore:
             log.warning("%s: %s; its view will be taken again", path, damage)
         with storage_errors(path):
             for view in {damage.view for damage in found}:
-                (path / "status" / chunk_name(view or 0, 0)).unlink(missing_ok=True)
+                (path / status_file(view or 0)).unlink(missing_ok=True)
             store._remove_unfinished()
         return store
 
@@ -203,8 +201,7 @@ class ScanStore:
         """
         missing = self.missing
         if lost := [view for views in missing if views.stop < self.views for view in views]:
-            status = ((f"status/{chunk_name(view, 0)}", view) for view in lost)
-            raise damaged(self.path, *(Damage(file, "missing", view) for file, view in status))
+            raise damaged(self.path, *(Damage(status_file(v), "missing", v) for v in lost))
         return missing[0].start if missing else self.views
 
     @property
@@ -214,27 +211,10 @@ class ScanStore:
         Raises:
             DamagedError: a status is damaged.
         """
-        taken = np.array([True, *map(self._taken, range(self.views)), True])
+        own = (is_acquired(self.path, view) for view in range(self.views))
+        taken = np.array([True, *own, True])
         steps = np.flatnonzero(np.diff(taken)).reshape(-1, 2)
         return [range(int(first), int(last)) for first, last in steps]
-
-    def _taken(self, view: int) -> bool:
-        """Return True if a view has its status. Zarr would take thirty times as long."""
-        file = f"status/{chunk_name(view, 0)}"
-        try:
-            # Non-blocking, in case the path is a pipe.
-            descriptor = os.open(f"{self.path}/{file}", os.O_RDONLY | os.O_NONBLOCK)
-        except FileNotFoundError:
-            return False
-        except OSError:
-            raise damaged(self.path, Damage(file, "changed", view)) from None
-        try:
-            with suppress(OSError):  # the path is a folder, for example
-                if os.read(descriptor, len(ACQUIRED) + 1) == ACQUIRED:
-                    return True
-        finally:
-            os.close(descriptor)
-        raise damaged(self.path, Damage(file, "changed", view))
 
     @property
     def damage(self) -> list[Damage]:
@@ -403,7 +383,7 @@ class ScanStore:
             for name, values in columns.items():
                 self._put(name, index, np.asarray(values, dtype="<f8"))
             self._files.seal(index)
-            self._finish(index)
+            mark_acquired(self.path, index)
 
     def read(self) -> Scan:
         """Return the scan, with all images.
@@ -458,13 +438,6 @@ class ScanStore:
         self._files.note(file, data)
         with open(f"{self.path}/{file}", "wb", buffering=0) as chunk:
             chunk.write(data)
-
-    def _finish(self, index: int) -> None:
-        """Write the status of a view atomically."""
-        chunk = self.path / "status" / chunk_name(index, 0)
-        draft = chunk.with_name(chunk.name + ".partial")
-        draft.write_bytes(ACQUIRED)
-        draft.replace(chunk)
 
     @property
     def commanded(self) -> PosePairs:

@@ -117,30 +117,12 @@ def _sentence(
     kind: str = detail["type"]
     given: Any = detail["input"]
     if kind == "extra_forbidden":
-        if gone := advice(key, given) or _BROKEN.get(key[:-1], {}).get(str(key[-1])):
-            return gone
-        known = list(model.model_fields) if model else []
-        if having := [str(_tag(other)) for other in others if key[-1] in other.model_fields]:
-            own, has = model and _tag(model), "has" if len(having) == 1 else "have"
-            but = f"{own} has no such key, but {', '.join(having)} {has} it"
-            return f"{but} (known: {', '.join(known)})"
-        near = difflib.get_close_matches(str(key[-1]), known, n=1, cutoff=0.5)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        if "." in str(key[-1]):
-            hint = "; nest keys in a file, dotted keys are for --set only"
-        return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
+        broken = _BROKEN.get(key[:-1], {}).get(str(key[-1]))
+        return advice(key, given) or broken or _unknown_key(key, model, others)
     if kind == "missing":
         return "this required key is missing"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
-        if "tag" not in detail["ctx"]:
-            by = detail["ctx"]["discriminator"]
-            return f"this section needs the key {'method' if 'method' in by else 'kind'!r}"
-        given, allowed = detail["ctx"]["tag"], detail["ctx"]["expected_tags"]
-        if given in (broken := _BROKEN.get(key, {})):
-            return broken[given]
-        near = difflib.get_close_matches(given, allowed.replace("'", "").split(", "), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        return f"{key[-1]} {shown(given)} is not one of {allowed}{hint}"
+        return _unknown_kind(detail["ctx"], key)
     if kind in ("too_short", "too_long"):
         limit = detail["ctx"].get("min_length", detail["ctx"].get("max_length"))
         side = "at least" if kind == "too_short" else "at most"
@@ -150,6 +132,34 @@ def _sentence(
         return f"{_PLAIN[kind]}, but is {'empty' if given is None else shown(given)}"
     message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     return message if kind == "value_error" else f"{message}, but is {shown(given)}"
+
+
+def _unknown_key(key: Key, model: type[BaseModel] | None, others: list[type[BaseModel]]) -> str:
+    known = list(model.model_fields) if model else []
+    if having := [str(_tag(other)) for other in others if key[-1] in other.model_fields]:
+        own, has = model and _tag(model), "has" if len(having) == 1 else "have"
+        but = f"{own} has no such key, but {', '.join(having)} {has} it"
+        return f"{but} (known: {', '.join(known)})"
+    hint = _nearest(str(key[-1]), known, 0.5)
+    if "." in str(key[-1]):
+        hint = "; nest keys in a file, dotted keys are for --set only"
+    return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
+
+
+def _unknown_kind(told: Any, key: Key) -> str:
+    if "tag" not in told:
+        by = told["discriminator"]
+        return f"this section needs the key {'method' if 'method' in by else 'kind'!r}"
+    given, allowed = told["tag"], told["expected_tags"]
+    if given in (broken := _BROKEN.get(key, {})):
+        return broken[given]
+    hint = _nearest(given, allowed.replace("'", "").split(", "), 0.6)
+    return f"{key[-1]} {shown(given)} is not one of {allowed}{hint}"
+
+
+def _nearest(name: str, known: list[str], cutoff: float) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=cutoff)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 def _plain_key(location: tuple[str | int, ...], data: Any, root: type[BaseModel]) -> _Place:

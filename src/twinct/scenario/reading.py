@@ -235,15 +235,7 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
     key, steps = key_of(dotted), dotted.split(".")
     here: Any = draft.data
     for depth, step in enumerate(steps):
-        if is_list(here):
-            if not step.isdigit() or int(step) >= len(here):
-                what = f"{'.'.join(steps[:depth])} is a list of length {len(here)}"
-                raise ScenarioError(f"{at}: {what}; {step!r} is not a valid index")
-            index: Any = int(step)
-        elif is_mapping(here):
-            index = step
-        else:
-            raise ScenarioError(f"{at}: {'.'.join(steps[:depth])} is a value and has no keys")
+        index = _index(here, step, f"{at}: {'.'.join(steps[:depth])}")
         if depth == len(steps) - 1:
             if is_mapping(here) and step in KIND_KEYS:
                 if here.get(step, DEFAULT_KINDS.get(key[:-1], value)) != value:
@@ -251,15 +243,25 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
             if step == "algorithm":
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value
-        elif is_mapping(here):
-            if here.get(index) is None:  # absent or null: start a section
-                here[index] = {}
-            here = here[index]
-        else:
-            here = here[index]
+            break
+        if is_mapping(here) and here.get(index) is None:  # absent or null: start a section
+            here[index] = {}
+        here = here[index]
     draft.forget(key)
     draft.overridden.add(key)
     draft.record({key[:depth]: place for depth in range(1, len(key) + 1)})
+
+
+def _index(here: Any, step: str, place: str) -> Any:
+    """Return the index of a step of a dotted key in a list, or its name in a mapping."""
+    if is_mapping(here):
+        return step
+    if not is_list(here):
+        raise ScenarioError(f"{place} is a value and has no keys")
+    if not step.isdigit() or int(step) >= len(here):
+        what = f"{place} is a list of length {len(here)}"
+        raise ScenarioError(f"{what}; {step!r} is not a valid index")
+    return int(step)
 
 
 def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:

@@ -57,6 +57,25 @@ def _crossing(points, a, b, z):
 
 
 @njit(cache=True, nogil=True)
+def _cut(points, triangle, z):
+    """Return the number of edges that cross the plane z, and (x, y) upwards and downwards."""
+    found = 0
+    up_x = up_y = down_x = down_y = 0.0
+    for e in range(3):
+        a = triangle[e]
+        b = triangle[(e + 1) % 3]
+        below_a = points[a, 2] <= z
+        below_b = points[b, 2] <= z
+        if below_a and not below_b:
+            up_x, up_y = _crossing(points, a, b, z)
+            found += 1
+        elif below_b and not below_a:
+            down_x, down_y = _crossing(points, a, b, z)
+            found += 1
+    return found, up_x, up_y, down_x, down_y
+
+
+@njit(cache=True, nogil=True)
 def _add_step(row, x, sign):
     """Add sign * H(x' - x) to one row of differences, H averaged over each voxel."""
     size = len(row) - 1
@@ -69,6 +88,18 @@ def _add_step(row, x, sign):
     late = int((x - i) * UNIT)
     row[i] += sign * (UNIT - late)
     row[i + 1] += sign * late
+
+
+@njit(cache=True, nogil=True)
+def _add_sums(steps, scale, layer):
+    """Add the running sums of the steps of each row, times the scale, to a layer (ny, nx)."""
+    rows, size = layer.shape
+    for j in range(rows):
+        total = 0
+        for i in range(size):
+            total += steps[j, i]
+            if total != 0:
+                layer[j, i] += np.float32(total * scale)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -88,19 +119,7 @@ def add_fractions(points, triangles, starts, members, columns, weight, out):
             t = members[m]
             for s in range(columns):
                 z = k + (s + 0.5) / columns
-                found = 0
-                up_x = up_y = down_x = down_y = 0.0
-                for e in range(3):
-                    a = triangles[t, e]
-                    b = triangles[t, (e + 1) % 3]
-                    below_a = points[a, 2] <= z
-                    below_b = points[b, 2] <= z
-                    if below_a and not below_b:
-                        up_x, up_y = _crossing(points, a, b, z)
-                        found += 1
-                    elif below_b and not below_a:
-                        down_x, down_y = _crossing(points, a, b, z)
-                        found += 1
+                found, up_x, up_y, down_x, down_y = _cut(points, triangles[t], z)
                 if found != 2:
                     continue
                 if down_y < up_y:
@@ -116,12 +135,7 @@ def add_fractions(points, triangles, starts, members, columns, weight, out):
                 for j in range(j0, min(j1, rows * columns)):
                     x = x0 + ((j + 0.5) / columns - y0) * slope
                     _add_step(sums[j // columns], x, sign)
-        for j in range(rows):
-            total = 0
-            for i in range(size):
-                total += sums[j, i]
-                if total != 0:
-                    out[k, j, i] += np.float32(total * scale)
+        _add_sums(sums, scale, out[k])
 
 
 @njit(cache=True, nogil=True)

@@ -42,15 +42,7 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
 
     match shape:
         case scenario.Skull() | scenario.Head() | scenario.Brain():
-            make = {"skull": skull_surface, "head": head_surface, "brain": brain_surface}
-            edge = shape.mesh_resolution_mm
-            try:
-                return make[shape.kind](shape.scale, edge)
-            except (ValueError, IndexError):  # no lattice point lies inside
-                raise SpecimenError(
-                    f"part {name!r}: mesh_resolution_mm {edge:g} is too coarse for a {shape.kind} "
-                    f"of scale {shape.scale:g}"
-                ) from None
+            return _anatomy(shape, name)
         case scenario.Sphere():
             return _ball(
                 (shape.radius_mm, shape.radius_mm, shape.radius_mm), shape.mesh_resolution_mm
@@ -64,22 +56,42 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
         case scenario.Box():
             return trimesh.creation.box(shape.size_mm)
         case scenario.BallHelix():
-            radius = shape.ball_radius_mm
-            ball = _ball((radius, radius, radius), shape.mesh_resolution_mm)
-            centres = true_centres(shape)
-            corners = (centres[:, None] + ball.vertices).reshape(-1, 3)
-            first = np.arange(len(centres))[:, None, None] * len(ball.vertices)
-            return surface(corners, (first + ball.faces).reshape(-1, 3))
+            return _helix(shape)
         case scenario.MeshFile():
-            where = f"part {name!r}: mesh file {shape.path}"
-            mesh = read_mesh(shape.path, where)
-            vertices = mesh.vertices * shape.unit_mm
-            if shape.centre:
-                vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-            return joined_shells(surface(vertices, mesh.faces), where)
+            return _from_file(shape, name)
         case scenario.CtVolume():
             return ct_surface(shape, name)
     raise AssertionError(f"no surface for {shape!r}")
+
+
+def _anatomy(shape: scenario.Skull | scenario.Head | scenario.Brain, name: str) -> trimesh.Trimesh:
+    make = {"skull": skull_surface, "head": head_surface, "brain": brain_surface}
+    edge = shape.mesh_resolution_mm
+    try:
+        return make[shape.kind](shape.scale, edge)
+    except (ValueError, IndexError):  # no lattice point lies inside
+        raise SpecimenError(
+            f"part {name!r}: mesh_resolution_mm {edge:g} is too coarse for a {shape.kind} "
+            f"of scale {shape.scale:g}"
+        ) from None
+
+
+def _helix(shape: scenario.BallHelix) -> trimesh.Trimesh:
+    radius = shape.ball_radius_mm
+    ball = _ball((radius, radius, radius), shape.mesh_resolution_mm)
+    centres = true_centres(shape)
+    corners = (centres[:, None] + ball.vertices).reshape(-1, 3)
+    first = np.arange(len(centres))[:, None, None] * len(ball.vertices)
+    return surface(corners, (first + ball.faces).reshape(-1, 3))
+
+
+def _from_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
+    where = f"part {name!r}: mesh file {shape.path}"
+    mesh = read_mesh(shape.path, where)
+    vertices = mesh.vertices * shape.unit_mm
+    if shape.centre:
+        vertices = vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+    return joined_shells(surface(vertices, mesh.faces), where)
 
 
 def triangles(shape: Shape) -> int:

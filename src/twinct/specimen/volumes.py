@@ -194,7 +194,8 @@ def _read_dicom(folder: Path, where: str) -> CtImage:
         return _dicom_volume(slices, where)
 
 
-def _dicom_volume(slices: list[Any], where: str) -> CtImage:
+def _require_series(slices: list[Any], where: str) -> None:
+    """Check that the images are one CT series with poses, before their values are read."""
     if not slices:
         raise SpecimenError(f"{where}: the folder holds no DICOM image")
     uids = [str(data.get("SeriesInstanceUID", "")) for data in slices]
@@ -216,6 +217,9 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
     if lacking:
         raise SpecimenError(f"{where}: images lack {', '.join(sorted(lacking))}")
 
+
+def _dicom_volume(slices: list[Any], where: str) -> CtImage:
+    _require_series(slices, where)
     cosines = np.array([data.ImageOrientationPatient for data in slices], dtype=np.float64)
     spacing = np.array([data.PixelSpacing for data in slices], dtype=np.float64)
     sizes = {(int(data.Rows), int(data.Columns)) for data in slices}
@@ -230,7 +234,22 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
     slices, positions = [slices[i] for i in order], positions[order]
     if len(slices) < 2:
         raise SpecimenError(f"{where}: only one image; expected a series of slices")
-    gaps = np.diff(positions @ normal)
+    _require_even(np.diff(positions @ normal), where)
+    rows, columns = next(iter(sizes))
+    require_memory(where, 12 * rows * columns * len(slices), SpecimenError)
+    images = _dicom_images(slices, where)
+    if {image.shape for image in images} != {(rows, columns)}:
+        raise SpecimenError(f"{where}: images have more than one sample per pixel; a CT has one")
+    affine = np.eye(4)
+    affine[:3, 0] = along_column * spacing[0, 1]
+    affine[:3, 1] = along_row * spacing[0, 0]
+    affine[:3, 2] = (positions[-1] - positions[0]) / (len(slices) - 1)
+    affine[:3, 3] = positions[0]
+    # (slice, row, column) to (column, row, slice).
+    return CtImage(np.stack(images).transpose(2, 1, 0), RAS_FROM_LPS @ affine)
+
+
+def _require_even(gaps: Floats, where: str) -> None:
     gap = float(np.median(gaps))
     if gap <= 0 or np.abs(gaps - gap).max() > SLICE_TOLERANCE * gap:
         worst = int(np.abs(gaps - gap).argmax())
@@ -238,10 +257,12 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
             f"{where}: slices are not evenly spaced: {gaps[worst]:.4g} mm between slice {worst} "
             f"and {worst + 1}, {gap:.4g} mm elsewhere; is a slice missing or duplicated?"
         )
-    rows, columns = next(iter(sizes))
-    require_memory(where, 12 * rows * columns * len(slices), SpecimenError)
+
+
+def _dicom_images(slices: list[Any], where: str) -> list[NDArray[np.float32]]:
+    """Return the values of each image in Hounsfield units, (rows, columns)."""
     try:
-        images = [
+        return [
             data.pixel_array.astype(np.float32) * np.float32(data.get("RescaleSlope", 1))
             + np.float32(data.get("RescaleIntercept", 0))
             for data in slices
@@ -252,15 +273,6 @@ def _dicom_volume(slices: list[Any], where: str) -> CtImage:
             f"{where}: pixel data cannot be read ({why}); "
             "decompress the series, e.g. with gdcmconv --raw"
         ) from None
-    if {image.shape for image in images} != {(rows, columns)}:
-        raise SpecimenError(f"{where}: images have more than one sample per pixel; a CT has one")
-    affine = np.eye(4)
-    affine[:3, 0] = along_column * spacing[0, 1]
-    affine[:3, 1] = along_row * spacing[0, 0]
-    affine[:3, 2] = (positions[-1] - positions[0]) / (len(slices) - 1)
-    affine[:3, 3] = positions[0]
-    # (slice, row, column) to (column, row, slice).
-    return CtImage(np.stack(images).transpose(2, 1, 0), RAS_FROM_LPS @ affine)
 
 
 def _read_inv3(path: Path, where: str) -> CtImage:

@@ -110,6 +110,12 @@ class Checker:
                     for problem, trial in problems.items()
                 ]
             )
+        self._require_figures(figures)
+        self._require_different(found)
+        return found
+
+    def _require_figures(self, figures: set[str]) -> None:
+        """Check that the trials have the figures asked for, and that no axis is named like one."""
         wanted = self.design.study.figures
         if self.design.study.search:
             wanted = (*wanted, self.design.study.search.figure)
@@ -119,6 +125,8 @@ class Checker:
             raise InputError(
                 f"axis {taken[0]}: a figure has this name; give the axis another 'label'"
             )
+
+    def _require_different(self, found: list[Checked]) -> None:
         first: dict[str, Trial] = {}
         for one in found:
             same = first.setdefault(one.key, one.trial)
@@ -127,7 +135,6 @@ class Checker:
                 raise InputError(
                     f"{place}{same} and {one.trial} are identical: a value is listed twice"
                 )
-        return found
 
     def _unknown_figure(self, name: str, known: set[str]) -> str:
         place = self.design.places.get("figures", "")

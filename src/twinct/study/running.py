@@ -128,25 +128,32 @@ def run_study(
             rows.renumbered({one.key: one.trial.number for one in trials})
         total = len(design.seeds) * study.search.trials if study.search else len(trials)
         driver = Driver(design, folder, rows, pool, tell or (lambda _: None), total)
-        began = time.monotonic()
-        try:
+        with _concluded(driver, observers):
             if study.search:
                 _search(design, checker, driver, retry)
             else:
                 driver.run(trials, retry=retry)
-        except BaseException as error:
-            pool.close()
-            if isinstance(error, KeyboardInterrupt):
-                with audience_of(observers) as audience:
-                    audience.say(f"interrupted: {len(rows.status)} of {total} trials are kept")
-            raise
-        else:
-            pool.close(clear=True)
-        finally:
-            _conclude(design, folder, rows, driver.total, time.monotonic() - began)
-        driver.book_around(time.monotonic() - began)
         status = list(rows.status.values())
     return StudyRun(folder, status.count("done"), status.count("failed"))
+
+
+@contextmanager
+def _concluded(driver: Driver, observers: Observers) -> Iterator[None]:
+    """Close the pool after the trials, and write the results, also of an interrupted study."""
+    began, total, rows = time.monotonic(), driver.total, driver.rows
+    try:
+        yield
+    except BaseException as error:
+        driver.pool.close()
+        if isinstance(error, KeyboardInterrupt):
+            with audience_of(observers) as audience:
+                audience.say(f"interrupted: {len(rows.status)} of {total} trials are kept")
+        raise
+    else:
+        driver.pool.close(clear=True)
+    finally:
+        _conclude(driver.design, driver.folder, rows, driver.total, time.monotonic() - began)
+    driver.book_around(time.monotonic() - began)
 
 
 def dry_run(

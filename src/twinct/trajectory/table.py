@@ -98,41 +98,21 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
     A row has 6 numbers (S, D) or 12 (S, D, u, v), mm, and one more with mAs. A line of names may
     come first.
     """
+    lines = _lines(path)
     problems: list[str] = []
     rows: list[list[float]] = []
     numbers: list[int] = []
-    try:
-        text = read_text(path, f"{path}: the table of views", LARGEST_BYTES, TrajectoryError)
-        read = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
-        lines = list(islice(((n, row) for n, row in read if row), MOST_VIEWS + MOST_PROBLEMS))
-    except csv.Error as error:
-        raise TrajectoryError(f"{path}: cannot read the views: {error}") from None
-    lines = [(n, row) for n, row in lines if not row[0].lstrip().startswith("#")]
     for position, (number, row) in enumerate(lines):
         if len(problems) >= MOST_PROBLEMS:
             break
         try:
             rows.append([float(cell) for cell in row])
         except ValueError:
-            if position > 0 or any(map(_is_number, row)):
-                problems.append(
-                    f"{path}:{number}: {_told(row)} holds something that is not a number"
-                )
-            elif len(row) in (7, 13) and (name := row[-1].strip()) != _MAS:
-                what = f"the last of {len(row)} columns must be {_MAS}, not {shortened(name, 50)!r}"
-                problems.append(f"{path}:{number}: {what}")
+            first = position == 0
+            problems += [f"{path}:{number}: {what}" for what in _wrong_names(row, first)]
             continue
         numbers.append(number)
-        if len(row) not in _FORMS:
-            forms = (
-                "a view has 6 numbers (S, D) or 12 (S, D, u, v) in mm, and optionally its mAs "
-                "at the end"
-            )
-            problems.append(f"{path}:{number}: {forms}; this line has {len(row)}")
-        elif not np.isfinite(rows[-1]).all():
-            problems.append(f"{path}:{number}: {_told(row)} holds a number that is not finite")
-        elif len(row) in (7, 13) and rows[-1][-1] <= 0:
-            problems.append(f"{path}:{number}: mAs is {rows[-1][-1]:g}, but must be above 0")
+        problems += [f"{path}:{number}: {what}" for what in _wrong_numbers(row, rows[-1])]
     if len(rows) > MOST_VIEWS:
         problems.append(f"{path}: more than {MOST_VIEWS} views, the limit of a scan")
     if not problems and not rows:
@@ -144,6 +124,40 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
     if problems:
         raise TrajectoryError(problems)
     return np.array(rows), numbers
+
+
+def _lines(path: Path) -> list[tuple[int, list[str]]]:
+    """Return the cells of each line that is neither empty nor a comment, and the line's number."""
+    try:
+        text = read_text(path, f"{path}: the table of views", LARGEST_BYTES, TrajectoryError)
+        read = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
+        lines = list(islice(((n, row) for n, row in read if row), MOST_VIEWS + MOST_PROBLEMS))
+    except csv.Error as error:
+        raise TrajectoryError(f"{path}: cannot read the views: {error}") from None
+    return [(n, row) for n, row in lines if not row[0].lstrip().startswith("#")]
+
+
+def _wrong_names(row: list[str], first: bool) -> list[str]:
+    """Return what is wrong with a line of texts: only the first line may hold names."""
+    if not first or any(map(_is_number, row)):
+        return [f"{_told(row)} holds something that is not a number"]
+    if len(row) in (7, 13) and (name := row[-1].strip()) != _MAS:
+        return [f"the last of {len(row)} columns must be {_MAS}, not {shortened(name, 50)!r}"]
+    return []
+
+
+def _wrong_numbers(row: list[str], values: list[float]) -> list[str]:
+    """Return what is wrong with a line of numbers."""
+    if len(row) not in _FORMS:
+        return [
+            "a view has 6 numbers (S, D) or 12 (S, D, u, v) in mm, and optionally its mAs at the "
+            f"end; this line has {len(row)}"
+        ]
+    if not np.isfinite(values).all():
+        return [f"{_told(row)} holds a number that is not finite"]
+    if len(row) in (7, 13) and values[-1] <= 0:
+        return [f"mAs is {values[-1]:g}, but must be above 0"]
+    return []
 
 
 def _told(row: list[str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
@@ -37,16 +38,13 @@ def each(pool: Pool, source: Iterable[Work | None], deaths: int = 3) -> Iterator
         InputError: work that another process cannot import; see ``Pool.submit``.
     """
     under_way: dict[str, Work] = {}
-    killed: dict[str, int] = {}
-    remaining, more = iter(source), True
+    killed: Counter[str] = Counter()
+    remaining, end = iter(source), object()
+    work: Any = None
     while True:
-        while more and len(under_way) < AHEAD * pool.slots:
-            try:
-                work = next(remaining)
-            except StopIteration:
-                more = False
-                break
-            if work is None:
+        while work is not end and len(under_way) < AHEAD * pool.slots:
+            work = next(remaining, end)
+            if work is end or work is None:
                 break
             if (most := pool.most_memory_bytes) < work.memory_bytes:
                 yield Failed(
@@ -56,22 +54,28 @@ def each(pool: Pool, source: Iterable[Work | None], deaths: int = 3) -> Iterator
             pool.submit(work)
             under_way[work.key] = work
         if not under_way:
-            if more:
+            if work is not end:
                 raise ValueError("the source has no work ready, and no work is running")
             return
-        for event in pool.wait():
-            if event.key not in under_way:  # from an earlier, unfinished source
+        yield from _results(pool, under_way, killed, deaths)
+
+
+def _results(
+    pool: Pool, under_way: dict[str, Work], killed: Counter[str], deaths: int
+) -> Iterator[Done | Failed]:
+    """Wait for events, and yield the results among them; repeat work whose worker died."""
+    for event in pool.wait():
+        if event.key not in under_way:  # from an earlier, unfinished source
+            continue
+        if isinstance(event, Died):
+            killed[event.key] += event.blamed
+            if killed[event.key] < deaths:
+                pool.submit(under_way[event.key])
                 continue
-            if isinstance(event, Died):
-                count = killed[event.key] = killed.get(event.key, 0) + event.blamed
-                if count < deaths:
-                    pool.submit(under_way[event.key])
-                    continue
-                problem = f"killed its worker {count} times: {event.how}"
-                event = Failed(event.key, "WorkerDied", (problem,), "", 0.0)
-            del under_way[event.key]
-            killed.pop(event.key, None)
-            yield event
+            problem = f"killed its worker {killed[event.key]} times: {event.how}"
+            event = Failed(event.key, "WorkerDied", (problem,), "", 0.0)
+        del under_way[event.key], killed[event.key]
+        yield event
 
 
 def map_over(

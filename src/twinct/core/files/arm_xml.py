@@ -180,19 +180,23 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
                 f"{where} names the collision mesh {name!r}; only {', '.join(MESHES)} can be read"
             )
         if name.startswith(_PACKAGE):
-            with_package = name.removeprefix(_PACKAGE)
-            tries = (with_package, with_package.partition("/")[2])
-            found = [t for t in tries if (main.parent / t).is_file()]
-            if not found:
-                raise ScenarioError(
-                    f"{where} names {name!r}, but packages are searched only in its own folder, "
-                    f"and {main.parent} holds neither {tries[0]} nor {tries[1]}: copy the "
-                    "meshes there"
-                )
-            name = found[0]
+            name = _beside(name, main.parent, where)
         files.append(_inside(main, str(Path(folder) / name), where))
         mesh.set("filename", str(files[-1]))
     return files
+
+
+def _beside(name: str, folder: Path, where: str) -> str:
+    """Return the file of a package, relative to the folder of the arm."""
+    with_package = name.removeprefix(_PACKAGE)
+    tries = (with_package, with_package.partition("/")[2])
+    for file in tries:
+        if (folder / file).is_file():
+            return file
+    raise ScenarioError(
+        f"{where} names {name!r}, but packages are searched only in its own folder, and {folder} "
+        f"holds neither {tries[0]} nor {tries[1]}: copy the meshes there"
+    )
 
 
 def _speeds(root: Any, where: str) -> Iterator[tuple[str, float]]:

@@ -46,6 +46,44 @@ def _clamp(builder: Any, value: Any, top: Any) -> Any:
     return builder.select(builder.fcmp_ordered("<", value, top), value, top)
 
 
+def _cell(
+    builder: Any, m: Any, at_middle: Any, slope: Any, top: Any, guarded: bool
+) -> tuple[Any, Any]:
+    """Return the whole and fractional part of b or c, ``m`` planes beyond the middle."""
+    at = builder.fadd(at_middle, builder.fmul(m, slope, flags=_FAST), flags=_FAST)
+    if guarded:
+        at = _clamp(builder, at, top)
+    whole = builder.fptosi(at, vec.INTS)
+    if guarded:
+        int_ones = ir.Constant(vec.INTS, [1] * vec.LANES)
+        highest = builder.sub(builder.fptosi(top, vec.INTS), int_ones)
+        below = builder.icmp_signed("<", whole, highest)
+        whole = builder.select(below, whole, highest)
+    return whole, builder.fsub(at, builder.sitofp(whole, vec.VECTOR), flags=_FAST)
+
+
+def _pointer(builder: Any, rays: Any, block: Any, place: int) -> Any:
+    """Return a pointer to the eight numbers of one kind in a block."""
+    return vec.vector_at(builder, rays, builder.add(block, ir.Constant(vec.I64, place)))
+
+
+def _loaded(builder: Any, rays: Any, block: Any) -> list[Any]:
+    """Return the vectors of a block."""
+    kinds = (B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE)
+    return [builder.load(_pointer(builder, rays, block, place), align=4) for place in kinds]
+
+
+def _within(builder: Any, plane: Any, firsts: Any, lasts: Any) -> Any:
+    begun = builder.fcmp_ordered(">=", plane, firsts)
+    return builder.and_(begun, builder.fcmp_ordered("<=", plane, lasts))
+
+
+def _join(phi: Any, *incoming: tuple[Any, Any]) -> Any:
+    for value, block in incoming:
+        phi.add_incoming(value, block)
+    return phi
+
+
 def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
     """Return the code generator of the loop over the planes.
 
@@ -62,56 +100,28 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
             builder.extract_value(lattice, n) for n in range(9)
         )
 
-        def of_rays(place: int) -> Any:
-            offset = builder.add(block, ir.Constant(vec.I64, place))
-            return vec.vector_at(builder, rays, offset)
-
-        b_middle, b_slope, c_middle, c_slope, firsts, lasts, values = (
-            builder.load(of_rays(place), align=4)
-            for place in (B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE)
-        )
-        near_lanes = vec.splat(builder, builder.trunc(near, vec.I32))
-        far_lanes = vec.splat(builder, builder.trunc(far, vec.I32))
+        b_middle, b_slope, c_middle, c_slope, firsts, lasts, values = _loaded(builder, rays, block)
+        near_lanes, far_lanes = (vec.splat(builder, builder.trunc(n, vec.I32)) for n in (near, far))
         middles = vec.splat(builder, middle)
         b_middle = builder.fsub(b_middle, vec.splat(builder, b_from))
         c_middle = builder.fsub(c_middle, vec.splat(builder, c_from))
         tops = [vec.splat(builder, builder.sitofp(cells, vec.F32)) for cells in (b_cells, c_cells)]
-        int_ones = ir.Constant(vec.INTS, [1] * vec.LANES)
         plane_start = vec.splat(builder, builder.sitofp(first, vec.F32))
-        start = builder.add(offset, builder.mul(first, stride))
-        low_start = builder.gep(x, [start])
+        low_start = builder.gep(x, [builder.add(offset, builder.mul(first, stride))])
         high_start = builder.gep(low_start, [far])
 
-        before = builder.block
-        loop = builder.append_basic_block("plane")
-        after = builder.append_basic_block("after")
+        before, loop, after = builder.block, *map(builder.append_basic_block, ("plane", "after"))
         builder.cbranch(builder.icmp_signed("<=", first, last), loop, after)
         builder.position_at_end(loop)
         index, plane, carried = (builder.phi(kind) for kind in (vec.I64, vec.VECTOR, vec.VECTOR))
         low, high = builder.phi(low_start.type), builder.phi(low_start.type)
         m = builder.fsub(plane, middles, flags=_FAST)
-
-        def cell(at_middle: Any, slope: Any, top: Any) -> tuple[Any, Any]:
-            at = builder.fadd(at_middle, builder.fmul(m, slope, flags=_FAST), flags=_FAST)
-            if guarded:
-                at = _clamp(builder, at, top)
-            whole = builder.fptosi(at, vec.INTS)
-            if guarded:
-                highest = builder.sub(builder.fptosi(top, vec.INTS), int_ones)
-                below = builder.icmp_signed("<", whole, highest)
-                whole = builder.select(below, whole, highest)
-            return whole, builder.fsub(at, builder.sitofp(whole, vec.VECTOR), flags=_FAST)
-
-        i, f = cell(b_middle, b_slope, tops[0])
-        k, g = cell(c_middle, c_slope, tops[1])
+        i, f = _cell(builder, m, b_middle, b_slope, tops[0], guarded)
+        k, g = _cell(builder, m, c_middle, c_slope, tops[1], guarded)
         if not adjacent:
             i = builder.mul(i, near_lanes, flags=["nsw"])
         places = vec.lanes_of(builder, builder.add(i, builder.mul(k, far_lanes), flags=["nsw"]))
-        inside: Any = None
-        if guarded:
-            inside = builder.and_(
-                builder.fcmp_ordered(">=", plane, firsts), builder.fcmp_ordered("<=", plane, lasts)
-            )
+        inside = _within(builder, plane, firsts, lasts) if guarded else None
         used = carried if adds_up or not guarded else builder.select(inside, carried, _ZEROS)
         result = body(builder, (low, high), near, places, f, g, used)
         if adds_up and guarded:
@@ -124,16 +134,12 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
             (low, low_start, builder.gep(low, [stride])),
             (high, high_start, builder.gep(high, [stride])),
         ):
-            phi.add_incoming(start, before)
-            phi.add_incoming(step, loop)
+            _join(phi, (start, before), (step, loop))
         builder.cbranch(builder.icmp_signed("<=", following, last), loop, after)
-
         builder.position_at_end(after)
         if adds_up:
-            sums = builder.phi(vec.VECTOR)
-            sums.add_incoming(values, before)
-            sums.add_incoming(result, loop)
-            builder.store(sums, of_rays(VALUE), align=4)
+            sums = _join(builder.phi(vec.VECTOR), (values, before), (result, loop))
+            builder.store(sums, _pointer(builder, rays, block, VALUE), align=4)
         return context.get_dummy_value()
 
     return codegen

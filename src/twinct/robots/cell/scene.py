@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from importlib.resources import files
-from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from twinct.core.errors import ScenarioError
 from twinct.geometry import MM_PER_M, Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
+from twinct.robots.cell.collision_pairs import exclude_adjacent, levers, non_adjacent_pairs
 from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def build_cell(
         arms.append(loaded)
     _zones(spec, cell)
     names = _servos(spec, arms, cell)
-    _exclude_adjacent(spec)
+    exclude_adjacent(spec)
     # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
     # plan from which the reference comes.
     spec.nuserdata = 3 * len(names) + 1
@@ -391,28 +391,6 @@ def _servos(spec: mujoco.MjSpec, arms: list[ArmModel], cell: Cell) -> tuple[str,
     return tuple(names)
 
 
-def _exclude_adjacent(spec: mujoco.MjSpec) -> None:
-    """Let bodies that are joined touch each other; MuJoCo itself filters only moving parents."""
-    listed = {frozenset((e.bodyname1, e.bodyname2)) for e in spec.excludes}
-    bodies = [body for body in spec.bodies if body.name != "world"]
-    for link in (body for body in bodies if body.joints):
-        carrier = _link_of(link.parent)
-        carriers = [link.parent.name]
-        if carrier.joints:  # a moving link: all its bodies are adjacent
-            carriers = sorted({b.name for b in bodies if _link_of(b).name == carrier.name})
-        pieces = [body.name for body in bodies if _link_of(body).name == link.name]
-        for pair in product(pieces, carriers):
-            if frozenset(pair) not in listed:
-                spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
-
-
-def _link_of(body: Any) -> Any:
-    """Return the body with the joint; bodies without a joint are part of their parent's link."""
-    while not body.joints and body.parent is not None and body.parent.name != "world":
-        body = body.parent
-    return body
-
-
 _KEYS = {
     "source": "cell.source_arm",
     "detector": "cell.detector_arm",
@@ -455,9 +433,9 @@ def _compiled(
         speed_scales=np.repeat(
             [cell.source_arm.speed_scale, cell.detector_arm.speed_scale], counts
         ),
-        pairs=_non_adjacent_pairs(model),
+        pairs=non_adjacent_pairs(model),
         homes=tuple(arm.home for arm in arms),
-        lever=_levers(model),
+        lever=levers(model),
     )
 
 
@@ -478,33 +456,3 @@ def _tune_servos(model: mujoco.MjModel) -> None:
     model.actuator_gainprm[:, 0] = stiffness
     model.actuator_biasprm[:, 1] = -stiffness
     model.actuator_biasprm[:, 2] = -2 * BANDWIDTH_RAD_S * inertia
-
-
-def _non_adjacent_pairs(model: mujoco.MjModel) -> np.ndarray:
-    """Return the pairs of solid geoms of bodies that can move against each other, not excluded."""
-    excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
-    solid = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
-    pairs = []
-    for a, b in combinations(solid, 2):
-        first, second = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
-        same_piece = model.body_weldid[first] == model.body_weldid[second]
-        if not same_piece and not excluded & {(first, second), (second, first)}:
-            pairs.append((a, b))
-    return np.array(pairs, dtype=np.int32).reshape(-1, 2)
-
-
-def _levers(model: mujoco.MjModel) -> Floats:
-    """Return the lengths of the chain from each joint to each body, with the body's own size."""
-    size = np.zeros(model.nbody)
-    for geom, body in enumerate(model.geom_bodyid):
-        extent = model.geom_rbound[geom] + np.linalg.norm(model.geom_pos[geom])
-        size[body] = max(size[body], float(extent))
-    lever = np.zeros((model.nbody, model.njnt))
-    for body in range(model.nbody):
-        length, link = size[body], body
-        while link != 0:
-            for j in np.flatnonzero(model.jnt_bodyid == link):
-                lever[body, j] = length + float(np.linalg.norm(model.jnt_pos[j]))
-            length += float(np.linalg.norm(model.body_pos[link]))
-            link = int(model.body_parentid[link])
-    return lever

@@ -14,6 +14,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import library_errors
 from twinct.core.files.writing import complete, storage_errors
+from twinct.geometry import Floats
 from twinct.geometry.wire import Target
 from twinct.robots.motion.plan import MotionPlan
 
@@ -59,24 +60,7 @@ def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
         time_s, state = (np.asarray(arrays[name], np.float64) for name in ("time_s", "state"))
         views = np.asarray(arrays["views"]).astype(np.intp)
         sides = [np.asarray(arrays[name], np.float64) for name in ("source", "detector")]
-        count = len(sides[0])
-        shapes = {
-            "state": (state.shape, (len(time_s), 3, len(names))),
-            "views": (views.shape, time_s.shape),
-            "source": (sides[0].shape, (count, 7)),
-            "detector": (sides[1].shape, (count, 7)),
-        }
-        for name, (shape, expected) in shapes.items():
-            if shape != expected:
-                raise ValueError(f"{name} has the shape {shape} instead of {expected}")
-        if not all(np.isfinite(values).all() for values in (time_s, state, *sides)):
-            raise ValueError("a number is not finite")
-        if len(time_s) < 2 or time_s[0] != 0 or (np.diff(time_s) <= 0).any():
-            raise ValueError("the times do not increase from 0")
-        if not np.array_equal(np.sort(views[views >= 0]), np.arange(count)) or not count:
-            raise ValueError("not every view is exposed exactly once")
-        if state[[0, -1], 1:].any():
-            raise ValueError("the arms are not at rest at both ends")
+        _require_motion(time_s, state, views, sides, len(names))
         plan = MotionPlan(
             joint_names=names,
             time_s=time_s,
@@ -96,6 +80,34 @@ def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
     if plan.digest != str(arrays["digest"]):
         raise InputError(f"{where}: the plan is damaged: it does not match its digest")
     return plan
+
+
+def _require_motion(
+    time_s: Floats, state: Floats, views: NDArray[np.intp], sides: list[Floats], joints: int
+) -> None:
+    """Check that arrays describe a motion from rest to rest with one exposure of each view.
+
+    Raises:
+        ValueError: the shapes disagree, or the values describe no such motion.
+    """
+    count = len(sides[0])
+    shapes = {
+        "state": (state.shape, (len(time_s), 3, joints)),
+        "views": (views.shape, time_s.shape),
+        "source": (sides[0].shape, (count, 7)),
+        "detector": (sides[1].shape, (count, 7)),
+    }
+    for name, (shape, expected) in shapes.items():
+        if shape != expected:
+            raise ValueError(f"{name} has the shape {shape} instead of {expected}")
+    if not all(np.isfinite(values).all() for values in (time_s, state, *sides)):
+        raise ValueError("a number is not finite")
+    if len(time_s) < 2 or time_s[0] != 0 or (np.diff(time_s) <= 0).any():
+        raise ValueError("the times do not increase from 0")
+    if not np.array_equal(np.sort(views[views >= 0]), np.arange(count)) or not count:
+        raise ValueError("not every view is exposed exactly once")
+    if state[[0, -1], 1:].any():
+        raise ValueError("the arms are not at rest at both ends")
 
 
 def save_plan(plan: MotionPlan, path: Path) -> None:

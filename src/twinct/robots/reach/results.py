@@ -125,16 +125,20 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
             )
             if joint:
                 axes.legend(loc="lower right", fontsize=7, bbox_to_anchor=(1.08, 0))
-        axes.grid(alpha=0.4)
-        axes.set_title(text, fontsize=10)
-        axes.set_xlabel("longitude of the source, deg", fontsize=8)
-        axes.set_ylabel("latitude, deg", fontsize=8)
-        axes.tick_params(labelsize=7)
-        axes.set_axisbelow(False)
-        for label in axes.get_xticklabels():  # labels on the equator cover directions
-            label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8})
+        _label_globe(axes, text)
     figure.suptitle(f"{title}: SOD {reach.sod_mm[radius]:g} mm, ODD {reach.odd_mm:g} mm")
     figure.savefig(path, dpi=110)
+
+
+def _label_globe(axes: Any, title: str) -> None:
+    axes.grid(alpha=0.4)
+    axes.set_title(title, fontsize=10)
+    axes.set_xlabel("longitude of the source, deg", fontsize=8)
+    axes.set_ylabel("latitude, deg", fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.set_axisbelow(False)
+    for label in axes.get_xticklabels():  # labels on the equator cover directions
+        label.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.8})
 
 
 def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0, title: str = "") -> None:

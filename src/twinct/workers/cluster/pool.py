@@ -61,6 +61,18 @@ class _Come:
             unpack(self.content, draft)
 
 
+def _require_valid(cluster: str | None, name: str, numbers: dict[str, int | None]) -> None:
+    problems = [
+        f"{k}={v}: must be at least 1" for k, v in numbers.items() if v is not None and v < 1
+    ]
+    if cluster is not None and (numbers["workers"] or numbers["memory_bytes"]):
+        problems.append(f"{cluster}: the nodes of a cluster set its processors and memory")
+    if Path(name).name != name:
+        problems.append(f"{name!r} is not a valid folder name")
+    if problems:
+        raise InputError(problems)
+
+
 class RayPool:
     """Processes on all nodes of a Ray cluster; see ``twinct.workers.Pool``.
 
@@ -101,16 +113,8 @@ class RayPool:
         """
         require("cluster")
         local = address in (None, "local")
-        told = {"threads": threads, "workers": workers, "memory_bytes": memory_bytes}
-        problems = [
-            f"{k}={v}: must be at least 1" for k, v in told.items() if v is not None and v < 1
-        ]
-        if not local and (workers or memory_bytes):
-            problems.append(f"{address}: the nodes of a cluster set its processors and memory")
-        if Path(name).name != name:
-            problems.append(f"{name!r} is not a valid folder name")
-        if problems:
-            raise InputError(problems)
+        own = {"workers": workers, "memory_bytes": memory_bytes}
+        _require_valid(None if local else address, name, {"threads": threads, **own})
         os.environ.update(ENVIRONMENT | CLIENT)
         ray = node.ray_module()
         if ray.is_initialized():

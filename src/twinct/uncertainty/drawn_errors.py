@@ -1,0 +1,183 @@
+"""Random draws of a scenario's errors, for all views of many scans."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from twinct.core.draws import scan_rng
+from twinct.geometry import Floats, exp_matrices
+from twinct.scenario import PoseNoise, Uncertainty
+from twinct.uncertainty.arms import S_PER_MS, ArmDeviation, Moment, drawn, true_tools
+from twinct.uncertainty.correlation import weights
+from twinct.uncertainty.executed import SIDES, view_sigmas
+from twinct.uncertainty.nominal_scan import NominalScan
+from twinct.uncertainty.patient import directions, patient_twists
+
+Singles = NDArray[np.float32]
+"""Type of millions of draws, whose rounding is negligible against their spread."""
+
+CHUNK = 50_000
+"""Number of poses of each arm that are drawn at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Random draws of the errors.
+
+    Attributes:
+        errors: (draws, views, 12), mm and rad, as defined above.
+        true: executed poses relative to the specimen, (2, draws, views, 4, 4), mm.
+        believed: believed poses, (2, draws, views, 4, 4), mm.
+    """
+
+    errors: Floats
+    true: Floats
+    believed: Floats
+
+
+Told = Callable[[int, Floats], Floats]
+"""Pose of a tool that the controllers believe, ``world_from_tool``, from side and encoders."""
+
+
+def draw(
+    section: Uncertainty,
+    scan: NominalScan,
+    draws: int,
+    seed: int,
+    arms_seed: int,
+    told_by: Told | None = None,
+) -> Iterator[tuple[slice, Draws]]:
+    """Draw a scenario's errors in chunks of views.
+
+    In the first draw, errors that are constant over a scan match a scan with these seeds.
+
+    Args:
+        section: sizes of the errors.
+        scan: views.
+        draws: number of scans.
+        seed: seed of errors that change from view to view.
+        arms_seed: seed of errors that are constant over a scan.
+        told_by: calibrated model of the pair of arms with this seed, which then makes all scans.
+            None: each scan has other arms, which the controllers believe to be nominal.
+
+    Yields:
+        a slice of views, and their draws.
+    """
+    views = len(scan.time_s)
+    deviations = [
+        drawn(section.arms, chain, arms_seed, side, 1 if told_by else draws)
+        for chain, side in zip(scan.chains, SIDES, strict=bool(scan.chains))
+    ]
+    towards = directions(arms_seed, draws)
+    late_s = _late_s(section, seed, (draws, views))
+    own = [
+        _alike(seed, f"view {side} of all", draws, views, section.views.correlation_views)
+        * sigma.astype(np.float32)
+        for side, sigma in zip(SIDES, view_sigmas(section.views), strict=True)
+    ]
+    told = [
+        _reported_draws(noise, seed, side, draws, views)
+        for noise, side in zip((section.source, section.detector), SIDES, strict=True)
+    ]
+    encoders, size = scan_rng(seed, "encoders of all"), max(1, CHUNK // draws)
+    for first in range(0, views, size):
+        part = slice(first, min(first + size, views))
+        moved = _patient(section, towards, scan.time_s[part])
+        true, believed = [], []
+        for side in range(2):
+            here = scan.poses[side][None, part]
+            known = here
+            if deviations:
+                known = _encoded(section, scan, side, part, encoders, draws, told_by)
+                here = _true(section, scan, side, part, deviations[side], late_s[:, part])
+            here = here @ exp_matrices(own[side][:, part].astype(float))
+            noise = told[side][:, part].astype(float)
+            known = known @ exp_matrices(np.concatenate([0 * noise[..., 3:], noise[..., 3:]], -1))
+            known[..., :3, 3] += noise[..., :3]
+            true.append(here if moved is None else moved @ here)
+            believed.append(known)
+        yield part, _gathered(np.stack(true), np.stack(believed))
+
+
+def _late_s(section: Uncertainty, seed: int, shape: tuple[int, int]) -> Floats:
+    """Return the delays of all triggers, (draws, views), s."""
+    jitter = scan_rng(seed, "trigger of all").normal(size=shape)
+    return S_PER_MS * (section.arms.trigger_delay_ms + section.arms.trigger_jitter_ms * jitter)
+
+
+def _gathered(true: Floats, believed: Floats) -> Draws:
+    apart = true[..., :3, 3] - believed[..., :3, 3]
+    turns = true[..., :3, :3] @ np.swapaxes(believed[..., :3, :3], -1, -2)
+    rotations = scipy.spatial.transform.Rotation.from_matrix(turns.reshape(-1, 3, 3))
+    angles = rotations.as_rotvec().reshape(apart.shape)
+    both = np.concatenate([apart, angles], axis=-1)
+    return Draws(np.concatenate([both[0], both[1]], axis=-1), true, believed)
+
+
+def _true(
+    section: Uncertainty,
+    scan: NominalScan,
+    side: int,
+    part: slice,
+    deviation: ArmDeviation,
+    late_s: Floats,
+) -> Floats:
+    if not any(section.arms.sizes):
+        return scan.poses[side][None, part]
+    moment = Moment(*(values[part] for values in scan.moments[side]))
+    return true_tools(section.arms, scan.chains[side], deviation, moment, late_s)
+
+
+def _encoded(
+    section: Uncertainty,
+    scan: NominalScan,
+    side: int,
+    part: slice,
+    rng: np.random.Generator,
+    draws: int,
+    told_by: Told | None,
+) -> Floats:
+    """Return the poses that a model computes from encoders with random errors within a step."""
+    joints = scan.moments[side].joints[part][None]
+    if step := np.radians(section.encoder_step_deg):
+        joints = joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape[1:]))
+    elif told_by is None:
+        return scan.poses[side][None, part]
+    return scan.chains[side].tools(joints) if told_by is None else told_by(side, joints)
+
+
+def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | None:
+    """Return ``place_from_moved``, (draws, views, 4, 4), or None if the specimen rests."""
+    if not any(section.patient.sizes):
+        return None
+    pivot = np.eye(4)
+    pivot[:3, 3] = section.patient.pivot_mm
+    moved = exp_matrices(patient_twists(section.patient, towards, time_s))
+    return pivot @ np.linalg.inv(moved) @ np.linalg.inv(pivot)
+
+
+def _alike(seed: int, purpose: str, draws: int, views: int, length: float) -> Singles:
+    """Draw standard normal values with a correlation length, (draws, views, 6), float32."""
+    rng, own = scan_rng(seed, purpose), weights(length)
+    white = rng.standard_normal((draws, views + len(own) - 1, 6), dtype=np.float32)
+    if not length:
+        return white
+    # Imported here because the import takes half a second.
+    from scipy.signal import oaconvolve
+
+    return oaconvolve(white, own[None, :, None].astype(np.float32), mode="valid", axes=1)
+
+
+def _reported_draws(noise: PoseNoise, seed: int, side: str, draws: int, views: int) -> Singles:
+    sigma = np.array([noise.sigma_mm] * 3 + [np.radians(noise.rotation_sigma_deg)] * 3, np.float32)
+    found = sigma * _alike(seed, f"reported {side}", draws, views, noise.correlation_views)
+    rng = scan_rng(seed, f"reported {side} again")
+    cutoff = np.inf if noise.cutoff_mm is None else noise.cutoff_mm
+    while (beyond := np.abs(found[..., :3]) > cutoff).any():
+        found[..., :3][beyond] = rng.normal(0.0, noise.sigma_mm, int(beyond.sum()))
+    return found
