@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-JOBS = str(Path(__file__).parents[1] / "pool")
+JOBS = str(Path(__file__).parents[1] / "workers")
 
 if JOBS not in sys.path:
     sys.path.insert(0, JOBS)

@@ -20,7 +20,7 @@ import pytest
 from waiting import HANG_S, Patience, until
 
 from twinct.core.errors import InputError, LinkError, MemoryShortageError
-from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work, each
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work, map_over
 from twinct.workers.cluster import RayPool, local
 from twinct.workers.cluster.content import pack, unpack
 
@@ -114,7 +114,11 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
         assert (pool.slots, pool.most_memory_bytes) == (4, 8 * GIB)
         assert _loopback_only(tmp_path)
 
-        (said,) = [e.value for e in each(pool, [Work("who", jobs.who, 0)]) if isinstance(e, Done)]
+        (said,) = [
+            e.value
+            for e in map_over(None, [Work("who", jobs.who, 0)], pool=pool)
+            if isinstance(e, Done)
+        ]
         assert said["main"] and said["threads"] == (1, "1", "1")
         assert said["folder"].parent == tmp_path / "cache" / "study"
 
@@ -133,7 +137,7 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
             assert _told(pool, content, tmp_path / "ray") == _told(own, content, tmp_path / "own")
 
         works = [Work(str(n), jobs.die_until, (tmp_path / str(n), n)) for n in (2, 3)]
-        events = {event.key: event for event in each(pool, works)}
+        events = {event.key: event for event in map_over(None, works, pool=pool)}
         two, three = events["2"], events["3"]
         assert isinstance(two, Done) and two.value == 2
         assert isinstance(three, Failed) and three.kind == "WorkerDied"
@@ -195,7 +199,7 @@ def _told(pool: Pool, content: Path, out: Path) -> list[object]:
     works += [Work(f"read {n}", jobs.read, n, inputs=(n,)) for n in ("folder", "file")]
     works += [Work("write", jobs.write, "ab")]
     told: list[object] = []
-    for event in sorted(each(pool, works), key=lambda event: event.key):
+    for event in sorted(map_over(None, works, pool=pool), key=lambda event: event.key):
         if isinstance(event, Failed):
             told.append((event.key, event.kind, event.problems, event.trace))
         elif event.key.startswith("read"):
@@ -319,7 +323,7 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
         pool.submit(_at(last, "busy"))
         os.killpg(group, signal.SIGKILL)
         with pytest.raises(LinkError, match="does not answer"):
-            list(each(pool, [Work("late", jobs.double, 1)]))
+            list(map_over(None, [Work("late", jobs.double, 1)], pool=pool))
     assert isinstance(written["w"], Done)
     with pytest.raises(ValueError, match="closed"):
         written["w"].artifacts["file"].save(tmp_path / "late")
