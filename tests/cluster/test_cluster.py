@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import os
 import shutil
 import signal
@@ -70,7 +69,7 @@ def test_content_has_its_new_name_and_nothing_else(content: Path, tmp_path: Path
     assert {p.name for p in tmp_path.iterdir()} == {"content", "there", "b.txt"}
 
 
-def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts(monkeypatch) -> None:
+def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts() -> None:
     with pytest.raises(InputError) as caught:
         RayPool("local", name="a/b", threads=0, workers=0, memory_bytes=0)
     assert len(caught.value.problems) == 4
@@ -78,10 +77,43 @@ def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts(monkeypatch) -
         RayPool("somewhere:6379", name="study")
     with pytest.raises(InputError, match="nonsense: no Ray answers"):
         RayPool("nonsense", name="study")
+
+
+JOIN = """
+import sys
+from twinct.core.errors import InputError
+from twinct.workers.cluster import RayPool
+try:
+    RayPool(sys.argv[1], name="study")
+except InputError as error:
+    print(error)
+try:
+    RayPool("local", name="study")
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.cluster
+@pytest.mark.process
+def test_a_server_without_ray_is_refused_and_a_token_comes_before_ray() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:  # accepts, and says nothing
-        monkeypatch.setattr("twinct.workers.cluster.pool.ANSWER_S", 0.01)  # it never would
-        with pytest.raises(InputError, match="127.0.0.1:.*no Ray answers"):
-            RayPool(f"127.0.0.1:{server.getsockname()[1]}", name="study")
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        done = subprocess.run(
+            [sys.executable, "-c", JOIN, address],
+            capture_output=True,
+            text=True,
+            timeout=HANG_S,
+            env=without_token(),
+        )
+    joined, local = done.stdout.splitlines()
+    assert joined.startswith(f"{address}: cannot connect to the Ray there")
+    assert "used Ray without a token" in local and not done.stderr
+
+
+def without_token() -> dict[str, str]:
+    """The environment of a driver that has no token."""
+    return {name: value for name, value in os.environ.items() if "RAY_AUTH" not in name}
 
 
 def test_what_killed_processes_left_is_removed(monkeypatch) -> None:
@@ -131,7 +163,9 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
             until(lambda: "2" in gate.come or len(gate.come) > 2)
             assert len(gate.come) == 3 and "2" in gate.come
             gate.open()
-            assert sum(isinstance(event, Done) for event in finish(pool).values()) == 7
+            events = finish(pool)
+            assert [e for e in events.values() if not isinstance(e, Done)] == []
+            assert len(events) == 7
 
         with LocalPool(tmp_path / "local", workers=2, memory_bytes=GIB) as own:
             assert _told(pool, content, tmp_path / "ray") == _told(own, content, tmp_path / "own")
@@ -222,7 +256,7 @@ def test_nothing_of_a_local_ray_outlives_its_driver(
         [sys.executable, str(HERE / "driver.py"), str(tmp_path)],
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-        env=os.environ | {MARK: str(tmp_path)},
+        env=without_token() | {MARK: str(tmp_path)},
     )
     try:
         held = Path("study").joinpath("*", "held-*")
@@ -242,8 +276,6 @@ def test_nothing_of_a_local_ray_outlives_its_driver(
 @pytest.fixture
 def cluster(tmp_path: Path, monkeypatch) -> Iterator[tuple[str, Callable[[str], None], int]]:
     """Address, what steers it, and its process group: a process of its own."""
-    monkeypatch.setenv("RAY_AUTH_MODE", "token")
-    monkeypatch.setenv("RAY_AUTH_TOKEN", hashlib.sha256(str(tmp_path).encode()).hexdigest())
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     process = subprocess.Popen(
         [sys.executable, str(HERE / "simulated.py"), str(tmp_path)],

@@ -23,7 +23,7 @@ from twinct.workers.artifact import arriving
 from twinct.workers.call import Outcome, event, sent
 from twinct.workers.cluster import node
 from twinct.workers.cluster.content import Bytes, pack, unpack
-from twinct.workers.cluster.local import CLIENT, ENVIRONMENT, LocalRay
+from twinct.workers.cluster.local import LocalRay, set_environment
 from twinct.workers.work import Died, Event, Work
 
 ANSWER_S = 10.0
@@ -34,11 +34,6 @@ ASK_S = 300.0
 
 LOOK_S = 2.0
 """Interval at which a waiting pool checks that Ray still answers."""
-
-
-_SETTINGS = b"\4"
-_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _SETTINGS + b"\0\0\0\0\0"
-"""Preface of HTTP/2; either side begins with a frame of settings (RFC 9113, 3.4 and 6.5)."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +104,11 @@ class RayPool:
             problems.append(f"{address}: the nodes of a cluster set its processors and memory")
         if Path(name).name != name:
             problems.append(f"{name!r} is not a valid folder name")
+        if not local and address != "auto" and not _answers(address or ""):
+            problems.append(f"{address}: no Ray answers there; give HOST:PORT, auto or local")
         if problems:
             raise InputError(problems)
-        os.environ.update(ENVIRONMENT | CLIENT)
+        set_environment(token=local)
         ray = node.ray_module()
         if ray.is_initialized():
             raise InputError("this process is already connected to Ray: use one pool at a time")
@@ -129,7 +126,7 @@ class RayPool:
                 processors = available_threads() if workers is None else workers * threads
                 self._head = LocalRay(max(processors, threads), int(min(most, 2**62)))
                 address = self._head.address
-            self._address = _connect(address or "", local)
+            self._address = _connect(address or "")
             lifeline = self._head.lifeline if self._head is not None else None
             self._terms = node.Terms(name, threads, node.versions(), lifeline)
             self._work: Any = ray.remote(
@@ -302,7 +299,7 @@ class RayPool:
 
     def _look(self) -> None:
         """Raise if Ray does not answer; Ray itself waits a minute, and then ends the process."""
-        if not _answers(self._address) or (self._head is not None and not self._head.alive):
+        if not _answers(self._address):
             raise LinkError(f"Ray at {self._address} does not answer: the cluster is gone")
 
     @contextlib.contextmanager
@@ -319,20 +316,9 @@ class RayPool:
             raise LinkError(f"Ray at {self._address} does not answer: {_line(error)}") from error
 
 
-def _connect(address: str, local: bool) -> str:
+def _connect(address: str) -> str:
     """Join a cluster and return its address."""
-    if address != "auto" and not _answers(address, as_ray=True):
-        raise InputError(f"{address}: no Ray answers there; give HOST:PORT, auto or local")
     ray = node.ray_module()
-    from ray._private import ray_constants, worker
-
-    # Ray has read its environment at import; make it read the environment again.
-    ray._raylet.Config.initialize("")
-    ray._raylet.AuthenticationTokenLoader.instance().reset_cache()
-    # A local Ray listens on loopback only, which Ray's clients do not try otherwise.
-    ray_constants.ENABLE_RAY_CLUSTER = not local
-    # Events report deaths; suppress Ray's own messages.
-    worker.print_to_stdstream = lambda *_, **__: None
     handler = signal.getsignal(signal.SIGTERM)
     try:
         with _quiet():
@@ -359,14 +345,11 @@ def _quiet() -> Iterator[None]:
         os.close(kept)
 
 
-def _answers(address: str, *, as_ray: bool = False) -> bool:
-    """Return True if a server listens there; ``as_ray``: if it speaks gRPC over HTTP/2."""
+def _answers(address: str) -> bool:
+    """Return True if a server listens there."""
     host, _, port = address.rpartition(":")
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S) as connection:
-            if as_ray:
-                connection.sendall(_HELLO)
-                return connection.recv(9)[3:4] == _SETTINGS
+        with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S):
             return True
     except (OSError, ValueError):
         return False
