@@ -9,7 +9,7 @@ from pathlib import Path
 import pool_jobs as jobs
 import pytest
 
-from twinct.core.errors import InputError, TwinctError
+from twinct.core.errors import InputError, MemoryShortageError, TwinctError
 from twinct.workers import Died, Done, Event, Failed, LocalPool, Work, each, map_over
 
 GIB = 2**30
@@ -18,7 +18,7 @@ GIB = 2**30
 class Scripted:
     """A pool that tells what it was made to tell of each work, one after the other."""
 
-    slots, most_memory_bytes = 2, 10
+    slots = 2
 
     def __init__(self, script: dict[str, list[Event]]) -> None:
         self.script = script
@@ -26,6 +26,8 @@ class Scripted:
         self.most = 0
 
     def submit(self, work: Work) -> None:
+        if work.memory_bytes > 10:
+            raise MemoryShortageError(f"{work.key} needs more than 10 bytes")
         self.waiting.append(work.key)
         self.most = max(self.most, len(self.waiting))
 

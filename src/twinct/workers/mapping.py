@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from twinct.core import errors
-from twinct.core.errors import InputError, TwinctError
+from twinct.core.errors import InputError, MemoryShortageError, TwinctError
 from twinct.workers.work import Died, Done, Event, Failed, Place, Pool, Work
 
 AHEAD = 2
@@ -91,10 +91,11 @@ def _as_they_arrive(
     while True:
         work = next(remaining) if len(under_way) < AHEAD * pool.slots else None
         if isinstance(work, Work):
-            if (most := pool.most_memory_bytes) < work.memory_bytes:
-                yield _too_large(work, most)
-            else:
+            try:
                 pool.submit(work)
+            except MemoryShortageError as error:
+                yield Failed(work.key, type(error).__name__, (str(error),), "", 0.0)
+            else:
                 under_way[work.key] = work
         elif under_way:
             # Other events belong to an earlier, unfinished source.
@@ -126,14 +127,6 @@ def _in_order(pool: Pool, work: Callable[..., Work], arguments: Iterable[Any]) -
             value = ready.pop(given)
             given += 1
             yield value
-
-
-def _too_large(work: Work, most: int) -> Failed:
-    problem = (
-        f"needs {work.memory_bytes / 2**30:.2f} GiB of memory, but no worker has more than "
-        f"{most / 2**30:.2f} GiB"
-    )
-    return Failed(work.key, errors.MemoryShortageError.__name__, (problem,), "", 0.0)
 
 
 def _raised(failed: Failed) -> TwinctError:

@@ -18,14 +18,16 @@ from pathlib import Path
 
 from twinct.core.errors import InputError, LinkError
 
+_LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""If it is 0, Ray accepts 127.0.0.1, and listens there only, instead of the machine's address."""
+
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_BACKEND_LOG_LEVEL": "fatal",  # errors arrive as exceptions anyway
     "RAY_IGNORE_UNHANDLED_ERRORS": "1",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # otherwise Ray prints advice
     "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # events report deaths; suppress Ray's own messages
-    # Otherwise Ray takes 127.0.0.1 for the address of this machine in its network.
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+    _LOOPBACK: "0",
 }
 """Environment variables of every process that uses Ray, which reads them at its import."""
 
@@ -39,24 +41,25 @@ PATIENCE_S = 300.0
 _PREFIX, _LIFELINE = "twinct-ray-", "lifeline"
 
 
-def set_environment(*, token: bool) -> None:
+def set_environment(*, local: bool) -> None:
     """Set the variables that Ray reads at its import, for the rest of this process.
 
     Args:
-        token: require a token; create one, unless the environment has one.
+        local: require a token; create one, unless the environment has one.
 
     Raises:
-        InputError: Ray was imported before, without a token.
+        InputError: Ray was imported before, without what a local Ray needs.
     """
-    needed = ENVIRONMENT | ({"RAY_AUTH_MODE": "token"} if token else {})
+    needed = ENVIRONMENT | ({"RAY_AUTH_MODE": "token"} if local else {})
     imported = "ray" in sys.modules
-    if token and imported and any(os.environ.get(k) != v for k, v in needed.items()):
+    settled = ("RAY_AUTH_MODE", _LOOPBACK) if local and imported else ()
+    if others := [name for name in settled if os.environ.get(name) != needed[name]]:
         raise InputError(
-            "local: this process has used Ray without a token, and Ray reads its settings once; "
-            "create this pool in another process, or before Ray is imported"
+            f"local: Ray was imported before {' and '.join(others)} could be set, and reads its "
+            "settings only then; create this pool first, or in another process"
         )
     os.environ |= needed | CLIENT
-    if token and not imported and "RAY_AUTH_TOKEN_PATH" not in os.environ:
+    if local and not imported and "RAY_AUTH_TOKEN_PATH" not in os.environ:
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 
@@ -93,8 +96,8 @@ class LocalRay:
             "min-worker-port": 0,  # any: other pools have workers, too
             "max-worker-port": 0,
         }
-        if importlib.util.find_spec("grpc") is not None:  # otherwise Ray refuses the option
-            options["ray-client-server-port"] = 0  # none
+        if importlib.util.find_spec("grpc") is not None:  # Ray starts a server that nobody needs
+            options["ray-client-server-port"] = _free_port()
         log = self._folder / "head.log"
         with log.open("wb") as output:
             self._process = subprocess.Popen(

@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from twinct.core.errors import InputError, LinkError, MemoryShortageError
+from twinct.core.errors import InputError, LinkError
 from twinct.core.extras import require
 from twinct.core.memory import available_bytes
 from twinct.core.threads import available_threads
@@ -24,7 +24,7 @@ from twinct.workers.call import Outcome, event, sent
 from twinct.workers.cluster import node
 from twinct.workers.cluster.content import Bytes, pack, unpack
 from twinct.workers.cluster.local import LocalRay, set_environment
-from twinct.workers.work import Died, Event, Work
+from twinct.workers.work import Died, Event, Pool, Work
 
 ANSWER_S = 10.0
 """Timeout for a connection to a cluster."""
@@ -56,7 +56,7 @@ class _Come:
             unpack(self.content, draft)
 
 
-class RayPool:
+class RayPool(Pool):
     """Processes on all nodes of a Ray cluster; see ``twinct.workers.Pool``.
 
     Only one thread at a time may use the pool, and a process may have only one pool. Each piece of
@@ -90,8 +90,8 @@ class RayPool:
 
         Raises:
             MissingExtraError: Ray is not installed.
-            InputError: no Ray answers at the address, or a node has another version of twinct, Ray
-                or Python.
+            InputError: no Ray answers at the address, a node has another version of twinct, Ray
+                or Python, or Ray was imported before without what a local Ray needs.
             LinkError: Ray did not start.
         """
         require("cluster")
@@ -108,11 +108,13 @@ class RayPool:
             problems.append(f"{address}: no Ray answers there; give HOST:PORT, auto or local")
         if problems:
             raise InputError(problems)
-        set_environment(token=local)
+        set_environment(local=local)
         ray = node.ray_module()
         if ray.is_initialized():
             raise InputError("this process is already connected to Ray: use one pool at a time")
         self._ray = ray
+        failures = ray.exceptions
+        self._lost = failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError
         self._threads = threads
         self._head: LocalRay | None = None
         self.closed = False
@@ -137,12 +139,6 @@ class RayPool:
             self.close()
             raise
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
     @property
     def slots(self) -> int:
         """Slots of all live nodes; at least 1, as further nodes may join."""
@@ -165,18 +161,9 @@ class RayPool:
 
     def submit(self, work: Work) -> None:
         """Submit work; see ``twinct.workers.Pool``."""
-        request = sent(work)
-        if work.memory_bytes > (most := self.most_memory_bytes):
-            raise MemoryShortageError(
-                f"work {work.key!r} needs {work.memory_bytes / 2**30:.2f} GiB of memory, but no "
-                f"node has more than {most / 2**30:.2f} GiB"
-            )
-        if self.closed or any(work.key == key for key, _ in self._running.values()):
-            raise ValueError(
-                "the pool is closed" if self.closed else f"{work.key!r}: submitted twice"
-            )
-        if missing := [name for name in work.inputs if name not in self._paths]:
-            raise ValueError(f"not offered to the pool: {', '.join(missing)}")
+        if self.closed:
+            raise ValueError("the pool is closed")
+        request = sent(work, self, [key for key, _ in self._running.values()], self._paths)
         with self._speaking():
             tickets = {name: self._ticket(name) for name in work.inputs}
             task = self._work.options(memory=work.memory_bytes or None, name="twinct")
@@ -254,7 +241,7 @@ class RayPool:
             return Died(key, "its node ran out of memory" if memory else "its worker was killed")
         except (failures.NodeDiedError, failures.ObjectLostError):
             return Died(key, "its node was lost", blamed=False)
-        except (failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError):
+        except self._lost:
             raise
         except failures.RayError as error:  # full disk or store: limit the retries
             return Died(key, f"Ray gave up on it: {_line(error)}")
@@ -307,12 +294,7 @@ class RayPool:
         """Turn all errors of a lost connection into one ``LinkError``."""
         try:
             yield
-        except (
-            self._ray.exceptions.RaySystemError,
-            self._ray.exceptions.LocalRayletDiedError,
-            self._ray.exceptions.RpcError,
-            ConnectionError,
-        ) as error:
+        except (*self._lost, ConnectionError) as error:
             raise LinkError(f"Ray at {self._address} does not answer: {_line(error)}") from error
 
 
