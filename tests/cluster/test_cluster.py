@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import os
 import shutil
 import signal
@@ -20,7 +19,7 @@ import pytest
 from waiting import HANG_S, Patience, until
 
 from twinct.core.errors import InputError, LinkError, MemoryShortageError
-from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work, each
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work, map_over
 from twinct.workers.cluster import RayPool, local
 from twinct.workers.cluster.content import pack, unpack
 
@@ -70,7 +69,7 @@ def test_content_has_its_new_name_and_nothing_else(content: Path, tmp_path: Path
     assert {p.name for p in tmp_path.iterdir()} == {"content", "there", "b.txt"}
 
 
-def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts(monkeypatch) -> None:
+def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts() -> None:
     with pytest.raises(InputError) as caught:
         RayPool("local", name="a/b", threads=0, workers=0, memory_bytes=0)
     assert len(caught.value.problems) == 4
@@ -78,10 +77,43 @@ def test_what_no_pool_can_be_made_of_is_refused_before_ray_starts(monkeypatch) -
         RayPool("somewhere:6379", name="study")
     with pytest.raises(InputError, match="nonsense: no Ray answers"):
         RayPool("nonsense", name="study")
+
+
+JOIN = """
+import sys
+from twinct.core.errors import InputError
+from twinct.workers.cluster import RayPool
+try:
+    RayPool(sys.argv[1], name="study")
+except InputError as error:
+    print(error)
+try:
+    RayPool("local", name="study")
+except InputError as error:
+    print(error)
+"""
+
+
+@pytest.mark.cluster
+@pytest.mark.process
+def test_a_server_without_ray_is_refused_and_a_token_comes_before_ray() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:  # accepts, and says nothing
-        monkeypatch.setattr("twinct.workers.cluster.pool.ANSWER_S", 0.01)  # it never would
-        with pytest.raises(InputError, match="127.0.0.1:.*no Ray answers"):
-            RayPool(f"127.0.0.1:{server.getsockname()[1]}", name="study")
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        done = subprocess.run(
+            [sys.executable, "-c", JOIN, address],
+            capture_output=True,
+            text=True,
+            timeout=HANG_S,
+            env=without_token(),
+        )
+    joined, local = done.stdout.splitlines()
+    assert joined.startswith(f"{address}: cannot connect to the Ray there")
+    assert "imported before RAY_AUTH_MODE could be set" in local and not done.stderr
+
+
+def without_token() -> dict[str, str]:
+    """The environment of a driver that has no token."""
+    return {name: value for name, value in os.environ.items() if "RAY_AUTH" not in name}
 
 
 def test_what_killed_processes_left_is_removed(monkeypatch) -> None:
@@ -114,7 +146,11 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
         assert (pool.slots, pool.most_memory_bytes) == (4, 8 * GIB)
         assert _loopback_only(tmp_path)
 
-        (said,) = [e.value for e in each(pool, [Work("who", jobs.who, 0)]) if isinstance(e, Done)]
+        (said,) = [
+            e.value
+            for e in map_over(None, [Work("who", jobs.who, 0)], pool=pool)
+            if isinstance(e, Done)
+        ]
         assert said["main"] and said["threads"] == (1, "1", "1")
         assert said["folder"].parent == tmp_path / "cache" / "study"
 
@@ -127,13 +163,15 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
             until(lambda: "2" in gate.come or len(gate.come) > 2)
             assert len(gate.come) == 3 and "2" in gate.come
             gate.open()
-            assert sum(isinstance(event, Done) for event in finish(pool).values()) == 7
+            events = finish(pool)
+            assert [e for e in events.values() if not isinstance(e, Done)] == []
+            assert len(events) == 7
 
         with LocalPool(tmp_path / "local", workers=2, memory_bytes=GIB) as own:
             assert _told(pool, content, tmp_path / "ray") == _told(own, content, tmp_path / "own")
 
         works = [Work(str(n), jobs.die_until, (tmp_path / str(n), n)) for n in (2, 3)]
-        events = {event.key: event for event in each(pool, works)}
+        events = {event.key: event for event in map_over(None, works, pool=pool)}
         two, three = events["2"], events["3"]
         assert isinstance(two, Done) and two.value == 2
         assert isinstance(three, Failed) and three.kind == "WorkerDied"
@@ -195,7 +233,7 @@ def _told(pool: Pool, content: Path, out: Path) -> list[object]:
     works += [Work(f"read {n}", jobs.read, n, inputs=(n,)) for n in ("folder", "file")]
     works += [Work("write", jobs.write, "ab")]
     told: list[object] = []
-    for event in sorted(each(pool, works), key=lambda event: event.key):
+    for event in sorted(map_over(None, works, pool=pool), key=lambda event: event.key):
         if isinstance(event, Failed):
             told.append((event.key, event.kind, event.problems, event.trace))
         elif event.key.startswith("read"):
@@ -218,7 +256,7 @@ def test_nothing_of_a_local_ray_outlives_its_driver(
         [sys.executable, str(HERE / "driver.py"), str(tmp_path)],
         stderr=subprocess.DEVNULL,
         start_new_session=True,
-        env=os.environ | {MARK: str(tmp_path)},
+        env=without_token() | {MARK: str(tmp_path)},
     )
     try:
         held = Path("study").joinpath("*", "held-*")
@@ -238,8 +276,6 @@ def test_nothing_of_a_local_ray_outlives_its_driver(
 @pytest.fixture
 def cluster(tmp_path: Path, monkeypatch) -> Iterator[tuple[str, Callable[[str], None], int]]:
     """Address, what steers it, and its process group: a process of its own."""
-    monkeypatch.setenv("RAY_AUTH_MODE", "token")
-    monkeypatch.setenv("RAY_AUTH_TOKEN", hashlib.sha256(str(tmp_path).encode()).hexdigest())
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     process = subprocess.Popen(
         [sys.executable, str(HERE / "simulated.py"), str(tmp_path)],
@@ -319,7 +355,7 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
         pool.submit(_at(last, "busy"))
         os.killpg(group, signal.SIGKILL)
         with pytest.raises(LinkError, match="does not answer"):
-            list(each(pool, [Work("late", jobs.double, 1)]))
+            list(map_over(None, [Work("late", jobs.double, 1)], pool=pool))
     assert isinstance(written["w"], Done)
     with pytest.raises(ValueError, match="closed"):
         written["w"].artifacts["file"].save(tmp_path / "late")

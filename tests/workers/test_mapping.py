@@ -9,7 +9,7 @@ from pathlib import Path
 import pool_jobs as jobs
 import pytest
 
-from twinct.core.errors import InputError, TwinctError
+from twinct.core.errors import InputError, MemoryShortageError, TwinctError
 from twinct.workers import Died, Done, Event, Failed, LocalPool, Work, each, map_over
 
 GIB = 2**30
@@ -18,7 +18,7 @@ GIB = 2**30
 class Scripted:
     """A pool that tells what it was made to tell of each work, one after the other."""
 
-    slots, most_memory_bytes = 2, 10
+    slots = 2
 
     def __init__(self, script: dict[str, list[Event]]) -> None:
         self.script = script
@@ -26,6 +26,8 @@ class Scripted:
         self.most = 0
 
     def submit(self, work: Work) -> None:
+        if work.memory_bytes > 10:
+            raise MemoryShortageError(f"{work.key} needs more than 10 bytes")
         self.waiting.append(work.key)
         self.most = max(self.most, len(self.waiting))
 
@@ -47,7 +49,7 @@ def test_little_is_under_way_at_a_time() -> None:
             asked.append(number)
             yield work(str(number))
 
-    results = each(pool, source())
+    results = map_over(None, source(), pool=pool)
     next(results)
     assert len(asked) == 4
     assert len(list(results)) == 49 and pool.most == 4
@@ -57,15 +59,15 @@ def test_blamed_deaths_count_and_others_do_not() -> None:
     lost, blamed = Died("a", "its node was lost", blamed=False), Died("a", "it was SIGKILL")
     done = Done("a", 1, {}, 0.0)
     pool = Scripted({"a": [lost] * 9 + [blamed, lost, blamed, done]})
-    assert list(each(pool, [work("a")])) == [done]
+    assert list(map_over(None, [work("a")], pool=pool)) == [done]
     pool = Scripted({"a": [blamed, lost, blamed, blamed, done]})
-    (failed,) = each(pool, [work("a")])
+    (failed,) = map_over(None, [work("a")], pool=pool)
     problems = ("killed its worker 3 times: it was SIGKILL",)
     assert failed == Failed("a", "WorkerDied", problems, "", 0.0)
 
 
 def test_too_much_memory_fails_at_once() -> None:
-    first, second = each(Scripted({}), [work("big", 11), work("b", 10)])
+    first, second = map_over(None, [work("big", 11), work("b", 10)], pool=Scripted({}))
     assert isinstance(first, Failed) and first.kind == "MemoryShortageError"
     assert isinstance(second, Done)
 
@@ -82,7 +84,7 @@ def test_nothing_ready_waits_for_an_event_and_is_an_error_without_one() -> None:
         yield None
 
     with pytest.raises(ValueError, match="no work ready"):
-        for event in each(Scripted({}), source()):
+        for event in map_over(None, source(), pool=Scripted({})):
             done.append(event.key)
     assert done == ["a", "b"]
 
@@ -92,7 +94,7 @@ def test_real_deaths_are_tried_again_three_times(tmp_path: Path) -> None:
     with LocalPool(tmp_path, workers=2, memory_bytes=GIB) as pool:
         two = Work("two", jobs.die_until, (tmp_path / "two", 2))
         three = Work("three", jobs.die_until, (tmp_path / "three", 3))
-        events = {event.key: event for event in each(pool, [two, three])}
+        events = {event.key: event for event in map_over(None, [two, three], pool=pool)}
     assert isinstance(events["two"], Done) and events["two"].value == 2
     failed = events["three"]
     assert isinstance(failed, Failed) and failed.kind == "WorkerDied"
@@ -115,3 +117,9 @@ def test_a_map_keeps_the_order_and_raises_what_failed(tmp_path: Path) -> None:
         with pytest.raises(TwinctError, match="RuntimeError: other") as other:
             list(map_over(jobs.fail, ["other"], pool=pool))
         assert "in fail" in other.value.__notes__[0]
+
+
+def test_the_old_name_of_the_stream_of_results_warns_and_works() -> None:
+    with pytest.warns(DeprecationWarning, match="map_over"):
+        results = each(Scripted({}), [work("a")])
+    assert list(results) == [Done("a", "a", {}, 0.0)]

@@ -156,7 +156,7 @@ def _newton_step(precision: Floats, normal: Floats, right: Floats, change: Float
         own = slice(size * view, size * view + size)
         hessian[own, own] += normal[view]
     pull = right.ravel() - precision @ change.ravel()
-    return np.linalg.solve(hessian, pull).reshape(change.shape)
+    return np.asarray(np.linalg.solve(hessian, pull), np.float64).reshape(change.shape)
 
 
 def _fitted(

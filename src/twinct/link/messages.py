@@ -292,9 +292,9 @@ def diagnostic_message(
     stamp: Stamp, name: str, level: bytes, text: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
     """Return a ``/diagnostics`` message."""
-    made = ros_message(DiagnosticArray, plain.diagnostics(stamp, name, text, values))
-    made.status[0].level = level
-    return made
+    fields = plain.diagnostics(stamp, name, text, values)
+    fields["status"][0]["level"] = level
+    return ros_message(DiagnosticArray, fields)
 
 
 def diagnostic_values(pairs: Iterable[KeyValue]) -> dict[str, str]:

@@ -19,7 +19,7 @@ from twinct.study.inputs import Inputs
 from twinct.study.rows import Rows
 from twinct.study.timings import Book
 from twinct.study.trial import START, TrialSpec, scan_name, take_scan, try_trial
-from twinct.workers import Done, Failed, Pool, Work, each
+from twinct.workers import Done, Failed, Pool, Work, map_over
 
 log = logging.getLogger(__name__)
 
@@ -92,7 +92,7 @@ class Driver:
         self._share(firsts)
         by_key = {one.key: one for one in firsts}
         released: deque[Checked] = deque()
-        for event in each(self.pool, self._works(firsts, released)):
+        for event in map_over(None, self._works(firsts, released), pool=self.pool):
             self._running -= 1
             if event.key.startswith(_SCAN):
                 released.extend(self._scanned(event.key.removeprefix(_SCAN), event))

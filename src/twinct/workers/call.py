@@ -6,13 +6,13 @@ import io
 import pickle
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from twinct.core.errors import InputError, TwinctError
-from twinct.workers.work import Artifact, Done, Failed, Made, Place, Work
+from twinct.core.errors import InputError, MemoryShortageError, TwinctError
+from twinct.workers.work import Artifact, Done, Failed, Made, Place, Pool, Work
 
 
 @dataclass(frozen=True)
@@ -44,12 +44,29 @@ class _ByNames(pickle.Pickler):
         return NotImplemented
 
 
-def sent(work: Work) -> bytes:
+def sent(work: Work, pool: Pool, keys: Container[str], offers: Container[str]) -> bytes:
     """Pickle function and argument of work, for a worker's ``call``.
+
+    Args:
+        work: the work.
+        pool: the pool that takes it.
+        keys: keys of the work that the pool has.
+        offers: names that were offered to the pool.
 
     Raises:
         InputError: another process cannot import the function, or a class of its argument.
+        MemoryShortageError: the work needs more memory than the pool has for it.
+        ValueError: the pool has work of this key, or an input was not offered.
     """
+    if work.memory_bytes > (most := pool.most_memory_bytes):
+        raise MemoryShortageError(
+            f"work {work.key!r} needs {work.memory_bytes / 2**30:.2f} GiB of memory, but no worker "
+            f"has more than {most / 2**30:.2f} GiB"
+        )
+    if work.key in keys:
+        raise ValueError(f"{work.key!r}: submitted twice")
+    if missing := [name for name in work.inputs if name not in offers]:
+        raise ValueError(f"not offered to the pool: {', '.join(missing)}")
     stream = io.BytesIO()
     try:
         _ByNames(stream, pickle.HIGHEST_PROTOCOL).dump((work.function, work.argument))

@@ -15,15 +15,14 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Self
 
-from twinct.core.errors import InputError, MemoryShortageError
+from twinct.core.errors import InputError
 from twinct.core.files.writing import storage_errors
 from twinct.core.memory import available_bytes
 from twinct.core.threads import SETTING
 from twinct.workers.artifact import Here
 from twinct.workers.call import Outcome, event, sent
-from twinct.workers.work import Died, Event, Work
+from twinct.workers.work import Died, Event, Pool, Work
 
 MOST_PASSED = 16
 """Number of pieces of work that may overtake the first in line while it waits for memory."""
@@ -105,7 +104,7 @@ def _name(number: int) -> str:
         return f"signal {number}"
 
 
-class LocalPool:
+class LocalPool(Pool):
     """Processes of this machine, started on demand; see ``twinct.workers.Pool``.
 
     Only one thread at a time may use the pool. Work starts in the order of submission; while the
@@ -141,12 +140,6 @@ class LocalPool:
         self._workers: list[_Worker] = []
         self._closed = False
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
     @property
     def slots(self) -> int:
         """Largest number of processes."""
@@ -167,18 +160,9 @@ class LocalPool:
 
     def submit(self, work: Work) -> None:
         """Submit work; see ``twinct.workers.Pool``."""
-        request = sent(work)
-        if work.memory_bytes > self._memory:
-            raise MemoryShortageError(
-                f"work {work.key!r} needs {work.memory_bytes / 2**30:.2f} GiB of memory, but the "
-                f"pool has {self._memory / 2**30:.2f} GiB"
-            )
-        if self._closed or work.key in self._keys:
-            raise ValueError(
-                "the pool is closed" if self._closed else f"{work.key!r}: submitted twice"
-            )
-        if missing := [name for name in work.inputs if name not in self._offered]:
-            raise ValueError(f"not offered to the pool: {', '.join(missing)}")
+        if self._closed:
+            raise ValueError("the pool is closed")
+        request = sent(work, self, self._keys, self._offered)
         inputs = {name: self._offered[name] for name in work.inputs}
         self._keys.add(work.key)
         self._queue.append(_Task(work.key, work.memory_bytes, pickle.dumps((request, inputs))))

@@ -3,102 +3,111 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from typing import Any
 
 from twinct.core import errors
-from twinct.core.errors import InputError, TwinctError
-from twinct.workers.work import Died, Done, Failed, Place, Pool, Work
+from twinct.core.errors import InputError, MemoryShortageError, TwinctError
+from twinct.workers.work import Died, Done, Event, Failed, Place, Pool, Work
 
 AHEAD = 2
 """Pieces of work in the pool for each of its slots, so that no worker waits for this process."""
 
+DEATHS = 3
+"""Deaths of workers after which the work that may have caused them fails."""
+
+_END = object()
 _numbers = itertools.count()
 
 
-def each(pool: Pool, source: Iterable[Work | None], deaths: int = 3) -> Iterator[Done | Failed]:
-    """Execute all work of a source, and yield its results as they arrive.
-
-    Work is repeated if its worker died. Deaths that the work may have caused count, and after
-    ``deaths`` of them the work fails.
-
-    Args:
-        pool: the pool; no other caller may wait for its events meanwhile.
-        source: read only while the pool has little work. None means that no work is ready: the
-            source is read again after the next event.
-        deaths: number of deaths after which work fails.
-
-    Yields:
-        Results; also ``Failed`` for work that needs more memory than the pool has
-        (``MemoryShortageError``), or that reached the number of deaths (``WorkerDied``).
-
-    Raises:
-        ValueError: the source has nothing ready while the pool has no work.
-        InputError: work that another process cannot import; see ``Pool.submit``.
-    """
-    under_way: dict[str, Work] = {}
-    killed: Counter[str] = Counter()
-    remaining, end = iter(source), object()
-    work: Any = None
-    while True:
-        while work is not end and len(under_way) < AHEAD * pool.slots:
-            work = next(remaining, end)
-            if work is end or work is None:
-                break
-            if (most := pool.most_memory_bytes) < work.memory_bytes:
-                yield Failed(
-                    work.key, errors.MemoryShortageError.__name__, _short(work, most), "", 0
-                )
-                continue
-            pool.submit(work)
-            under_way[work.key] = work
-        if not under_way:
-            if work is not end:
-                raise ValueError("the source has no work ready, and no work is running")
-            return
-        yield from _results(pool, under_way, killed, deaths)
-
-
-def _results(
-    pool: Pool, under_way: dict[str, Work], killed: Counter[str], deaths: int
-) -> Iterator[Done | Failed]:
-    """Wait for events, and yield the results among them; repeat work whose worker died."""
-    for event in pool.wait():
-        if event.key not in under_way:  # from an earlier, unfinished source
-            continue
-        if isinstance(event, Died):
-            killed[event.key] += event.blamed
-            if killed[event.key] < deaths:
-                pool.submit(under_way[event.key])
-                continue
-            problem = f"killed its worker {killed[event.key]} times: {event.how}"
-            event = Failed(event.key, "WorkerDied", (problem,), "", 0.0)
-        del under_way[event.key], killed[event.key]
-        yield event
-
-
 def map_over(
-    function: Callable[[Any, Place], Any],
+    function: Callable[[Any, Place], Any] | None,
     arguments: Iterable[Any],
     *,
     pool: Pool,
     memory_bytes: int = 0,
     inputs: tuple[str, ...] = (),
 ) -> Iterator[Any]:
-    """Yield ``function(argument, place)`` for each argument, in order, as results are consumed.
+    """Execute calls on a pool, and yield their results as they are consumed.
+
+    Work is repeated if its worker died. Deaths that the work may have caused count, and after the
+    third of them the work fails (``WorkerDied``).
 
     Args:
-        function: a function that can be imported by its name.
-        arguments: read as results are consumed, a few ahead for each worker.
+        function: ``function(argument, place)``, which can be imported by its name; the values are
+            yielded in order, and the first failure is raised. None: the arguments are ``Work``,
+            each with its own function, memory and inputs; ``Done`` or ``Failed`` is yielded for
+            each of them, in the order of arrival.
+        arguments: read as results are consumed, a few ahead for each worker. Instead of work,
+            None says that no work is ready: the next argument is read after the next event.
         pool: the pool; no other caller may wait for its events meanwhile.
         memory_bytes: peak memory of a call.
         inputs: names of offers that a call may fetch.
 
     Raises:
-        InputError: the first call to fail had bad input.
+        InputError: another process cannot import the function, or the first call to fail had bad
+            input.
         TwinctError: the first call to fail had another problem; its note is the worker's traceback.
+        ValueError: no work is ready while the pool has none.
     """
+    if function is None:
+        return _as_they_arrive(pool, arguments)
+    work = partial(Work, function=function, memory_bytes=memory_bytes, inputs=inputs)
+    return _in_order(pool, work, arguments)
+
+
+def each(
+    pool: Pool, source: Iterable[Work | None], deaths: int = DEATHS
+) -> Iterator[Done | Failed]:
+    """Call ``map_over(None, source, pool=pool)``, the new name, with another number of deaths."""
+    warnings.warn(
+        "each(pool, works) is now map_over(None, works, pool=pool)", DeprecationWarning, 2
+    )
+    return _as_they_arrive(pool, source, deaths)
+
+
+def _as_they_arrive(
+    pool: Pool, source: Iterable[Work | None], deaths: int = DEATHS
+) -> Iterator[Done | Failed]:
+    under_way: dict[str, Work] = {}
+    killed: Counter[str] = Counter()
+
+    def result(event: Event) -> Done | Failed | None:
+        if isinstance(event, Died):
+            killed[event.key] += event.blamed
+            if (count := killed[event.key]) < deaths:
+                pool.submit(under_way[event.key])
+                return None
+            problem = f"killed its worker {count} times: {event.how}"
+            event = Failed(event.key, "WorkerDied", (problem,), "", 0.0)
+        del under_way[event.key]
+        del killed[event.key]
+        return event
+
+    remaining = itertools.chain(source, itertools.repeat(_END))
+    while True:
+        work = next(remaining) if len(under_way) < AHEAD * pool.slots else None
+        if isinstance(work, Work):
+            try:
+                pool.submit(work)
+            except MemoryShortageError as error:
+                yield Failed(work.key, type(error).__name__, (str(error),), "", 0.0)
+            else:
+                under_way[work.key] = work
+        elif under_way:
+            # Other events belong to an earlier, unfinished source.
+            events = (event for event in pool.wait() if event.key in under_way)
+            yield from filter(None, map(result, events))
+        elif work is None:
+            raise ValueError("the source has no work ready, and no work is running")
+        else:
+            return
+
+
+def _in_order(pool: Pool, work: Callable[..., Work], arguments: Iterable[Any]) -> Iterator[Any]:
     name, taken, given = f"map {next(_numbers)}", 0, 0
     ready: dict[int, Any] = {}
 
@@ -108,9 +117,9 @@ def map_over(
             while taken - given >= 2 * AHEAD * pool.slots:
                 yield None
             taken += 1
-            yield Work(f"{name} {taken - 1}", function, argument, memory_bytes, inputs)
+            yield work(key=f"{name} {taken - 1}", argument=argument)
 
-    for event in each(pool, works()):
+    for event in _as_they_arrive(pool, works()):
         if isinstance(event, Failed):
             raise _raised(event)
         ready[int(event.key.rpartition(" ")[2])] = event.value
@@ -118,13 +127,6 @@ def map_over(
             value = ready.pop(given)
             given += 1
             yield value
-
-
-def _short(work: Work, most: int) -> tuple[str]:
-    needed = work.memory_bytes / 2**30
-    return (
-        f"needs {needed:.2f} GiB of memory, but no worker has more than {most / 2**30:.2f} GiB",
-    )
 
 
 def _raised(failed: Failed) -> TwinctError:

@@ -120,9 +120,11 @@ Event = Done | Failed | Died
 class Pool(Protocol):
     """Worker processes, each with one piece of work at a time; a context manager that ends them."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *exception: object) -> None: ...
+    def __exit__(self, *exception: object) -> None:
+        self.close()
 
     @property
     def slots(self) -> int:

@@ -1,35 +1,34 @@
 """Ray on this machine for a single parent process, with whose end it ends.
 
 Only ``twinct.workers.cluster.local`` starts it, by ``python -m twinct.workers.cluster.head LIFELINE
-REPORT SETTINGS``. The kernel kills Ray's processes, which belong to its group, with the parent.
+OPTION...``, with the options of ``ray start``. It says ``up`` once Ray is there. The kernel kills
+Ray's processes, which belong to its group, with the parent.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
+from importlib.metadata import entry_points
 
-from twinct.workers.cluster.node import ray_module
 from twinct.workers.lifeline import end_with
 
 
 def main() -> None:
-    """Start Ray, report its address, and wait to be killed."""
-    end_with(int(sys.argv[1]))
+    """Start Ray, say so, and wait to be killed."""
+    end_with(os.open(sys.argv[1], os.O_RDONLY | os.O_NONBLOCK))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    report = int(sys.argv[2])
-    os.set_inheritable(report, False)
-    context = ray_module().init(
-        address="local",
-        include_dashboard=False,
-        log_to_driver=False,
-        _node_ip_address="127.0.0.1",
-        **json.loads(sys.argv[3]),
-    )
-    os.write(report, context.address_info["gcs_address"].encode())
-    os.close(report)
+    report = os.dup(1)
+    os.dup2(2, 1)  # what Ray prints goes to the log
+    sys.argv = ["ray", "start", *sys.argv[2:]]
+    (command,) = entry_points(group="console_scripts", name="ray")
+    try:
+        command.load()()
+    except SystemExit as end:
+        if end.code:
+            raise
+    os.write(report, b"up\n")
     while True:
         signal.pause()
 

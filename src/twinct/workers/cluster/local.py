@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 import contextlib
-import json
+import importlib.util
 import os
 import secrets
 import select
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from twinct.core.errors import LinkError
+from twinct.core.errors import InputError, LinkError
+
+_LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""If it is 0, Ray accepts 127.0.0.1, and listens there only, instead of the machine's address."""
 
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_BACKEND_LOG_LEVEL": "fatal",  # errors arrive as exceptions anyway
     "RAY_IGNORE_UNHANDLED_ERRORS": "1",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # otherwise Ray prints advice
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "^",  # events report deaths; suppress Ray's own messages
+    _LOOPBACK: "0",
 }
-"""Environment variables of every process that uses Ray."""
+"""Environment variables of every process that uses Ray, which reads them at its import."""
 
 CLIENT = {"RAY_NUM_REDIS_GET_RETRIES": "2", "RAY_py_gcs_connect_timeout_s": "5"}
 """Further variables of a process that joins a running Ray: timeouts of a few seconds."""
@@ -33,6 +39,28 @@ PATIENCE_S = 300.0
 
 
 _PREFIX, _LIFELINE = "twinct-ray-", "lifeline"
+
+
+def set_environment(*, local: bool) -> None:
+    """Set the variables that Ray reads at its import, for the rest of this process.
+
+    Args:
+        local: require a token; create one, unless the environment has one.
+
+    Raises:
+        InputError: Ray was imported before, without what a local Ray needs.
+    """
+    needed = ENVIRONMENT | ({"RAY_AUTH_MODE": "token"} if local else {})
+    imported = "ray" in sys.modules
+    settled = ("RAY_AUTH_MODE", _LOOPBACK) if local and imported else ()
+    if others := [name for name in settled if os.environ.get(name) != needed[name]]:
+        raise InputError(
+            f"local: Ray was imported before {' and '.join(others)} could be set, and reads its "
+            "settings only then; create this pool first, or in another process"
+        )
+    os.environ |= needed | CLIENT
+    if local and not imported and "RAY_AUTH_TOKEN_PATH" not in os.environ:
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 
 class LocalRay:
@@ -57,65 +85,65 @@ class LocalRay:
         os.mkfifo(unheld)
         self._held = os.open(unheld, os.O_RDWR | os.O_CLOEXEC)
         unheld.rename(self.lifeline)  # a pipe of this name always has a holder
-        read, self._group = os.pipe()
-        heard, report = os.pipe()
-        self._before = {name: os.environ.get(name) for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN")}
-        os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
-        settings = {"num_cpus": processors, "_memory": memory_bytes, "_temp_dir": str(self._folder)}
-        self._log = self._folder / "head.log"
-        with self._log.open("wb") as output:
+        self.address = f"127.0.0.1:{_free_port()}"
+        options = {
+            "node-ip-address": "127.0.0.1",
+            "port": self.address.rpartition(":")[2],
+            "num-cpus": processors,
+            "memory": memory_bytes,
+            "temp-dir": self._folder,
+            "include-dashboard": "false",
+            "min-worker-port": 0,  # any: other pools have workers, too
+            "max-worker-port": 0,
+        }
+        if importlib.util.find_spec("grpc") is not None:  # Ray starts a server that nobody needs
+            options["ray-client-server-port"] = _free_port()
+        log = self._folder / "head.log"
+        with log.open("wb") as output:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "twinct.workers.cluster.head"]
-                + [str(read), str(report), json.dumps(settings)],
+                [sys.executable, "-P", "-m", "twinct.workers.cluster.head", str(self.lifeline)]
+                + ["--head", *(f"--{name}={value}" for name, value in options.items())],
                 stdin=subprocess.DEVNULL,
-                stdout=output,
+                stdout=subprocess.PIPE,
                 stderr=output,
-                pass_fds=(read, report),
                 process_group=0,
                 env={
                     **{k: v for k, v in os.environ.items() if k not in CLIENT},
-                    **ENVIRONMENT,
-                    # Ray then uses and listens on loopback only.
-                    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
                     "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
                 },
             )
-        os.close(read)
-        os.close(report)
         try:
-            ready = select.select([heard], [], [], PATIENCE_S)[0]
-            self.address = os.read(heard, 256).decode() if ready else ""
-            if not self.address:
-                last = self._log.read_text(errors="replace").strip().splitlines()[-1:]
+            said = self._process.stdout
+            assert said is not None
+            ready = select.select([said], [], [], PATIENCE_S)[0]
+            if not ready or not said.readline():
+                last = log.read_text(errors="replace").strip().splitlines()[-1:]
                 raise LinkError(
                     f"Ray did not start: {' '.join(last) or f'no answer within {PATIENCE_S:.0f} s'}"
                 )
         except BaseException:
             self.close()
             raise
-        finally:
-            os.close(heard)
-
-    @property
-    def alive(self) -> bool:
-        """True while the process that started Ray lives."""
-        return self._process.poll() is None
 
     def close(self) -> None:
         """Kill all processes of Ray and their descendants."""
         family = list(_descendants(self._process.pid))
         os.close(self._held)
-        os.close(self._group)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         for pid in family:  # idle workers have groups of their own
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        self._process.wait()
-        for name, value in self._before.items():
-            os.environ.pop(name, None)
-            os.environ |= {name: value} if value is not None else {}
+        self._process.communicate()
         shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def _free_port() -> int:
+    """Return a free port outside the range that the kernel gives to others meanwhile."""
+    while True:
+        port = secrets.choice(range(20_000, 32_000))
+        with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
 
 
 def _sweep() -> None:

@@ -13,9 +13,9 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
-from twinct.core.errors import InputError, LinkError, MemoryShortageError
+from twinct.core.errors import InputError, LinkError
 from twinct.core.extras import require
 from twinct.core.memory import available_bytes
 from twinct.core.threads import available_threads
@@ -23,8 +23,8 @@ from twinct.workers.artifact import arriving
 from twinct.workers.call import Outcome, event, sent
 from twinct.workers.cluster import node
 from twinct.workers.cluster.content import Bytes, pack, unpack
-from twinct.workers.cluster.local import CLIENT, ENVIRONMENT, LocalRay
-from twinct.workers.work import Died, Event, Work
+from twinct.workers.cluster.local import LocalRay, set_environment
+from twinct.workers.work import Died, Event, Pool, Work
 
 ANSWER_S = 10.0
 """Timeout for a connection to a cluster."""
@@ -36,14 +36,9 @@ LOOK_S = 2.0
 """Interval at which a waiting pool checks that Ray still answers."""
 
 
-_SETTINGS = b"\4"
-_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0" + _SETTINGS + b"\0\0\0\0\0"
-"""Preface of HTTP/2; either side begins with a frame of settings (RFC 9113, 3.4 and 6.5)."""
-
-
 @dataclass(frozen=True)
 class _Come:
-    """Parcel in Ray's store on this machine, independent of the node that made it."""
+    """Artifact in Ray's store on this machine, independent of the node that made it."""
 
     content: Bytes
     pool: RayPool
@@ -69,16 +64,18 @@ def _require_valid(cluster: str | None, name: str, numbers: dict[str, int | None
         problems.append(f"{cluster}: the nodes of a cluster set its processors and memory")
     if Path(name).name != name:
         problems.append(f"{name!r} is not a valid folder name")
+    if cluster not in (None, "auto") and not _answers(cluster or ""):
+        problems.append(f"{cluster}: no Ray answers there; give HOST:PORT, auto or local")
     if problems:
         raise InputError(problems)
 
 
-class RayPool:
+class RayPool(Pool):
     """Processes on all nodes of a Ray cluster; see ``twinct.workers.Pool``.
 
     Only one thread at a time may use the pool, and a process may have only one pool. Each piece of
     work is a task of Ray: it starts on a node with free processors and memory, in a process of its
-    own, which stays warm for the next piece. Parcels can be saved until the pool is closed.
+    own, which stays warm for the next piece. Artifacts can be saved until the pool is closed.
 
     Attributes:
         closed: True once the pool is closed.
@@ -107,19 +104,21 @@ class RayPool:
 
         Raises:
             MissingExtraError: Ray is not installed.
-            InputError: no Ray answers at the address, or a node has another version of twinct, Ray
-                or Python.
+            InputError: no Ray answers at the address, a node has another version of twinct, Ray
+                or Python, or Ray was imported before without what a local Ray needs.
             LinkError: Ray did not start.
         """
         require("cluster")
         local = address in (None, "local")
         own = {"workers": workers, "memory_bytes": memory_bytes}
         _require_valid(None if local else address, name, {"threads": threads, **own})
-        os.environ.update(ENVIRONMENT | CLIENT)
+        set_environment(local=local)
         ray = node.ray_module()
         if ray.is_initialized():
             raise InputError("this process is already connected to Ray: use one pool at a time")
         self._ray = ray
+        failures = ray.exceptions
+        self._lost = failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError
         self._threads = threads
         self._head: LocalRay | None = None
         self.closed = False
@@ -133,7 +132,7 @@ class RayPool:
                 processors = available_threads() if workers is None else workers * threads
                 self._head = LocalRay(max(processors, threads), int(min(most, 2**62)))
                 address = self._head.address
-            self._address = _connect(address or "", local)
+            self._address = _connect(address or "")
             lifeline = self._head.lifeline if self._head is not None else None
             self._terms = node.Terms(name, threads, node.versions(), lifeline)
             self._work: Any = ray.remote(
@@ -143,12 +142,6 @@ class RayPool:
         except BaseException:
             self.close()
             raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
 
     @property
     def slots(self) -> int:
@@ -172,18 +165,9 @@ class RayPool:
 
     def submit(self, work: Work) -> None:
         """Submit work; see ``twinct.workers.Pool``."""
-        request = sent(work)
-        if work.memory_bytes > (most := self.most_memory_bytes):
-            raise MemoryShortageError(
-                f"work {work.key!r} needs {work.memory_bytes / 2**30:.2f} GiB of memory, but no "
-                f"node has more than {most / 2**30:.2f} GiB"
-            )
-        if self.closed or any(work.key == key for key, _ in self._running.values()):
-            raise ValueError(
-                "the pool is closed" if self.closed else f"{work.key!r}: submitted twice"
-            )
-        if missing := [name for name in work.inputs if name not in self._paths]:
-            raise ValueError(f"not offered to the pool: {', '.join(missing)}")
+        if self.closed:
+            raise ValueError("the pool is closed")
+        request = sent(work, self, [key for key, _ in self._running.values()], self._paths)
         with self._speaking():
             tickets = {name: self._ticket(name) for name in work.inputs}
             task = self._work.options(memory=work.memory_bytes or None, name="twinct")
@@ -261,7 +245,7 @@ class RayPool:
             return Died(key, "its node ran out of memory" if memory else "its worker was killed")
         except (failures.NodeDiedError, failures.ObjectLostError):
             return Died(key, "its node was lost", blamed=False)
-        except (failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError):
+        except self._lost:
             raise
         except failures.RayError as error:  # full disk or store: limit the retries
             return Died(key, f"Ray gave up on it: {_line(error)}")
@@ -306,7 +290,7 @@ class RayPool:
 
     def _look(self) -> None:
         """Raise if Ray does not answer; Ray itself waits a minute, and then ends the process."""
-        if not _answers(self._address) or (self._head is not None and not self._head.alive):
+        if not _answers(self._address):
             raise LinkError(f"Ray at {self._address} does not answer: the cluster is gone")
 
     @contextlib.contextmanager
@@ -314,29 +298,13 @@ class RayPool:
         """Turn all errors of a lost connection into one ``LinkError``."""
         try:
             yield
-        except (
-            self._ray.exceptions.RaySystemError,
-            self._ray.exceptions.LocalRayletDiedError,
-            self._ray.exceptions.RpcError,
-            ConnectionError,
-        ) as error:
+        except (*self._lost, ConnectionError) as error:
             raise LinkError(f"Ray at {self._address} does not answer: {_line(error)}") from error
 
 
-def _connect(address: str, local: bool) -> str:
+def _connect(address: str) -> str:
     """Join a cluster and return its address."""
-    if address != "auto" and not _answers(address, as_ray=True):
-        raise InputError(f"{address}: no Ray answers there; give HOST:PORT, auto or local")
     ray = node.ray_module()
-    from ray._private import ray_constants, worker
-
-    # Ray has read its environment at import; make it read the environment again.
-    ray._raylet.Config.initialize("")
-    ray._raylet.AuthenticationTokenLoader.instance().reset_cache()
-    # A local Ray listens on loopback only, which Ray's clients do not try otherwise.
-    ray_constants.ENABLE_RAY_CLUSTER = not local
-    # Events report deaths; suppress Ray's own messages.
-    worker.print_to_stdstream = lambda *_, **__: None
     handler = signal.getsignal(signal.SIGTERM)
     try:
         with _quiet():
@@ -363,14 +331,11 @@ def _quiet() -> Iterator[None]:
         os.close(kept)
 
 
-def _answers(address: str, *, as_ray: bool = False) -> bool:
-    """Return True if a server listens there; ``as_ray``: if it speaks gRPC over HTTP/2."""
+def _answers(address: str) -> bool:
+    """Return True if a server listens there."""
     host, _, port = address.rpartition(":")
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S) as connection:
-            if as_ray:
-                connection.sendall(_HELLO)
-                return connection.recv(9)[3:4] == _SETTINGS
+        with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S):
             return True
     except (OSError, ValueError):
         return False
