@@ -15,7 +15,7 @@ from twinct.core.files.writing import draft_of, storage_errors
 
 @dataclass(frozen=True)
 class Here:
-    """Parcel that is already on this machine."""
+    """Artifact that is already on this machine."""
 
     path: Path
 
