@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 import sys
 from pathlib import Path
 
@@ -13,7 +12,7 @@ if JOBS not in sys.path:
     sys.path.insert(0, JOBS)
 
 # Ray reads them once in a process.
-os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": secrets.token_hex(32)}
+os.environ |= {"RAY_AUTH_MODE": "token", "RAY_AUTH_TOKEN": "0123456789abcdef" * 4}
 
 # Of drivers and of the nodes of simulated clusters.
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [JOBS, os.environ.get("PYTHONPATH")]))

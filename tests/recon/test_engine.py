@@ -99,7 +99,7 @@ def test_either_engine_can_be_asked_for(pair, monkeypatch):
     with pytest.raises(InputError, match="engine is 'fast'; it must be vector or plain"):
         Projector(geometry, grid, engine="fast")
     monkeypatch.setenv(engine.ENGINE_VARIABLE, "slow")
-    with pytest.raises(InputError, match="TWINCT_ENGINE is 'slow': it must be vector or plain"):
+    with pytest.raises(InputError, match="TWINCT_ENGINE is 'slow'; it must be vector or plain"):
         Projector(geometry, grid)
 
 

@@ -23,7 +23,7 @@ from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
 from twinct.specimen import build_specimen
-from twinct.study.figures import figure_names, flat_figures
+from twinct.study.trial_figures import figure_names, flat_figures
 
 Tiny = Callable[..., Scenario]
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"

@@ -11,10 +11,9 @@ import pytest
 import trimesh
 
 import twinct
-from twinct.cli.export import export_scan
 from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry.wire import PosePairs
-from twinct.runs import Run, verify
+from twinct.runs import Run, export_scan, verify
 from twinct.scan import Scan, ScanStore
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import Scenario, load_scenario
@@ -60,7 +59,9 @@ def test_a_saved_scan_is_loaded_again(scan: Scan, tmp_path: Path) -> None:
     np.testing.assert_array_equal(twinct.reconstruct(again), twinct.reconstruct(scan))
     assert twinct.evaluate(again, twinct.reconstruct(again)).rmse_rel > 0
     assert not verify(path).problems and not verify(path.parent).problems
-    export_scan(path, "astra", "executed", "line-integrals", tmp_path / "export")
+    export_scan(
+        path, "astra", geometry="executed", values="line-integrals", out=tmp_path / "export"
+    )
 
 
 def test_it_is_what_a_run_stores_and_a_run_goes_on_from_it(scan: Scan, tmp_path: Path) -> None:

@@ -82,6 +82,7 @@ RENAMED = {
     "twinct.settings": "twinct.core.settings",
     "twinct.shadow": "twinct.recon.shadow",
     "twinct.study.book": "twinct.study.timings",
+    "twinct.study.figures": "twinct.study.trial_figures",
     "twinct.study.shelf": "twinct.study.cache",
     "twinct.study.taking": "twinct.study.trial",
     "twinct.threads": "twinct.core.threads",

@@ -17,7 +17,7 @@ from twinct.runs import Need, needs
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.materials import material
 from twinct.study.design import Design, Trial
-from twinct.study.figures import figure_names
+from twinct.study.trial_figures import figure_names
 
 MOST_PROBLEMS = 20
 """Number of problems after which checking stops."""

@@ -38,8 +38,8 @@ from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_dig
 from twinct.specimen import BuiltSpecimen
 from twinct.study.cache import Cache
 from twinct.study.estimate import bytes_below
-from twinct.study.figures import flat_figures
 from twinct.study.sections import packed_sections
+from twinct.study.trial_figures import flat_figures
 from twinct.workers import Made, Place
 from twinct.workers.artifact import Here, remove
 
