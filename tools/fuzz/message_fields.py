@@ -113,7 +113,7 @@ class _Recorded:
 
     def answers(self, view: int) -> dict[Topic, bytes]:
         """Return the messages that answered the target of a view, by topic."""
-        told = deserialize_message(self.of(VIEWS)[view], VIEWS.kind)
+        told = deserialize_message(self.of(VIEWS)[view], VIEWS.message_class)
         stamp = Stamp.of(told.header.stamp)
         return {
             topic: next(data for data in self.of(topic) if _stamp(_message(topic, data)) == stamp)
