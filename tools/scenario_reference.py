@@ -118,9 +118,9 @@ the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key
 - [an export format](exchange.md#add-a-format): a function, a script, a `Format`
 
 Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is made of
-them. A key `path` or `file` is an input file, in any section: its path is made absolute, it must
-exist, and its content counts. An entry point that fails, or whose name is taken, is reported with
-its package, and only what names it is refused. `tests/extension` is a whole package.
+them. A key `path`, `file` or `plan` is an input file, in any section: its path is made absolute, it
+must exist, and its content counts. An entry point that fails, or whose name is taken, is reported
+with its package, and only what names it is refused. `tests/extension` is a whole package.
 """
 
 UNITS = {

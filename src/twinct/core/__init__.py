@@ -1,1 +1,1 @@
-"""Foundations of every package: errors, files, draws, threads, memory, progress and extensions."""
+"""Foundations of all packages: errors, files, draws, threads, memory, progress and extensions."""
