@@ -58,23 +58,37 @@ made from them.
 
 EXTENSIONS = """## Extensions of your own
 
-A package of yours can add algorithms, trajectories, X-ray engines, figures,
-[objectives of a plan](planning.md#add-an-objective) and
-[export formats](exchange.md#add-a-format). It names them as entry points, and where it is installed
-they are known to the command line, the ROS 2 nodes and Python alike:
+A package of yours can add algorithms, trajectories, objectives of a plan, figures, X-ray engines
+and export formats. It names them as entry points. Where it is installed (`pip install .` in its
+folder), the command line, the ROS 2 nodes and Python know them alike:
 
 ```toml
 [project.entry-points."twinct.algorithms"]
 landweber = "my_package.landweber:LANDWEBER"
 [project.entry-points."twinct.trajectories"]
 zigzag = "my_package.zigzag:ZIGZAG"
+[project.entry-points."twinct.objectives"]
+level = "my_package.level:LEVEL"
 [project.entry-points."twinct.figures"]
 tails = "my_package.tails:TAILS"
 [project.entry-points."twinct.xray_engines"]
 analytic = "my_package.analytic:ANALYTIC"
+[project.entry-points."twinct.exports"]
+mine = "my_package.mine:MINE"
 ```
 
+A trajectory, for example, is its keys, a function, and a `Family`:
+
 ```python
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from twinct.geometry import Panel, ScanGeometry
+from twinct.trajectory import Family, OrbitSettings, on_sphere, orbit_views, stops
+
+
 class Zigzag(OrbitSettings):
     \"\"\"An arc whose views lie above and below it in turn.\"\"\"
 
@@ -93,15 +107,20 @@ def views(section: Zigzag, panel: Panel) -> ScanGeometry:
 ZIGZAG = Family(Zigzag, views)
 ```
 
-`OrbitSettings` brings the keys of all orbits; `TrajectorySettings` none. All of it comes from
-`twinct.trajectory` and `twinct.geometry`; an algorithm is settings (`AlgorithmSettings`), a
-function and an `Algorithm`, from `twinct.recon.algorithm` ([more](reconstruction.md)). A kind of
-figures is explained [with an example](figures.md#add-a-figure); an X-ray engine is
-[a class and an `EngineChoice`](physics.md#another-x-ray-engine). Such a module must not import
-`twinct.scenario`, which is made of it. A key `path`, in any section, is an input file: made
-absolute, it must exist, and it counts by its content. An entry point that fails, or whose name is
-taken, is reported with its package and stops nobody who does not name it. `tests/extension` is a
-whole example.
+`OrbitSettings` has the keys of all orbits, `TrajectorySettings` none. The name of an entry point is
+the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of `task` or
+`evaluation`, or the value of `--to`. The other kinds:
+
+- [an algorithm](reconstruction.md#an-algorithm-of-your-own): settings, a function, an `Algorithm`
+- [an objective of a plan](planning.md#add-an-objective): keys, a measure, an `Objective`
+- [a kind of figures](figures.md#add-a-figure): settings, a formula, a `FigureKind`
+- [an X-ray engine](physics.md#another-x-ray-engine): a class, an `EngineChoice`
+- [an export format](exchange.md#add-a-format): a function, a script, a `Format`
+
+Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is made of
+them. A key `path`, `file` or `plan` is an input file, in any section: its path is made absolute, it
+must exist, and its content counts. An entry point that fails, or whose name is taken, is reported
+with its package, and only what names it is refused. `tests/extension` is a whole package.
 """
 
 UNITS = {

@@ -1,4 +1,4 @@
-"""Workers import what they do by name: the jobs are those of the pool's tests."""
+"""Workers import what they do by name: the jobs are those of the tests of workers."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Foundations of every room: errors, files, draws, threads, memory, progress and extensions."""
+"""Foundations of all packages: errors, files, draws, threads, memory, progress and extensions."""

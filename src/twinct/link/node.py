@@ -83,7 +83,7 @@ class Diagnostics:
     """
 
     def __init__(self, station: Station, tell: Callable[[str], None] = say) -> None:
-        """Report for a station's node, and repeat each report to the process that started it."""
+        """Report for a node, and repeat each report to the process that started it."""
         self._station = station
         self.tell = tell
         self.strangers: dict[tuple[str, str], str] = {}

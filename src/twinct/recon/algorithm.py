@@ -26,8 +26,8 @@ from twinct.recon.volume import Volume
 class AlgorithmSettings(Section):
     """Keys of one algorithm; ``algorithm`` is a Literal of its name, and defaults to it.
 
-    A key named ``path`` or ``file`` is an input file: its path is made absolute, it must exist, and
-    its content counts.
+    A key named ``path``, ``file`` or ``plan`` is an input file: its path is made absolute, it must
+    exist, and its content counts.
     """
 
 

@@ -48,8 +48,8 @@ class Cost:
     """Resources of one kind of trials.
 
     Attributes:
-        scan: name of the kind of scan in the book.
-        rest: name of the kind of all later stages in the book.
+        scan: name of the kind of scan in the timings.
+        rest: name of the kind of all later stages in the timings.
         stages: needs of each stage of a run.
     """
 

@@ -225,7 +225,7 @@ class Driver:
             self._leave(one)
 
     def book_around(self, wall_s: float) -> None:
-        """Book the time of a study beside its trials: start of workers, table, page."""
+        """Record the time of a study beside its trials: start of workers, table, page."""
         if self._ended:
             book = Book.open()
             busy_s = self._busy_s / min(self._slots, self._ended)
@@ -237,7 +237,7 @@ class Driver:
         self._book.add(kind, seconds)
 
     def _count_trial(self, one: Checked, event: Done, kept: Path | None) -> None:
-        """Book seconds and bytes of a trial; count its own scan separately."""
+        """Record seconds and bytes of a trial; count its own scan separately."""
         spent, scan_s = event.value["seconds"], 0.0
         if one.scan not in self._scans:
             scan_s = sum(spent.get(stage, 0.0) for stage in _SCAN_STAGES)

@@ -17,7 +17,7 @@ ROW_BYTES = 2_000
 TABLE_BYTES = 30_000
 SECTIONS_BYTES = 100_000
 PAGE_BYTES = 150_000
-"""Sizes that are assumed until the book has values of this machine."""
+"""Sizes that are assumed until the timings have values of this machine."""
 
 BYTES_IN_TABLE = 250
 """Bytes of a row in the table of results; the columns' fixed size is ``TABLE_BYTES``."""
@@ -76,7 +76,7 @@ def estimate(study: Study, trials: Sequence[Checked], workers: int, book: Book) 
 
 
 def page_kind(study: Study) -> str:
-    """Return the name of the kind of a study's page in the book."""
+    """Return the name of the kind of a study's page in the timings."""
     return f"page {len(study.axes)} {len(study.figures)} bytes"
 
 

@@ -27,7 +27,7 @@ class Book:
 
     @classmethod
     def open(cls) -> Book:
-        """Read the book; return an empty one if the file is absent or unreadable."""
+        """Read the statistics; return empty ones if the file is absent or unreadable."""
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         path = Path(base) / "twinct" / "study.json"
         try:
@@ -48,7 +48,7 @@ class Book:
         return self.entries[kind][1] if kind in self.entries else None
 
     def write(self) -> None:
-        """Write the book; only log a failure, as no study should fail for its estimates."""
+        """Write the statistics; only log a failure, as no study should fail for its estimates."""
         told = {kind: list(entry) for kind, entry in self.entries.items()}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)

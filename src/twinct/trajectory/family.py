@@ -18,8 +18,8 @@ from twinct.geometry import Floats, Panel, ScanGeometry
 class TrajectorySettings(Section):
     """Keys of one family; ``kind`` is a Literal of its name.
 
-    A key named ``path`` or ``file`` is an input file: its path is made absolute, it must exist, and
-    its content counts.
+    A key named ``path``, ``file`` or ``plan`` is an input file: its path is made absolute, it must
+    exist, and its content counts.
     """
 
 

@@ -1,7 +1,7 @@
 """Objectives: settings, and the measure that they make for candidate views.
 
 Each objective's file ends with its ``Objective``. Objectives from outside the package come from the
-entry points of the group ``twinct.recon.objectives``.
+entry points of the group ``twinct.objectives``.
 """
 
 from __future__ import annotations
