@@ -16,6 +16,7 @@ import pytest
 
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.exchange import BUILT_IN, Bundle, bundle_bytes, write_bundle
+from twinct.exchange.format import Format
 from twinct.geometry import Panel, ScanGeometry, VolumeGrid
 
 
@@ -122,3 +123,8 @@ def test_the_files_of_a_format_stay_as_they_are(toolkit, tmp_path) -> None:
         else:
             content.update(file.read_bytes())
     assert content.hexdigest() == CONTENTS[toolkit]
+
+
+def test_the_name_of_a_format_is_part_of_a_folders_name() -> None:
+    with pytest.raises(ValueError, match="name 'a/b': use letters"):
+        Format("a/b", "", {}, lambda bundle, out: None, "")

@@ -6,6 +6,7 @@ points of the group ``twinct.exports``.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
@@ -70,6 +71,15 @@ class Format:
     check: Callable[[Bundle], object] = lambda bundle: None
     usage: Callable[[VolumeGrid], str] = lambda grid: ""
     ending: Callable[[VolumeGrid], str] = lambda grid: ""
+
+    def __post_init__(self) -> None:
+        """Check the name, which becomes part of a folder's name.
+
+        Raises:
+            ValueError: the name has other characters than letters, digits, hyphens, underscores.
+        """
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", self.name):
+            raise ValueError(f"name {self.name!r}: use letters, digits, hyphens and underscores")
 
 
 def own_script(name: str) -> str:

@@ -73,6 +73,19 @@ def _write_plan(root: Any, plan: MotionPlan) -> None:
             group.create_array(name, data=values, chunks=values.shape, compressors=whole)
 
 
+def _attributes(
+    scenario: Scenario, joint_names: tuple[str, ...], digests: dict[str, str] | None
+) -> dict[str, Any]:
+    panel = scenario.detector.panel
+    return {
+        "format": FORMAT,
+        "digests": digests or kept_digests(scenario),
+        "scenario": scenario.resolved(),
+        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
+        "joint_names": list(joint_names),
+    }
+
+
 def write_frame(
     path: Path,
     scenario: Scenario,
@@ -90,15 +103,7 @@ def write_frame(
     zarr: Any = _zarr  # typed in part only
     views, panel = len(commanded), scenario.detector.panel
     group: Any = zarr.create_group(str(path), zarr_format=3)
-    group.attrs.update(
-        {
-            "format": FORMAT,
-            "digests": digests or kept_digests(scenario),
-            "scenario": scenario.resolved(),
-            "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
-            "joint_names": list(joint_names),
-        }
-    )
+    group.attrs.update(_attributes(scenario, joint_names, digests))
     last: list[str] = []
 
     def add(name: str, shape: tuple[int, ...], dtype: str = "f8", compressed: bool = False) -> None:

@@ -102,15 +102,22 @@ def best_path(
         progress=progress,
     )
     if found.worth <= MISSED:
-        ((_, words),) = _judged(builder, _Piece(reference, None, [found.parameters]))
-        near = ", ".join(f"{key} {value:.3g}" for key, value in found.parameters.items())
-        raise InputError(
-            f"task.family: no tried path is feasible; the nearest, with {near}, {words}; try wider "
-            "bounds, fewer keys, motion.detector_roll: free, or more task.family.generations"
-        )
+        raise _infeasible(builder, reference, found.parameters)
     section = _section(builder, task, found.parameters)
     views = commanded_views(section, builder.scenario.detector.panel)
     return TunedPath(section, found.parameters, views, found.history)
+
+
+def _infeasible(
+    builder: SimulationBuilder, reference: ScanGeometry, nearest: Mapping[str, float]
+) -> InputError:
+    """Return the refusal of a search without any feasible path."""
+    ((_, words),) = _judged(builder, _Piece(reference, None, [nearest]))
+    near = ", ".join(f"{key} {value:.3g}" for key, value in nearest.items())
+    return InputError(
+        f"task.family: no tried path is feasible; the nearest, with {near}, {words}; try wider "
+        "bounds, fewer keys, motion.detector_roll: free, or more task.family.generations"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,8 @@ from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
 from twinct.robots.calibrated_arms import CalibratedArms
 from twinct.runs.propagating import nominal_scan
 from twinct.scan import SimulationBuilder
+from twinct.scenario import Scenario
+from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.propagation import draw, project
 from twinct.view_planning.task_goals import goals_of
 
@@ -61,17 +63,8 @@ def rejudged(
     task = scenario.task
     assert task is not None
     scan, panel = nominal_scan(builder), scenario.detector.panel
-    told_by = None
-    if file := scenario.uncertainty.calibration:
-        source, detector = scan.chains
-        told_by = CalibratedArms.read(file, (source, detector)).tool
     views = len(scan.time_s)
-    seeds = scenario.seed, scenario.arms_seed
-    parts = list(draw(scenario.uncertainty, scan, draws, *seeds, told_by))
-    true, believed = (
-        np.concatenate([getattr(one, name) for _, one in parts], axis=2)
-        for name in ("true", "believed")
-    )
+    true, believed = _drawn_poses(scenario, scan, draws)
     planned = _geometry(scan.poses[0], scan.poses[1], panel)
     executed = [_geometry(true[0, k], true[1, k], panel) for k in range(draws)]
     place = builder.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
@@ -94,6 +87,21 @@ def rejudged(
         )
         found[goal.name] = Rejudged(planned_figure, np.array(drawn))
     return found, blur
+
+
+def _drawn_poses(scenario: Scenario, scan: NominalScan, draws: int) -> tuple[Floats, Floats]:
+    """Return true and believed poses of both tools in each draw, as ``draw`` does."""
+    told_by = None
+    if file := scenario.uncertainty.calibration:
+        source, detector = scan.chains
+        told_by = CalibratedArms.read(file, (source, detector)).tool
+    seeds = scenario.seed, scenario.arms_seed
+    parts = list(draw(scenario.uncertainty, scan, draws, *seeds, told_by))
+    true, believed = (
+        np.concatenate([getattr(one, name) for _, one in parts], axis=2)
+        for name in ("true", "believed")
+    )
+    return true, believed
 
 
 def _geometry(sources: Floats, detectors: Floats, panel: Panel) -> ScanGeometry:

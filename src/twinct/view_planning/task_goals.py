@@ -75,8 +75,9 @@ def _goal(
     if isinstance(section, MoreIsBetter):
         if not unit > 0:
             raise InputError(
-                f"task.{name} is 0 for views spread evenly over all reachable ones, as only few "
-                "see the region (task.position_mm); every view sees the isocentre of the trajectory"
+                f"task.{name} is 0 for views spread evenly over all reachable ones, so relative "
+                "values are undefined; if only few of them see the region, move it "
+                "(task.position_mm): every view sees the isocentre of the trajectory"
             )
         least = None if section.at_least_rel is None else section.at_least_rel * unit
         return Goal(name, measure, section.weight, unit, at_least=least)
