@@ -23,6 +23,7 @@ from twinct.geometry import Panel, Pose, ScanGeometry
 if TYPE_CHECKING:
     import trimesh
     from xdist.remote import Producer
+    from xdist.workermanage import WorkerController
 
     from twinct.robots.cell import CellModel
 
@@ -78,6 +79,9 @@ numba_event.register("numba:compile", _compilations)
 TOGETHER = {"cluster": "pools", "workers": "pools", "study": "pools"}
 """Folders that share a worker: of pools of processes, one at a time is enough for a machine."""
 
+FIRST = ("pools", "test_same_bytes.py", "test_extensions.py", "test_browser.py", "test_fuzz.py")
+"""Scopes that take longest: they start first, so that no worker works alone at the end."""
+
 LAST = "test_rtk.py"
 """Files that load ITK: they come last in one worker, as gVXR aborted once after them."""
 
@@ -96,6 +100,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadSco
             if Path(file).name == LAST:
                 return LAST
             return next((TOGETHER[part] for part in Path(file).parts if part in TOGETHER), file)
+
+        def _assign_work_unit(self, node: WorkerController) -> None:
+            waiting = {Path(scope).name: scope for scope in self.workqueue}
+            if first := next((waiting[name] for name in FIRST if name in waiting), None):
+                self.workqueue.move_to_end(first, last=False)
+            super()._assign_work_unit(node)
 
         def schedule(self) -> None:
             super().schedule()

@@ -104,7 +104,7 @@ def test_a_server_without_ray_is_refused_and_a_token_comes_before_ray() -> None:
             capture_output=True,
             text=True,
             timeout=HANG_S,
-            env=without_token() | {"RAY_gcs_server_request_timeout_seconds": "3"},
+            env=without_token() | {"RAY_gcs_rpc_server_connect_timeout_s": "1"},
         )
     joined, local = done.stdout.splitlines()
     assert joined.startswith(f"{address}: cannot connect to the Ray there")
