@@ -276,11 +276,10 @@ def without_gvxr(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 
 @pytest.mark.tutorial
 @pytest.mark.process
-@pytest.mark.ros
 @pytest.mark.usefixtures("without_gvxr")
 def test_another_engine_images_a_whole_scan_without_gvxr(installed: Path, scenario: Path) -> None:
     out, blurred = scenario.parent / "out", "source.focal_spot={kind: square, size_mm: 1}"
-    command = ["run", scenario, "--out", out, "--link", "ros2", "--set"]
+    command = ["run", scenario, "--out", out, "--link", "local", "--set"]
     refused = twinct(installed, *command, "xray.engine=gvxr")
     assert refused.returncode != 0 and "gVXR cannot be loaded: blocked" in refused.stderr
     changes = ["xray.engine=analytic", "--set", blurred, "--set", "source.focal_spot.samples=2"]

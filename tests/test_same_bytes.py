@@ -164,10 +164,11 @@ def test_runs(name: str, tmp_path: Path, builder: Callable[[str], SimulationBuil
 
 @pytest.mark.tutorial
 @pytest.mark.ros
-@pytest.mark.parametrize("name", [*SMALL, "demo"])
+@pytest.mark.parametrize("name", ["lag", "demo"])
 def test_scans_over_ros(
     name: str, tmp_path: Path, builder: Callable[[str], SimulationBuilder]
 ) -> None:
+    """Take the demo and a scan with lag; other physics: ``link/test_rig_contract.py``."""
     same(scanned(name, "ros2", tmp_path, builder(name)), name, without=OF_THE_SCAN)
 
 

@@ -35,7 +35,7 @@ def study(keep: str, seeds: list[int], relaxations: list[float]) -> dict[str, An
     }
 
 
-@pytest.mark.parametrize("keep", ["figures", "volume", "everything"])
+@pytest.mark.parametrize("keep", ["figures", "everything"])
 def test_the_disk_is_known_after_one_trial(keep: str, warm, tmp_path: Path) -> None:
     run_study(study(keep, [0], [0.3]), tmp_path / "one")
     many = study(keep, [1, 2], [0.2, 0.4])
