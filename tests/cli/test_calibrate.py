@@ -130,9 +130,13 @@ def test_each_method_has_its_own_options_alone(calls, method: str, capfd) -> Non
     assert calls.arguments() == []
 
 
-def test_an_unknown_method_is_refused(calls, capfd) -> None:
-    assert run_command(["calibrate", "out/a", "--with", "bead"]) == 2
-    told = "--with bead: unknown; choose from beads, balls, self, kinematics"
+@pytest.mark.parametrize(
+    ("words", "method"),
+    [(["out/a", "--with", "bead"], "bead"), (["--with="], ""), (["out/a", "--with"], "")],
+)
+def test_an_unknown_method_is_refused(calls, capfd, words: list[str], method: str) -> None:
+    assert run_command(["calibrate", *words]) == 2
+    told = f"--with {method}: unknown; choose from beads, balls, self, kinematics"
     assert told in capfd.readouterr().err
     assert calls.arguments() == []
 

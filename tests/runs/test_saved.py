@@ -96,8 +96,9 @@ def test_nothing_is_overwritten_or_left_half(
             scan.save(path)
     assert {file.name for file in tmp_path.iterdir()} == {"inputs"}
     (tmp_path / "scan.zarr.new").mkdir()
-    (tmp_path / "scan.zarr.new" / "zarr.json").write_text("of a save that was killed")
+    (tmp_path / "scan.zarr.new" / "zarr.json").write_text("of somebody else")
     scan.save(path)
+    assert (tmp_path / "scan.zarr.new" / "zarr.json").read_text() == "of somebody else"
     before = contents(tmp_path)
     with pytest.raises(ScanExistsError, match=r"scan\.zarr exists already"):
         scan.save(path)

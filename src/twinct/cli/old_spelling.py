@@ -21,16 +21,16 @@ def respelled(arguments: Sequence[str]) -> list[str]:
     """
     if arguments[:1] != ["calibrate"] or arguments[1:2] in ([], ["-h"], ["--help"]):
         return list(arguments)
-    method, others, words = "", list[str](), iter(arguments[1:])
+    method, others, words = None, list[str](), iter(arguments[1:])
     for word in words:
         key, equals, value = word.partition("=")
         if key == "--with":
-            method = value if equals else next(words, "nothing")
+            method = value if equals else next(words, "")
         else:
             others.append(word)
-    if not method and others[0] in METHODS:
+    if method is None and others[0] in METHODS:
         return list(arguments)
-    method = method or "beads"
+    method = "beads" if method is None else method
     if method not in METHODS:
         raise InputError(f"--with {method}: unknown; choose from {', '.join(METHODS)}")
     new = ["calibrate", method, *others]

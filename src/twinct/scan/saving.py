@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -33,10 +34,10 @@ def save_scan(scan: Scan, path: Path) -> None:
         raise ScanExistsError(f"{path} exists already: choose another path")
     acquired = _acquired(scan)
     check_space(path.parent, scan.scenario, len(scan))
-    draft = path.with_name(path.name + ".new")
     with storage_errors(path):
-        shutil.rmtree(draft, ignore_errors=True)
         path.parent.mkdir(parents=True, exist_ok=True)
+        drafts = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
+        draft = drafts / path.name
         try:
             write_frame(
                 draft,
@@ -53,7 +54,7 @@ def save_scan(scan: Scan, path: Path) -> None:
                 store.write(index, View(scan.transmission[index], reached))
             draft.rename(path)
         finally:
-            shutil.rmtree(draft, ignore_errors=True)
+            shutil.rmtree(drafts, ignore_errors=True)
 
 
 def _acquired(scan: Scan) -> Acquired:
