@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 import pytest
+from crashes import CrashReport
 from numba.core import event as numba_event
 from scipy.spatial.transform import Rotation
-from xdist.scheduler import LoadFileScheduling, LoadScopeScheduling
+from scopes import Scopes
 
 from twinct.core.threads import available_threads, limit_threads
 from twinct.geometry import Panel, Pose, ScanGeometry
@@ -23,7 +24,6 @@ from twinct.geometry import Panel, Pose, ScanGeometry
 if TYPE_CHECKING:
     import trimesh
     from xdist.remote import Producer
-    from xdist.workermanage import WorkerController
 
     from twinct.robots.cell import CellModel
 
@@ -76,42 +76,14 @@ _compilations = _Compilations()
 numba_event.register("numba:compile", _compilations)
 
 
-TOGETHER = {"cluster": "pools", "workers": "pools", "study": "pools"}
-"""Folders that share a worker: of pools of processes, one at a time is enough for a machine."""
-
-FIRST = ("pools", "test_same_bytes.py", "test_extensions.py", "test_browser.py", "test_fuzz.py")
-"""Scopes that take longest: they start first, so that no worker works alone at the end."""
-
-LAST = "test_rtk.py"
-"""Files that load ITK: they come last in one worker, as gVXR aborted once after them."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Report the stacks of a worker that crashes."""
+    config.pluginmanager.register(CrashReport())
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LoadScopeScheduling:
-    """Give each file to one worker, and all files that start pools, or Ray, to one of them.
-
-    So two crowds of processes at most run at once with two workers: a pool or Ray, and a scan over
-    ROS 2 or a command.
-    """
-
-    class Scopes(LoadFileScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            file = super()._split_scope(nodeid)
-            if Path(file).name == LAST:
-                return LAST
-            return next((TOGETHER[part] for part in Path(file).parts if part in TOGETHER), file)
-
-        def _assign_work_unit(self, node: WorkerController) -> None:
-            waiting = {Path(scope).name: scope for scope in self.workqueue}
-            if first := next((waiting[name] for name in FIRST if name in waiting), None):
-                self.workqueue.move_to_end(first, last=False)
-            super()._assign_work_unit(node)
-
-        def schedule(self) -> None:
-            super().schedule()
-            if (last := self.workqueue.pop(LAST, None)) is not None:
-                self.workqueue[LAST] = last
-
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Scopes:
+    """Give each file to one worker, and all files that start pools, or Ray, to one of them."""
     return Scopes(config, log)
 
 
