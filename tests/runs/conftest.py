@@ -1,6 +1,7 @@
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -36,8 +37,17 @@ def finished(tiny: Callable[..., Scenario], tmp_path_factory: pytest.TempPathFac
     return run(tiny(), tmp_path_factory.mktemp("run") / "out", link="local")
 
 
-@pytest.fixture
-def unreported(monkeypatch: pytest.MonkeyPatch) -> None:
+@contextmanager
+def no_report() -> Iterator[None]:
     """Leave the report of a run out, which takes longest to draw; its figures are there."""
-    monkeypatch.setattr("twinct.runs.reporting.draw_pictures", lambda _: {})
-    monkeypatch.setattr("twinct.runs.reporting.write_report", lambda *_: None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("twinct.runs.reporting.draw_pictures", lambda _: {})
+        patch.setattr("twinct.runs.reporting.write_report", lambda *_: None)
+        yield
+
+
+@pytest.fixture
+def unreported() -> Iterator[None]:
+    """Leave the reports of a test's runs out."""
+    with no_report():
+        yield

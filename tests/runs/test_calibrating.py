@@ -16,6 +16,8 @@ from twinct.core.errors import CalibrationError, InputError
 from twinct.runs import load_scan, reconstruct_again
 from twinct.scenario import load_scenario
 
+from .conftest import no_report
+
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 KEYS = [
     "cell={kind: gantry}",
@@ -35,7 +37,8 @@ BALLS = (
 def balls(tmp_path_factory):
     """A phantom's scan of two views."""
     scenario = load_scenario(SCENARIOS / "balls.yaml", [*KEYS, BALLS])
-    return run(scenario, tmp_path_factory.mktemp("balls") / "out", link="local").paths.path
+    with no_report():
+        return run(scenario, tmp_path_factory.mktemp("balls") / "out", link="local").paths.path
 
 
 def off_px(scan, name):
@@ -131,7 +134,8 @@ def stuck(tmp_path_factory):
     ]
     keys = [*KEYS, f"specimen.parts=[{', '.join(parts)}]", "trajectory.views=8"]
     scenario = load_scenario(SCENARIOS / "balls.yaml", keys)
-    return run(scenario, tmp_path_factory.mktemp("stuck") / "out", link="local").paths.path
+    with no_report():
+        return run(scenario, tmp_path_factory.mktemp("stuck") / "out", link="local").paths.path
 
 
 def test_balls_on_the_specimen_tell_the_geometry_of_their_own_scan(stuck):

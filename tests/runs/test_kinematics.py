@@ -18,6 +18,8 @@ from twinct.runs.propagating import errors_of
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 
+from .conftest import no_report
+
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 KEYS = [
     "detector={columns: 160, rows: 120, pixel_pitch_mm: 2.0, pixel_samples: 4}",
@@ -41,14 +43,16 @@ LATER = [
 def balls(tmp_path_factory):
     """A phantom's scan along the paper's path."""
     scenario = load_scenario(SCENARIOS / "balls.yaml", [*KEYS, BALLS, "trajectory.views=20"])
-    return run(scenario, tmp_path_factory.mktemp("balls") / "out", link="local").paths.path
+    with no_report():
+        return run(scenario, tmp_path_factory.mktemp("balls") / "out", link="local").paths.path
 
 
 @pytest.fixture(scope="module")
 def later(tmp_path_factory):
     """A scan of something else along another path."""
     scenario = load_scenario(SCENARIOS / "demo.yaml", [*KEYS, *LATER])
-    return run(scenario, tmp_path_factory.mktemp("later") / "out", link="local").paths.path
+    with no_report():
+        return run(scenario, tmp_path_factory.mktemp("later") / "out", link="local").paths.path
 
 
 @pytest.fixture(scope="module")

@@ -106,6 +106,7 @@ def test_wrong_objects_are_refused_where_they_come_in(gantry: Scenario) -> None:
         twinct.simulate(gantry, builder=SimulationBuilder(gantry), seed=2)
 
 
+@pytest.mark.usefixtures("unreported")
 def test_a_run_keeps_its_objects_and_moves_with_them(gantry: Scenario, tmp_path: Path) -> None:
     out = tmp_path / "out"
     mine = {"specimen": block(), "trajectory": turned()}

@@ -64,6 +64,7 @@ def test_a_saved_scan_is_loaded_again(scan: Scan, tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.usefixtures("unreported")
 def test_it_is_what_a_run_stores_and_a_run_goes_on_from_it(scan: Scan, tmp_path: Path) -> None:
     scan.save(tmp_path / "mine" / "scan.zarr")
     made = twinct.run(scan.scenario, tmp_path / "mine", link="local", resume=True)

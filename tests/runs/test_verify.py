@@ -94,6 +94,7 @@ def test_every_damage_is_named_and_none_is_read(folder: Path, figure) -> None:
     assert named == CHANGES + DELETIONS
 
 
+@pytest.mark.usefixtures("unreported")
 def test_a_run_goes_on_with_a_damaged_store_and_mends_it(
     folder: Path, finished: Run, figure
 ) -> None:
@@ -110,6 +111,7 @@ def test_a_run_goes_on_with_a_damaged_store_and_mends_it(
     figure(f"{len(hit)} damages at once, {10 - len(whole)} of 10 views: equal bytes")
 
 
+@pytest.mark.usefixtures("unreported")
 def test_a_finished_run_whose_last_view_is_lost_is_not_complete(
     folder: Path, finished: Run
 ) -> None:
