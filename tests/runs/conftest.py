@@ -39,10 +39,10 @@ def finished(tiny: Callable[..., Scenario], tmp_path_factory: pytest.TempPathFac
 
 @contextmanager
 def no_report() -> Iterator[None]:
-    """Leave the report of a run out, which takes longest to draw; its figures are there."""
+    """Leave the report of a run empty, as it takes longest to draw; the figures are there."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("twinct.runs.reporting.draw_pictures", lambda _: {})
-        patch.setattr("twinct.runs.reporting.write_report", lambda *_: None)
+        patch.setattr("twinct.runs.reporting.write_report", lambda path, *_: path.touch())
         yield
 
 
