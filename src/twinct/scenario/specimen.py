@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from twinct.core.settings import (
     Conflict,
@@ -123,12 +123,31 @@ class MeshFile(Section):
     centre: bool = setting(False, "Move the centre of its bounding box to the part's origin.")
 
 
+class HuLine(Section):
+    """Line from a file's values to HU: slope times value plus intercept."""
+
+    slope: Finite = setting(1.0, "HU per unit of the file's values, not 0.")
+    intercept: Finite = setting(0.0, "HU of the value 0.")
+
+    @field_validator("slope")
+    @classmethod
+    def _rises_or_falls(cls, slope: float) -> float:
+        if slope == 0:
+            raise ValueError("must not be 0, which makes all values equal")
+        return slope
+
+
 class CtVolume(Section):
     """A CT volume, segmented at a threshold into a closed surface."""
 
     kind: Literal["ct"]
     path: Path = Field(
         description="NIfTI file, folder of one DICOM series, or InVesalius .inv3 file."
+    )
+    hu: HuLine | None = setting(
+        None,
+        "Line from the file's values, after its own rescaling, to HU; null: they are HU, and a "
+        "file whose values cannot be HU is refused.",
     )
     threshold_hu: Finite = setting(300.0, "Everything above this value is bone.")
     smoothing_mm: NonNegative = setting(0.0, "Sigma of a Gaussian filter before the threshold.")

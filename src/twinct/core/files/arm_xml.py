@@ -13,6 +13,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from twinct.core.errors import ScenarioError
+from twinct.core.files.boundary import no_file
 from twinct.core.files.reading import reason
 
 LARGEST_BYTES = 16 * 2**20
@@ -83,9 +84,8 @@ class _Plain(ElementTree.TreeBuilder):
 
 
 def _parsed(path: Path, where: str) -> Any:
-    if not path.is_file():
-        there = "is a folder" if path.is_dir() else "is not a regular file"
-        raise ScenarioError(f"{where} {there if path.exists() else 'does not exist'}")
+    if why := no_file(path):
+        raise ScenarioError(f"{where} {why}")
     if (size := path.stat().st_size) > LARGEST_BYTES:
         raise ScenarioError(f"{where} has {size} bytes; the limit is {LARGEST_BYTES}")
     try:

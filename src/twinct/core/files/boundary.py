@@ -12,6 +12,7 @@ import os
 import stat
 from collections.abc import Generator
 from pathlib import Path
+from typing import BinaryIO
 
 from twinct.core.errors import InputError, TwinctError
 from twinct.core.files.reading import reason
@@ -19,6 +20,9 @@ from twinct.core.memory import available_bytes
 
 LONGEST_REASON = 300
 """Largest number of characters of a library's message."""
+
+_IRREGULAR = {stat.S_IFIFO: "FIFO", stat.S_IFSOCK: "socket"}
+"""Names of irregular files; all others are devices."""
 
 
 def absolute(folder: Path, name: str) -> Path:
@@ -45,7 +49,9 @@ def no_file(path: Path, *, folder: bool = False) -> str:
         return f"cannot be read: {shortened(reason(error))}"
     if stat.S_ISREG(mode) or (folder and stat.S_ISDIR(mode)):
         return ""
-    return "is a folder; a file is needed" if stat.S_ISDIR(mode) else "is not a regular file"
+    if stat.S_ISDIR(mode):
+        return "is a folder; a file is needed"
+    return f"is a {_IRREGULAR.get(stat.S_IFMT(mode), 'device')}, not a regular file"
 
 
 def file_bytes(
@@ -70,6 +76,27 @@ def file_bytes(
     return size
 
 
+@contextlib.contextmanager
+def open_regular(
+    path: Path, where: str, kind: type[InputError] = InputError
+) -> Generator[BinaryIO, None, None]:
+    """Open a regular file for reading, without waiting for the writer of a FIFO.
+
+    Raises:
+        InputError: of this ``kind``; the file is not regular, or cannot be read.
+    """
+    if why := no_file(path):
+        raise kind(f"{where} {why}")
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as stream:
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # replaced meanwhile
+                raise kind(f"{where} is not a regular file")
+            yield stream
+    except OSError as error:
+        raise kind(f"{where} cannot be read: {reason(error)}") from None
+
+
 def read_bytes(path: Path, where: str, most: int, kind: type[InputError] = InputError) -> bytes:
     """Read a regular file of at most ``most`` bytes.
 
@@ -79,16 +106,10 @@ def read_bytes(path: Path, where: str, most: int, kind: type[InputError] = Input
         InputError: of this ``kind``; the file cannot be read, or is larger.
     """
     size, data = file_bytes(path, where, most, kind), bytearray()
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb") as stream:
-            if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # replaced meanwhile
-                raise kind(f"{where} is not a regular file")
-            step = max(size + 1, 2**16)  # read(n) allocates n bytes before it reads any
-            while len(data) <= most and (part := stream.read(min(step, most + 1 - len(data)))):
-                data += part
-    except OSError as error:
-        raise kind(f"{where} cannot be read: {reason(error)}") from None
+    with open_regular(path, where, kind) as stream:
+        step = max(size + 1, 2**16)  # read(n) allocates n bytes before it reads any
+        while len(data) <= most and (part := stream.read(min(step, most + 1 - len(data)))):
+            data += part
     if len(data) > most:  # such as files of /proc, whose size is reported as 0
         raise kind(f"{where} has more than the limit of {most} bytes")
     return bytes(data)

@@ -1,0 +1,86 @@
+"""External files that may be packed with gzip: bounded, and read to their end.
+
+The checksum and the length of a gzip file stand at its end, so that only a reader that gets there
+finds damage.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import zlib
+from collections.abc import Generator
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from twinct.core.errors import InputError
+from twinct.core.files.boundary import open_regular
+
+MAGIC = b"\x1f\x8b"
+"""First bytes of a gzip file."""
+
+ALWAYS_UNPACKED = 2**30
+"""Unpacked size that is read whatever the packed size, bytes."""
+
+MOST_FOLD = 100
+"""Largest ratio of a larger unpacked size to the packed size; CT volumes have 2 to 20."""
+
+_STEP = 2**20
+
+
+@contextlib.contextmanager
+def open_packed(
+    path: Path, where: str, kind: type[InputError] = InputError
+) -> Generator[tuple[BinaryIO, bool], None, None]:
+    """Open a regular file, and unpack it while it is read if it begins as gzip does.
+
+    Yields:
+        The stream, and True if it is packed.
+
+    Raises:
+        InputError: of this ``kind``; the file is not regular, or its gzip data are cut off, damaged
+            or do not match their checksum or length.
+    """
+    with open_regular(path, where, kind) as file:
+        packed = file.read(len(MAGIC)) == MAGIC
+        file.seek(0)
+        if not packed:
+            yield file, False
+            return
+        try:
+            with gzip.GzipFile(fileobj=file, mode="rb") as stream:
+                yield cast(BinaryIO, stream), True
+        except EOFError:
+            raise kind(f"{where} is cut off: its gzip data have no end") from None
+        except (gzip.BadGzipFile, zlib.error):
+            raise kind(
+                f"{where} is damaged: its gzip data do not match their checksum or length"
+            ) from None
+
+
+def unpacked_limit(packed: int) -> int:
+    """Return the largest unpacked size of a packed file, bytes."""
+    return max(ALWAYS_UNPACKED, MOST_FOLD * packed)
+
+
+def require_unpacked(
+    packed: int, unpacked: int, where: str, kind: type[InputError] = InputError
+) -> None:
+    """Raise an error if a file grows more than CT volumes do when it is unpacked.
+
+    Raises:
+        InputError: of this ``kind``, with the size and the limit in bytes.
+    """
+    if unpacked > (limit := unpacked_limit(packed)):
+        raise kind(
+            f"{where} grows from {packed} to {unpacked} bytes when it is unpacked; the limit is "
+            f"{limit}; unpack it yourself if its size is right"
+        )
+
+
+def read_to_end(stream: BinaryIO, most: int) -> int:
+    """Read the rest of a stream, at most ``most`` bytes and one more, and return its length."""
+    found = 0
+    while found <= most and (part := stream.read(min(_STEP, most + 1 - found))):
+        found += len(part)
+    return found
