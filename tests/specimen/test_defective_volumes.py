@@ -313,6 +313,7 @@ FILE_DEFECTS: dict[str, Callable[[Files, Draw], None]] = {
     "said to be big-endian": said(b"1.2.840.10008.1.2.2"),
     "said to have run lengths": said(b"1.2.840.10008.1.2.5", all_of_them=True),
     "of an unknown transfer syntax": said(b"1.2.840.10008.1.2.9"),
+    "of two transfer syntaxes": said(b"1.2.840\\10008.1.2.1"),
 }
 """Defects of the bytes of one of ten files."""
 
@@ -370,7 +371,8 @@ HEADER_DEFECTS: dict[str, Callable[[Any, Draw], None]] = {
     "voxels start early": numbers("vox_offset", 0, 348),
     "voxels start late": numbers("vox_offset", 354, 368),
     "voxels start at a fraction": numbers("vox_offset", 352.5, np.nan),
-    "voxels elsewhere": numbers("magic", b"ni1", b"", b"abc"),
+    "voxels elsewhere": numbers("magic", b"ni1", b"", b"abc", b"n+1x"),
+    "unknown space": numbers("sform_code", -1, 6, 5376),
     "no orientation of NIfTI": no_place,
     "edges of another size": element("pixdim", 2, 0.5, 2.0, 1.1),
     "negative edge": element("pixdim", 1, -0.8),

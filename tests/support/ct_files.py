@@ -242,6 +242,7 @@ def nifti(
     made: Any = nibabel.Nifti1Image if version == 1 else nibabel.Nifti2Image
     values = truth.values if slope is None else np.rint((truth.values - inter) / slope)
     dtype = np.dtype(kind)
+    values = values if dtype.kind == "f" else np.rint(values)
     header = made.header_class(endianness=">" if dtype.byteorder == ">" else "<")
     header.set_data_dtype(dtype)
     image = made(values.astype(dtype), truth.affine, header)

@@ -50,15 +50,26 @@ class DicomImage:
             ("PerFrameFunctionalGroupsSequence", frame),
             ("SharedFunctionalGroupsSequence", 0),
         ):
-            items = self.data.get(groups) or []
+            items = self.value(groups) or []
             found = items[index].get(sequence) if index < len(items) else None
             if found:
                 return found[0]
         return self.data
 
+    def value(self, name: str, item: Any = None) -> Any:
+        """Return an attribute of an item, or of the image; None if it is missing.
+
+        Raises:
+            SpecimenError: the attribute's bytes are no value of its kind.
+        """
+        try:
+            return (self.data if item is None else item).get(name)
+        except Exception:  # of the library's conversion to numbers or text
+            raise SpecimenError(f"{self.where}: {name} is damaged: it has no valid value") from None
+
     def text(self, name: str, item: Any = None) -> str:
         """Return an attribute as text; empty if it is missing."""
-        value = self._value(name, item)
+        value = self.value(name, item)
         return "" if value is None else str(value).strip()
 
     def numbers(self, name: str, count: int, item: Any = None) -> NDArray[np.float64]:
@@ -67,7 +78,7 @@ class DicomImage:
         Raises:
             SpecimenError: it is missing, or holds something else.
         """
-        value = self._value(name, item)
+        value = self.value(name, item)
         if value is None or value == "":
             raise SpecimenError(f"{self.where} lacks {name}")
         try:
@@ -85,19 +96,13 @@ class DicomImage:
         Raises:
             SpecimenError: it is missing without a default, or no whole number.
         """
-        value = self._value(name, None)
+        value = self.value(name)
         if default is not None and (value is None or value == ""):
             return default
         found = float(self.numbers(name, 1)[0])
         if not found.is_integer():
             raise SpecimenError(f"{self.where}: {name} is {found:g}; expected a whole number")
         return int(found)
-
-    def _value(self, name: str, item: Any) -> Any:
-        try:
-            return (self.data if item is None else item).get(name)
-        except Exception:  # of the library's conversion to numbers or text
-            raise SpecimenError(f"{self.where}: {name} is damaged: it has no valid value") from None
 
 
 def _shown(value: Any) -> str:
@@ -173,13 +178,16 @@ def _image(path: Path, place: str) -> list[DicomImage]:
     """Return the image of a DICOM file; none if it holds something else, such as a report."""
     import pydicom
     from pydicom.filereader import read_file_meta_info
-    from pydicom.uid import DeflatedExplicitVRLittleEndian
+    from pydicom.uid import UID, DeflatedExplicitVRLittleEndian
 
     raw = read_bytes(path, place, path.stat().st_size, SpecimenError)
     try:
         with silent_library():
             meta = read_file_meta_info(path)
-            syntax, content = meta.get("TransferSyntaxUID"), meta.get("MediaStorageSOPClassUID")
+            syntax, content = (
+                UID(str(meta.get(name, "")))
+                for name in ("TransferSyntaxUID", "MediaStorageSOPClassUID")
+            )
             # A deflated file is not opened: nothing limits what it grows to.
             deflated = syntax == DeflatedExplicitVRLittleEndian
             data = None if deflated else pydicom.dcmread(BytesIO(raw))
@@ -197,7 +205,7 @@ def _image(path: Path, place: str) -> list[DicomImage]:
         return [DicomImage(path.name, place, data)]
     if any(name in data for name in _PIXELS[1:]):
         raise SpecimenError(f"{place} holds floating-point pixels; expected whole numbers")
-    if not syntax or "Rows" in data or content is None or "Image Storage" in content.name:
+    if not syntax or "Rows" in data or not content or "Image Storage" in content.name:
         raise SpecimenError(
             f"{place} holds no image: it is cut off or damaged inside its DICOM header"
         )

@@ -64,8 +64,8 @@ def read_dicom_series(folder: Path, where: str, line: scenario.HuLine | None = N
         SpecimenError: a file is damaged, the images are no evenly spaced stack of one series, or
             their values are no HU.
     """
-    images = dicom_images(folder, where)
     with silent_library(), library_errors(f"{where}: an image", SpecimenError):
+        images = dicom_images(folder, where)
         _require_series(images, where)
         shapes = {image.name: require_grey(image) for image in images}
         for image in images:
@@ -111,7 +111,7 @@ def _require_series(images: list[DicomImage], where: str) -> None:
 
 
 def _require_ct(image: DicomImage, line: scenario.HuLine | None) -> None:
-    kind = image.data.get("ImageType") or ()
+    kind = image.value("ImageType") or ()
     if "LOCALIZER" in [str(word).upper() for word in kind]:
         raise SpecimenError(f"{image.where} is a localizer, which is no slice of the volume")
     modality = image.text("Modality")
@@ -122,7 +122,7 @@ def _require_ct(image: DicomImage, line: scenario.HuLine | None) -> None:
 
 def _planes(image: DicomImage, frames: int) -> Iterable[_Plane]:
     """Yield the slices of an image, with valid axes and spacing."""
-    grouped = image.data.get("PerFrameFunctionalGroupsSequence") or []
+    grouped = image.value("PerFrameFunctionalGroupsSequence") or []
     if frames > 1 and len(grouped) != frames:
         raise SpecimenError(
             f"{image.where} has {frames} frames, but the places of {len(grouped)}; convert it to "

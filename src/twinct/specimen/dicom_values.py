@@ -60,7 +60,7 @@ def require_grey(image: DicomImage) -> tuple[int, int, int]:
         _require_decoder(image)
     else:
         needed = frames * rows * columns * bits // 8
-        there = len(image.data.PixelData)
+        there = len(image.value("PixelData") or b"")
         if there not in (needed, needed + needed % 2):
             raise SpecimenError(
                 f"{where} is {'cut off' if there < needed else 'inconsistent'}: it has {there} "

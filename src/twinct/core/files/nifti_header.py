@@ -19,6 +19,9 @@ LONGEST_HEADER = max(HEADER_BYTES)
 SINGLE_FILE = {1: b"n+1", 2: b"n+2"}
 """Marks of files that hold header and voxels, by version."""
 
+TWO_FILES = (b"ni1", b"ni2")
+"""Marks of files that hold a header alone."""
+
 NUMBERS = {
     **{2: "uint8", 4: "int16", 8: "int32", 16: "float32", 64: "float64", 256: "int8"},
     **{512: "uint16", 768: "uint32", 1024: "int64", 1280: "uint64"},
@@ -31,6 +34,9 @@ _OTHERS = {
     **dict.fromkeys((128, 2304), "colours"),
     1536: "numbers of 128 bits",
 }
+
+PLACE_CODES = range(6)
+"""Codes of the space that a matrix leads to; 0: the matrix is not stated."""
 
 QUATERNION_TOLERANCE = 3e-7
 """Maximum excess over 1 of a quaternion's squared length; nibabel's limit, of single precision."""
@@ -78,27 +84,16 @@ def nifti_header(block: bytes, where: str, kind: type[InputError] = InputError) 
             header contradicts itself.
     """
     version, raw = _raw(block, where, kind)
-    if version == 1 and raw["magic"].item()[:3] == b"ni1":
+    if raw["magic"].item() in TWO_FILES:
         raise kind(f"{where} has its voxels in another file (.img); expected one file (.nii)")
-    if raw["magic"].item()[:3] != SINGLE_FILE[version]:
+    if raw["magic"].item() != SINGLE_FILE[version]:
         raise kind(f"{where} is not a NIfTI file, or an Analyze file, which has no orientation")
-    if int(raw["intent_code"]) in CIFTI_INTENTS:
-        raise kind(f"{where} is a CIFTI file of a brain's surface; expected a volume")
-    code, item = int(raw["datatype"]), 0
-    if code not in NUMBERS:
-        held = _OTHERS.get(code, f"numbers of the unknown type {code}")
-        raise kind(f"{where} holds {held}; expected one real number per voxel")
-    item = np.dtype(NUMBERS[code]).itemsize
-    if int(raw["bitpix"]) != 8 * item:
-        raise kind(
-            f"{where} contradicts itself: {NUMBERS[code]} numbers of {int(raw['bitpix'])} bits"
-        )
     unit = int(raw["xyzt_units"]) & 7
     if unit not in UNITS_MM:
         raise kind(f"{where} has an unknown unit of length (code {unit}); expected mm, m or um")
+    item = _item(raw, where, kind)
     _require_scaling(raw, where, kind)
-    if int(raw["qform_code"]) > 0:
-        _require_rotation(raw, where, kind)
+    _require_place(raw, where, kind)
     start = _start(raw, version, where, kind)
     return NiftiHeader(version, _shape(raw, where, kind), item, start, UNITS_MM[unit], raw)
 
@@ -114,6 +109,19 @@ def _raw(block: bytes, where: str, kind: type[InputError]) -> tuple[int, Any]:
             made: Any = nibabel.Nifti1Header if version == 1 else nibabel.Nifti2Header
             return version, made(binaryblock=block[:size], endianness=endian, check=False)
     raise kind(f"{where} cannot be read: it is not a NIfTI file")
+
+
+def _item(raw: Any, where: str, kind: type[InputError]) -> int:
+    """Return the bytes of a voxel, which is one real number."""
+    if int(raw["intent_code"]) in CIFTI_INTENTS:
+        raise kind(f"{where} is a CIFTI file of a brain's surface; expected a volume")
+    if (code := int(raw["datatype"])) not in NUMBERS:
+        held = _OTHERS.get(code, f"numbers of the unknown type {code}")
+        raise kind(f"{where} holds {held}; expected one real number per voxel")
+    item = np.dtype(NUMBERS[code]).itemsize
+    if (bits := int(raw["bitpix"])) != 8 * item:
+        raise kind(f"{where} contradicts itself: {NUMBERS[code]} numbers of {bits} bits")
+    return item
 
 
 def _shape(raw: Any, where: str, kind: type[InputError]) -> tuple[int, ...]:
@@ -137,8 +145,16 @@ def _require_scaling(raw: Any, where: str, kind: type[InputError]) -> None:
         raise kind(f"{where}: its scaling is not finite ({slope:g} x + {intercept:g})")
 
 
-def _require_rotation(raw: Any, where: str, kind: type[InputError]) -> None:
-    """Check that the qform is a rotation, of axes that may be mirrored."""
+def _require_place(raw: Any, where: str, kind: type[InputError]) -> None:
+    """Check edges and codes, and that the qform is a rotation, of axes that may be mirrored."""
+    edges = [float(edge) for edge in raw["pixdim"][1:4]]
+    if not all(0 < edge < math.inf for edge in edges):
+        raise kind(f"{where} states voxels of {edges}; expected edges above 0")
+    for name in ("sform_code", "qform_code"):
+        if int(raw[name]) not in PLACE_CODES:
+            raise kind(f"{where}: its {name} is {int(raw[name])}; expected 0 to 5")
+    if int(raw["qform_code"]) == 0:
+        return
     turn, mirror = [float(raw[f"quatern_{axis}"]) for axis in "bcd"], float(raw["pixdim"][0])
     if not sum(n * n for n in turn) <= 1 + QUATERNION_TOLERANCE or abs(mirror) != 1:
         raise kind(f"{where}: its qform is no rotation (quaternion {turn}, qfac {mirror:g})")
