@@ -39,7 +39,7 @@ from twinct.specimen.volumes import read_ct
 SEED = 34
 FEWEST_FILES = 150
 SOUND_IMAGES = "sound images"
-LIBRARY_WORDS = re.compile(r"Error|Exception|numpy|nibabel|pydicom|0x|\bdtype\b|Traceback")
+LIBRARY_WORDS = re.compile(r"Error|Exception|numpy|nibabel|pydicom|\bdtype\b|Traceback")
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import SimpleITK as sitk
 from ct_files import (
     LPS,
     Truth,
     as_jpeg2000,
     as_rle,
     assert_same,
+    by_itk,
     frames,
     nifti,
     nifti_bytes,
@@ -34,7 +34,6 @@ from pydicom.uid import (
     MediaStorageDirectoryStorage,
 )
 
-from twinct.specimen.ct_image import CtImage
 from twinct.specimen.volumes import read_ct
 
 Make = Callable[[Path], tuple[Path, Truth]]
@@ -309,21 +308,7 @@ def test_valid_variants_are_read_right(tmp_path: Path, name: str) -> None:
         if ours is not None:
             other = replace(other, values=np.where(truth.uncompared, 0, other.values))
             image = replace(image, values=ours)
-        assert_same(image, Truth(other.values, other.affine), 0.01)
-
-
-def by_itk(path: Path) -> CtImage:
-    if path.is_dir():
-        files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(path))
-        read = sitk.ReadImage(files if len(files) > 1 else files[0], sitk.sitkFloat32)
-    else:
-        read = sitk.ReadImage(str(path), sitk.sitkFloat32)
-    if read.GetDimension() == 4:
-        read = read[:, :, :, 0]
-    affine = np.eye(4)
-    affine[:3, :3] = np.array(read.GetDirection()).reshape(3, 3) * read.GetSpacing()
-    affine[:3, 3] = read.GetOrigin()
-    return CtImage(sitk.GetArrayFromImage(read).transpose(2, 1, 0), LPS @ affine)
+        assert_same(image, other, 0.01)
 
 
 def test_sixty_variants_and_more() -> None:

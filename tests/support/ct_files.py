@@ -94,6 +94,23 @@ def differs(image: CtImage, truth: Truth) -> str:
     return ""
 
 
+def by_itk(path: Path) -> Truth:
+    """A volume as SimpleITK reads it: a file, or the folder of one series."""
+    import SimpleITK as sitk
+
+    if path.is_dir():
+        files = sitk.ImageSeriesReader.GetGDCMSeriesFileNames(str(path))
+        read = sitk.ReadImage(files if len(files) > 1 else files[0], sitk.sitkFloat32)
+    else:
+        read = sitk.ReadImage(str(path), sitk.sitkFloat32)
+    if read.GetDimension() == 4:
+        read = read[:, :, :, 0]
+    affine = np.eye(4)
+    affine[:3, :3] = np.array(read.GetDirection()).reshape(3, 3) * read.GetSpacing()
+    affine[:3, 3] = read.GetOrigin()
+    return Truth(sitk.GetArrayFromImage(read).transpose(2, 1, 0), LPS @ affine)
+
+
 # DICOM
 
 

@@ -199,14 +199,16 @@ def _image(path: Path, place: str) -> list[DicomImage]:
         raise SpecimenError(
             f"{place} is deflated; unpack the series, e.g. with dcmconv +te from dcmtk"
         )
-    if syntax and not syntax.is_transfer_syntax:
-        raise SpecimenError(f"{place} has the unknown transfer syntax {_shown(syntax)}")
-    if "PixelData" in data and syntax:
+    if not syntax.is_transfer_syntax:
+        told = f"the unknown transfer syntax {_shown(syntax)}" if syntax else "no transfer syntax"
+        raise SpecimenError(f"{place} states {told}")
+    if "PixelData" in data:
         return [DicomImage(path.name, place, data)]
     if any(name in data for name in _PIXELS[1:]):
         raise SpecimenError(f"{place} holds floating-point pixels; expected whole numbers")
-    if not syntax or "Rows" in data or not content or "Image Storage" in content.name:
+    if "Rows" in data or not content or "Image Storage" in content.name:
         raise SpecimenError(
-            f"{place} holds no image: it is cut off or damaged inside its DICOM header"
+            f"{place} holds no pixels: it is cut off or damaged inside its DICOM header, or they "
+            "were removed"
         )
     return []
