@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pydicom
@@ -82,9 +83,9 @@ def as_input(path: Path, folder: Path) -> Path:
     folder.mkdir()
     (folder / path.name).symlink_to(path)
     with contextlib.suppress(Exception):  # no image, or none with a place
-        data = pydicom.dcmread(path)
+        data: Any = pydicom.dcmread(path)
         axes = np.array(data.ImageOrientationPatient, dtype=float).reshape(2, 3)
-        next_one = np.array(data.ImagePositionPatient, dtype=float) + 2 * np.cross(*axes)
+        next_one = np.array(data.ImagePositionPatient, dtype=float) + 2 * np.cross(axes[0], axes[1])
         data.ImagePositionPatient = [f"{n:.6f}" for n in next_one]
         data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = "1.2.3.4"
         data.save_as(folder / f"next-{path.name}")

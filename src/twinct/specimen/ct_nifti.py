@@ -10,8 +10,7 @@ import numpy as np
 
 from twinct import scenario
 from twinct.core.errors import SpecimenError
-from twinct.core.files.boundary import library_errors
-from twinct.core.files.nifti import open_nifti
+from twinct.core.files.nifti import nifti_values, open_nifti
 from twinct.core.files.nifti_header import NUMBERS, NiftiHeader
 from twinct.geometry import Floats
 from twinct.specimen.ct_image import (
@@ -49,8 +48,7 @@ def read_ct_nifti(path: Path, where: str, line: scenario.HuLine | None = None) -
     if line is None:
         _require_hu(header, where)
     affine = _affine(header, shape, where)
-    with library_errors(where, SpecimenError):
-        values = np.asarray(image.dataobj, dtype=np.float32).reshape(shape)
+    values = nifti_values(header, image, where, SpecimenError).reshape(shape, order="F")
     return CtImage(in_hu(values, line), affine)
 
 

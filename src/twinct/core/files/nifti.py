@@ -25,9 +25,26 @@ def read_nifti(
     Raises:
         InputError: as ``open_nifti``.
     """
-    _, image = open_nifti(path, where, kind)
-    with library_errors(where, kind):
-        return np.asarray(image.dataobj, dtype=np.float32), image
+    header, image = open_nifti(path, where, kind)
+    return nifti_values(header, image, where, kind), image
+
+
+def nifti_values(
+    header: NiftiHeader, image: Any, where: str, kind: type[InputError] = InputError
+) -> NDArray[np.float32]:
+    """Return the scaled numbers of an image in its order of axes.
+
+    They are converted slice by slice, since scaling passes through double precision.
+
+    Raises:
+        InputError: of this ``kind``; the numbers cannot be converted.
+    """
+    values = np.empty(header.shape, dtype=np.float32, order="F")
+    with library_errors(where, kind), np.errstate(over="ignore"):
+        for k in range(header.shape[header.last]):
+            part = (*[slice(None)] * header.last, slice(k, k + 1))
+            values[part] = image.dataobj[part]
+    return values
 
 
 def open_nifti(
@@ -55,21 +72,21 @@ def open_nifti(
             )
         if packed:
             require_unpacked(size, header.end, where, kind)
-        # The bytes, the numbers, and those scaled in double precision.
-        require_memory(
-            where, header.end + (header.item + 16) * header.voxels + LONGEST_HEADER, kind
-        )
-        content = block + _rest(stream, header.end - len(block), where, kind)
+        # The bytes, the numbers, and one slice in double precision.
+        slice_bytes = (header.item + 16) * header.voxels / header.shape[header.last]
+        require_memory(where, header.end + 4 * header.voxels + slice_bytes, kind)
+        stream.seek(0)
+        content = _whole(stream, header.end, where, kind)
     with library_errors(where, kind):
         made: Any = nibabel.Nifti1Image if header.version == 1 else nibabel.Nifti2Image
         return header, made.from_bytes(content)
 
 
-def _rest(stream: BinaryIO, size: int, where: str, kind: type[InputError]) -> bytes:
-    """Return what remains of a stream, which must be ``size`` bytes."""
-    rest = stream.read(max(size, 0))
-    if len(rest) < size:
-        raise kind(f"{where} is cut off: {size - len(rest)} bytes of its voxels are missing")
-    if size < 0 or read_to_end(stream, 0):
+def _whole(stream: BinaryIO, size: int, where: str, kind: type[InputError]) -> bytes:
+    """Return the content of a stream, which must be ``size`` bytes."""
+    content = stream.read(size)
+    if len(content) < size:
+        raise kind(f"{where} is cut off: {size - len(content)} bytes of its voxels are missing")
+    if read_to_end(stream, 0):
         raise kind(f"{where} is longer than its header states: its sizes are wrong or damaged")
-    return rest
+    return content

@@ -67,6 +67,11 @@ class NiftiHeader:
         return math.prod(self.shape)
 
     @property
+    def last(self) -> int:
+        """Return the last axis with more than one voxel."""
+        return max((k for k, n in enumerate(self.shape) if n > 1), default=0)
+
+    @property
     def end(self) -> int:
         """Return the size of the unpacked file, bytes."""
         return self.start + self.item * self.voxels

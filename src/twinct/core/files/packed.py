@@ -19,8 +19,8 @@ from twinct.core.files.boundary import open_regular
 MAGIC = b"\x1f\x8b"
 """First bytes of a gzip file."""
 
-ALWAYS_UNPACKED = 2**30
-"""Unpacked size that is read whatever the packed size, bytes."""
+ALWAYS_UNPACKED = 513 * 2**20
+"""Unpacked size that is read whatever the packed size, bytes: 512^3 voxels of 4 bytes, a header."""
 
 MOST_FOLD = 100
 """Largest ratio of a larger unpacked size to the packed size; CT volumes have 2 to 20."""
