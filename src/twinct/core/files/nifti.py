@@ -77,7 +77,7 @@ def open_nifti(
         require_memory(where, header.end + 4 * header.voxels + slice_bytes, kind)
         stream.seek(0)
         content = _whole(stream, header.end, where, kind)
-    with library_errors(where, kind):
+    with library_errors(where, kind), np.errstate(invalid="ignore"):  # such an affine is refused
         made: Any = nibabel.Nifti1Image if header.version == 1 else nibabel.Nifti2Image
         return header, made.from_bytes(content)
 
