@@ -5,6 +5,7 @@ Public names are imported from their modules; the first ones that a notebook nee
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -46,6 +47,11 @@ def __getattr__(name: str) -> Any:
 
 
 renamed.install(__name__)
+
+# numba also reads these two from .numba_config.yaml in the working directory, which may be a
+# stranger's: the first names a folder of compiled code, the second a class. Variables come first.
+for _name in ("NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES"):
+    os.environ.setdefault(_name, "")
 
 
 def __dir__() -> list[str]:

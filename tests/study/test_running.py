@@ -9,14 +9,17 @@ from typing import Any
 import nibabel
 import pandas as pd
 import pytest
+from planted import planted
 
 from twinct.cli import run_command
 from twinct.core.errors import FolderInUseError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
-from twinct.scenario import parse_scenario
+from twinct.observers import Event, Said
+from twinct.scenario import parse_scenario, specimen_digest
 from twinct.study import StudyRun, Tally, load_results, run_study
 from twinct.study.folder import StudyFolder
 from twinct.study.trial_figures import figure_names
+from twinct.version import __version__
 
 from .conftest import SCENARIO
 
@@ -296,3 +299,24 @@ def test_a_search_goes_on_past_what_is_no_scenario(warm, no_page, tmp_path) -> N
     again = run_study({"scenario": SCENARIO, "search": search}, tmp_path / "out", resume=True)
     assert (again.done, again.failed) == (finished.done, finished.failed)
     pd.testing.assert_frame_equal(again.results, table)
+
+
+def test_a_study_of_an_earlier_version_goes_on_and_its_pickles_go_unread(
+    warm, no_page, small, tmp_path: Path
+) -> None:
+    mark, name = tmp_path / "mark", f"{specimen_digest(parse_scenario(SCENARIO))}-{__version__}"
+    things = tmp_path / "out" / "work" / "things"
+    said: list[str] = []
+
+    def hear(event: Event) -> None:
+        if isinstance(event, Said):
+            said.append(event.text)
+
+    for folder in (things, warm.folder / "things"):  # the tests' pool has a folder of its own
+        folder.mkdir(parents=True)
+        (folder / name).write_bytes(planted(mark))
+    for _ in range(2):
+        finished = run_study(small(), tmp_path / "out", resume=True, observers=[hear])
+        assert (finished.done, finished.failed) == (1, 0)
+    assert not mark.exists() and not things.exists()
+    assert len([text for text in said if "pickles" in text]) == 1

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from planted import planted, unpickled
 from waiting import HANG_S, until
 
 from twinct.study.cache import Cache
@@ -75,7 +76,7 @@ def test_of_two_processes_one_makes_it_and_goes_on_from_a_dead_ones_draft(tmp_pa
     assert made.read_text() == (made.parent / "begun").read_text()  # by one of them alone
 
 
-def test_things_are_made_once_and_come_back_the_same(tmp_path: Path) -> None:
+def test_arrays_are_made_once_and_come_back_the_same(tmp_path: Path) -> None:
     cache, calls = Cache(tmp_path), []
 
     def make() -> np.ndarray:
@@ -84,17 +85,38 @@ def test_things_are_made_once_and_come_back_the_same(tmp_path: Path) -> None:
 
     for _ in range(2):
         np.testing.assert_array_equal(cache.array("a", make), np.arange(6.0).reshape(2, 3))
-        assert cache.thing("b", lambda: calls.append(1) or {"x": (1, 2)}) == {"x": (1, 2)}
-    assert len(calls) == 2
+    assert len(calls) == 1
     cache.array("other", make)
-    assert len(calls) == 3
+    assert len(calls) == 2
 
 
-def test_a_thing_of_another_version_is_made_again(tmp_path: Path, monkeypatch) -> None:
+@pytest.mark.parametrize("junk", [b"", b"no array", planted(Path("never"))])
+def test_what_is_damaged_is_made_again_and_said(tmp_path: Path, junk: bytes, caplog) -> None:
     cache = Cache(tmp_path)
-    assert cache.thing("a", lambda: "old") == "old"
-    monkeypatch.setattr("twinct.study.cache.__version__", "another")
-    assert cache.thing("a", lambda: "new") == "new"
+    cache.array("a", lambda: np.zeros(2))
+    (kept,) = [path for path in (tmp_path / "arrays").iterdir() if path.name == "a"]
+    kept.write_bytes(junk)
+    for _ in range(2):
+        assert cache.array("a", lambda: np.ones(2)).tolist() == [1, 1]
+    assert caplog.text.count("it is made again") == 1 and str(kept) in caplog.text
+
+
+def test_a_link_in_place_of_a_draft_leads_to_no_other_file(tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    other.write_text("mine")
+    (tmp_path / "arrays").mkdir()
+    (tmp_path / "arrays" / ".a.partial").symlink_to(other)
+    assert Cache(tmp_path).array("a", lambda: np.zeros(1)).tolist() == [0]
+    assert other.read_text() == "mine"
+
+
+def test_pickles_of_earlier_versions_go_unread(tmp_path: Path) -> None:
+    (tmp_path / "things").mkdir()
+    (tmp_path / "things" / "digest-0.1.0").write_bytes(planted(tmp_path / "mark"))
+    with unpickled() as found:
+        assert Cache(tmp_path).remove_pickles()
+        assert not Cache(tmp_path).remove_pickles()
+    assert not found and not list(tmp_path.iterdir())
 
 
 def test_what_could_not_be_made_is_not_there_and_may_be_asked_for_again(tmp_path: Path) -> None:

@@ -55,7 +55,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-NODE_COMMAND = (sys.executable, "-m", "twinct.link")
+# -P: import no modules from the current folder, which may be a stranger's.
+NODE_COMMAND = (sys.executable, "-P", "-m", "twinct.link")
 START_S = 900.0
 """Time limit for both nodes to build their simulations."""
 ANSWER_S = 600.0

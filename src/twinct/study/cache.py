@@ -4,17 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import logging
 import os
-import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.version import __version__
+from twinct.core.errors import InputError
+from twinct.core.files.arrays import read_npy
+from twinct.workers.artifact import remove
+
+log = logging.getLogger(__name__)
+
+Kept = TypeVar("Kept")
+
+_PICKLES = "things"
+"""Kind of the pickles that earlier versions cached; to read one would run code in it."""
 
 
 @dataclass(frozen=True)
@@ -42,22 +51,55 @@ class Cache:
                 draft.rename(final)
         return final
 
+    def kept(
+        self,
+        kind: str,
+        digest: str,
+        make: Callable[[], Kept],
+        write: Callable[[Kept, Path], object],
+        read: Callable[[Path], Kept],
+    ) -> Kept:
+        """Return an object that ``read`` reads from its entry, made again if it is damaged.
+
+        Args:
+            kind: kind of the entry.
+            digest: digest of all its inputs.
+            make: computes the object.
+            write: writes the object to a file of plain data.
+            read: reads such a file; raises ``InputError`` if it is damaged. The file may come from
+                a stranger, so no code in it may run.
+        """
+
+        def save(draft: Path) -> None:
+            remove(draft)
+            write(make(), draft)
+
+        path = self.path(kind, digest, save)
+        try:
+            return read(path)
+        except InputError as error:
+            log.warning("%s; it is made again", error)
+        with self.locked(kind, digest):
+            draft = path.with_name(f".{digest}.partial")
+            save(draft)
+            remove(path)
+            draft.rename(path)
+        return read(path)
+
     def array(self, digest: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         """Return an array, which ``make`` computes if it is not cached."""
 
-        def save(draft: Path) -> None:
-            with draft.open("wb") as stream:
-                np.save(stream, make())
+        def read(path: Path) -> NDArray[Any]:
+            return read_npy(path, f"{path}: the cached array")
 
-        return np.load(self.path("arrays", digest, save))
+        return self.kept("arrays", digest, make, _save_array, read)
 
-    def thing(self, digest: str, make: Callable[[], Any]) -> Any:
-        """Return any object that can be pickled; cached for this version of twinct only."""
-
-        def save(draft: Path) -> None:
-            draft.write_bytes(pickle.dumps(make()))
-
-        return pickle.loads(self.path("things", f"{digest}-{__version__}", save).read_bytes())  # noqa: S301 - our own
+    def remove_pickles(self) -> bool:
+        """Remove the pickles of earlier versions, unread; return True if there were any."""
+        path = self.folder / _PICKLES
+        there = os.path.lexists(path)
+        remove(path)
+        return there
 
     @contextlib.contextmanager
     def locked(self, kind: str, digest: str) -> Iterator[None]:
@@ -70,3 +112,8 @@ class Cache:
             yield
         finally:
             os.close(descriptor)
+
+
+def _save_array(array: NDArray[Any], path: Path) -> None:
+    with path.open("wb") as stream:
+        np.save(stream, array, allow_pickle=False)

@@ -17,6 +17,7 @@ from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import storage_errors
 from twinct.core.threads import threads
 from twinct.observers import Audience, Observers, audience_of
+from twinct.study.cache import Cache
 from twinct.study.checking import Checked, Checker
 from twinct.study.design import Design, Trial, load_study
 from twinct.study.driver import Driver, Tally
@@ -123,6 +124,7 @@ def run_study(
         stack.enter_context(sole_owner(folder.lock))
         stack.enter_context(_logged_to(folder.log))
         folder.claim(design, name)
+        _remove_pickles(folder, observers)
         rows = Rows(folder, study)
         if study.search is None:
             rows.renumbered({one.key: one.trial.number for one in trials})
@@ -135,6 +137,15 @@ def run_study(
                 driver.run(trials, retry=retry)
         status = list(rows.status.values())
     return StudyRun(folder, status.count("done"), status.count("failed"))
+
+
+def _remove_pickles(folder: StudyFolder, observers: Observers) -> None:
+    if Cache(folder.work).remove_pickles():
+        with audience_of(observers) as audience:
+            audience.say(
+                f"{folder.work}: an earlier twinct cached pickles there, which can run code; they "
+                "are removed unread, and made again as plain data"
+            )
 
 
 @contextmanager

@@ -36,6 +36,7 @@ from twinct.runs.reporting import figures_of
 from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
 from twinct.specimen import BuiltSpecimen
+from twinct.specimen.built_file import load_built, save_built
 from twinct.study.cache import Cache
 from twinct.study.estimate import bytes_below
 from twinct.study.sections import packed_sections
@@ -284,7 +285,17 @@ def _whole_run(
 def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpecimen:
     digest = specimen_digest(scenario)
     with seconds.stage("specimen"):
-        return _once("specimen", digest, lambda: cache.thing(digest, lambda: _built(scenario)))
+        return _once(
+            "specimen",
+            digest,
+            lambda: cache.kept(
+                "specimens",
+                digest,
+                lambda: _built(scenario),
+                save_built,
+                lambda path: load_built(scenario.specimen, path),
+            ),
+        )
 
 
 def _built(scenario: Scenario) -> BuiltSpecimen:
@@ -299,13 +310,18 @@ def _plan(
     """Return the motion plan as ``SimulationBuilder`` makes it; None with a gantry."""
     if scenario.cell.kind != "arms":
         return None
+    from twinct.robots.motion import load_plan, save_plan
+
+    def make() -> MotionPlan:
+        plan = SimulationBuilder(scenario, None, specimen).plan
+        assert plan is not None
+        return plan
+
     # The digest "plan" covers the paths only; their timing depends on speeds and exposures, too.
     digest = stage_digests(scenario)["executed"]
     with seconds.stage("plan"):
         return _once(
-            "plan",
-            digest,
-            lambda: cache.thing(digest, lambda: SimulationBuilder(scenario, None, specimen).plan),
+            "plan", digest, lambda: cache.kept("plans", digest, make, save_plan, load_plan)
         )
 
 

@@ -96,7 +96,8 @@ def _compiled(draft: Path, folder: Path) -> Path:
     )
     try:
         result = subprocess.run(
-            [sys.executable, "-c", "import twinct.recon._vector"],
+            # -P: import the same modules as this process, not modules in the current folder.
+            [sys.executable, "-P", "-c", "import twinct.recon._vector"],
             env=os.environ | {_COMPILING: str(draft), "PYTHONPATH": os.pathsep.join(sys.path)},
             capture_output=True,
             text=True,
