@@ -32,7 +32,7 @@ from twinct.scan import ScanStore, SimulationBuilder, View
 from twinct.scenario import load_scenario
 from twinct.viewer.following import LivePage
 from twinct.viewer.live_page import Page
-from twinct.viewer.server import LOOPBACK, close, serve
+from twinct.viewer.server import LOOPBACK, address, close, serve
 
 HERE = Path(__file__).parent
 SCENARIOS = HERE.parent / "scenarios"
@@ -69,15 +69,16 @@ def say(found: dict) -> None:
     print(json.dumps(found))
 
 
-def viewing(folder: Path) -> subprocess.Popen:
-    """The command, when it has said where the page is."""
+def viewing(folder: Path) -> tuple[subprocess.Popen, str]:
+    """The command, and the page's address, when it has said that."""
     words = ["view", str(folder), "--port", str(PORT)]
     process = subprocess.Popen(
         [sys.executable, "-u", "-m", "twinct", *words], stdout=subprocess.PIPE, text=True
     )
     assert process.stdout is not None
-    assert process.stdout.readline().startswith("page: ")
-    return process
+    first, page = process.stdout.readline().split()[:2]
+    assert first == "page:"
+    return process, page
 
 
 def drawn(folder: Path) -> dict:
@@ -89,9 +90,9 @@ def drawn(folder: Path) -> dict:
         for _ in range(3):
             browser.leave()
             start = time.monotonic()
-            process = viewing(folder)
+            process, page = viewing(folder)
             try:
-                browser.open(PORT)
+                browser.open(page)
                 seconds.append(time.monotonic() - start)
                 browser.leave()
             finally:
@@ -133,9 +134,9 @@ def slider(folder: Path) -> dict:
     """Views a second that arrive as the slider goes over all, then slices; and memory."""
     from listener import Listener
 
-    process = viewing(folder)
+    process, where = viewing(folder)
     try:
-        page = connected(Listener)
+        page = connected(Listener, where)
         page.wait(lambda: page.node("/projection"))
         page.wait(lambda: [n for n in page.nodes if "/room/" in n])
         time.sleep(10)  # what is filled up in the background
@@ -172,12 +173,12 @@ def moved(page, axis: str, before: np.ndarray) -> bool:
     return not np.array_equal(page.node(f"/slices/{axis}")["position"], before)
 
 
-def connected(listener):
+def connected(listener, page: str):
     """A listener of the page as soon as there is one."""
     end = time.monotonic() + 60
     while True:
         try:
-            return listener(PORT)
+            return listener(page)
         except OSError:
             assert time.monotonic() < end
             time.sleep(0.1)
@@ -200,7 +201,7 @@ def live(out: Path) -> dict:
 
     with (
         closing(Page(server, live=True)) as page,
-        closing(Listener(server.get_port(), note=come)) as browser,
+        closing(Listener(address(server), note=come)) as browser,
     ):
         builder = SimulationBuilder(scenario)
         live_page = LivePage(page, out, builder)

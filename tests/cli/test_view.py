@@ -20,7 +20,7 @@ DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
         (["{tmp}"], "is not a run folder"),
         (["{tmp}", "{tmp}", "{tmp}"], "3 folders: the page shows one, or two side by side"),
         (["{tmp}", "--set", "seed=1"], "a run is shown as it is"),
-        ([DEMO, "--host", "0.0.0.0"], "has no password"),
+        ([DEMO, "--host", "0.0.0.0"], "for this machine only"),
         ([DEMO, "--port", "{taken}"], "the port is in use"),
         ([DEMO, "--export", "page.txt"], "--export page.txt: a page must be an HTML file"),
         ([DEMO, "--movie", "film.avi"], "--movie film.avi: a film must be an MP4 file"),

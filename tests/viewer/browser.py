@@ -20,6 +20,7 @@ from selenium.webdriver.remote.webelement import WebElement
 from waiting import HANG_S, Patience, until
 
 from twinct.viewer.live_page import Page
+from twinct.viewer.server import address
 
 WIDTH, HEIGHT = 1200, 760
 
@@ -114,13 +115,13 @@ class Browser:
         self._driver.quit()
         shutil.rmtree(self._profile, ignore_errors=True)
 
-    def open(self, page: Page | int | Path) -> None:
-        """Open a page, one of another process by its port, or one from disk, and see it drawn."""
+    def open(self, page: Page | str | Path) -> None:
+        """Open a page, one of another process by its address, or one from disk; see it drawn."""
         self.leave()
         self._said.clear()
         self._page = page if isinstance(page, Page) else None
-        port = page.server.get_port() if isinstance(page, Page) else page
-        url = port.as_uri() if isinstance(port, Path) else f"http://localhost:{port}"
+        where = address(page.server) if isinstance(page, Page) else page
+        url = where.as_uri() if isinstance(where, Path) else where
         # Else the resolution follows how fast it draws, which is in software here.
         self._driver.get(f"{url}?fixedDpr=0.5")
         self.wait(lambda: self._driver.find_elements(By.TAG_NAME, "canvas"), "no canvas")

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import viser
 from waiting import HANG_S
 
 from twinct import run
@@ -16,7 +15,7 @@ from twinct.viewer import live_page
 from twinct.viewer.filling import fill
 from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
-from twinct.viewer.server import LOOPBACK, close, serve
+from twinct.viewer.server import LOOPBACK, Server, close, serve
 from twinct.viewer.show import Show
 
 HERE = Path(__file__).parent
@@ -70,7 +69,7 @@ def put(builder: SimulationBuilder) -> Callable[[Page, int, Show], None]:
 
 
 @pytest.fixture
-def server() -> Iterator[viser.ViserServer]:
+def server() -> Iterator[Server]:
     """On any port."""
     made = serve(LOOPBACK, 0)
     yield made

@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import re
+import socket
 import threading
 from collections.abc import Callable
 from typing import Any
+from urllib.parse import urlsplit
 
 import msgspec
 import numpy as np
@@ -40,9 +43,21 @@ class Listener:
     """Connects to a page; ``nodes`` and ``gui`` are its state as a browser would have it."""
 
     def __init__(
-        self, port: int, note: Callable[[dict[str, Any]], object] | None = None, **headers: Any
+        self,
+        page: str,
+        note: Callable[[dict[str, Any]], object] | None = None,
+        *,
+        origin: str | None = None,
+        port: int | None = None,
     ) -> None:
-        """``note`` is called with each message as it comes."""
+        """Connect to this machine, whatever name an address has.
+
+        Args:
+            page: the page's address.
+            note: called with each message as it comes.
+            origin: of the page that asks; None: no browser asks.
+            port: the page's port, if it is not that of the address.
+        """
         self.nodes: dict[str, dict[str, Any]] = {}
         self.gui: dict[str, dict[str, Any]] = {}
         self.theme: dict[str, Any] = {}
@@ -51,14 +66,15 @@ class Listener:
         self._changed = threading.Condition()
         self.closed = False
         self._socket = websockets.sync.client.connect(
-            f"ws://127.0.0.1:{port}",
+            page.replace("http://", "ws://", 1),
             subprotocols=[websockets.Subprotocol(f"viser-v{viser.__version__}")],
             max_size=None,
             compression=None,
             open_timeout=HANG_S,
             close_timeout=HANG_S,
             ping_interval=None,
-            **headers,
+            origin=None if origin is None else websockets.Origin(origin),
+            sock=socket.create_connection(("127.0.0.1", port or urlsplit(page).port), HANG_S),
         )
         with contextlib.suppress(websockets.ConnectionClosed):  # who is refused
             self.send(CAMERA)
@@ -102,7 +118,11 @@ class Listener:
             return next(c for c in self.gui.values() if c.get("label") == label)
 
     def texts(self) -> str:
-        """What the page says beside its controls."""
+        """What the page says beside its controls, as it is shown."""
+        return re.sub(r"\\([^\w\s]|_)", r"\1", self.markdown())
+
+    def markdown(self) -> str:
+        """What it says there, as it is sent."""
         with self._changed:
             return "\n".join(str(c.get("_markdown") or "") for c in self.gui.values())
 

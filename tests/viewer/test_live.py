@@ -7,6 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from twinct.scenario import Scenario
 from twinct.viewer.following import Follower, LivePage
 from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
+from twinct.viewer.server import Server, address
 
 
 def files(store: Path) -> dict[str, bytes]:
@@ -28,19 +30,21 @@ def files(store: Path) -> dict[str, bytes]:
 
 
 @pytest.fixture
-def dead(server: viser.ViserServer) -> Iterator[socket.socket]:
+def dead(server: Server) -> Iterator[socket.socket]:
     """A browser that connects and never reads."""
     with socket.create_connection(("127.0.0.1", server.get_port())) as made:
         made.sendall(
-            b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            f"GET {urlsplit(address(server)).path} HTTP/1.1\r\n".encode()
+            + b"Host: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
             + f"Sec-WebSocket-Protocol: viser-v{viser.__version__}\r\n\r\n".encode()
         )
+        assert made.recv(12) == b"HTTP/1.1 101"
         yield made
 
 
 def test_a_page_follows_its_run_and_changes_nothing(
-    server: viser.ViserServer,
+    server: Server,
     dead: socket.socket,
     scenario: Scenario,
     finished: Run,
@@ -49,7 +53,7 @@ def test_a_page_follows_its_run_and_changes_nothing(
     out = tmp_path / "out"
     moments: list[JointSample] = []
     scene = server.get_scene_serializer()  # browsers are sent only the newest of many places
-    with closing(Page(server, live=True)) as page, closing(Listener(server.get_port())) as listener:
+    with closing(Page(server, live=True)) as page, closing(Listener(address(server))) as listener:
         live = LivePage(page, out)
 
         def hear(event: Event) -> None:
@@ -93,7 +97,7 @@ def places_of(scene: bytes, part: str) -> list[tuple[float, ...]]:
 
 
 def test_a_folder_of_another_process_is_followed(
-    server: viser.ViserServer, finished: Run, tmp_path: Path
+    server: Server, finished: Run, tmp_path: Path
 ) -> None:
     out = tmp_path / "copy"
     shutil.copytree(finished.paths.path, out)
@@ -106,7 +110,7 @@ def test_a_folder_of_another_process_is_followed(
     with closing(Page(server, live=True)) as page:
         page.put(0, show)
         follower = Follower(page, 0, folder, show)
-        with closing(Listener(server.get_port())) as listener:
+        with closing(Listener(address(server))) as listener:
             listener.wait(lambda: "view 1 of 8" in listener.node("/label")["text"])
             for view in range(2, 5):
                 status[view].write_bytes(kept[view])

@@ -3,6 +3,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from waiting import HANG_S, until
 from twinct.runs import Run
 from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
+from twinct.viewer.server import Server, address
 from twinct.viewer.show import Show
 from twinct.viewer.slices import Plane, greys
 
@@ -30,15 +32,15 @@ def show(finished: Run) -> Show:
 
 
 @pytest.fixture
-def page(server: viser.ViserServer, show: Show, put: Put) -> Iterator[Page]:
+def page(server: Server, show: Show, put: Put) -> Iterator[Page]:
     with closing(Page(server)) as made:
         put(made, 0, show)
         yield made
 
 
 @pytest.fixture
-def listener(server: viser.ViserServer, page: Page) -> Iterator[Listener]:
-    with closing(Listener(server.get_port())) as made:
+def listener(server: Server, page: Page) -> Iterator[Listener]:
+    with closing(Listener(address(server))) as made:
         made.wait(lambda: made.node("/projection"))
         yield made
 
@@ -191,9 +193,9 @@ def test_play_goes_on_and_stops(
     assert "view 5 of 8" in label(listener)
 
 
-def test_a_second_browser_sees_the_same(listener: Listener, server: viser.ViserServer) -> None:
+def test_a_second_browser_sees_the_same(listener: Listener, server: Server) -> None:
     listener.set("view", 5)
-    with closing(Listener(server.get_port())) as second:
+    with closing(Listener(address(server))) as second:
         second.wait(lambda: "view 5 of 8" in label(second))
         assert second.control("view")["value"] == 5
         second.set("view", 2)
@@ -201,15 +203,15 @@ def test_a_second_browser_sees_the_same(listener: Listener, server: viser.ViserS
         assert listener.control("view")["value"] == 2
 
 
-def test_a_browser_that_never_reads_holds_up_nobody(
-    listener: Listener, server: viser.ViserServer
-) -> None:
+def test_a_browser_that_never_reads_holds_up_nobody(listener: Listener, server: Server) -> None:
     with socket.create_connection(("127.0.0.1", server.get_port())) as dead:
         dead.sendall(
-            b"GET / HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            f"GET {urlsplit(address(server)).path} HTTP/1.1\r\n".encode()
+            + b"Host: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
             b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
             + f"Sec-WebSocket-Protocol: viser-v{viser.__version__}\r\n\r\n".encode()
         )
+        assert dead.recv(12) == b"HTTP/1.1 101"
         for view in (1, 2, 3, 4):
             listener.set("view", view)
             listener.wait(lambda view=view: f"view {view} of 8" in label(listener))
@@ -231,11 +233,11 @@ def test_a_click_on_a_path_goes_to_its_view(page: Page, show: Show) -> None:
     assert page._numbers.content.startswith("**View 5** of 8")
 
 
-def test_two_runs_stand_side_by_side(server: viser.ViserServer, show: Show, put: Put) -> None:
+def test_two_runs_stand_side_by_side(server: Server, show: Show, put: Put) -> None:
     with closing(Page(server, 2)) as page:
         for run in (0, 1):
             put(page, run, show)
-        with closing(Listener(server.get_port())) as listener:
+        with closing(Listener(address(server))) as listener:
             listener.wait(lambda: listener.node("/run1/projection"))
             listener.set("view", 3)
             listener.wait(lambda: "view 3" in listener.node("/run1/label")["text"])

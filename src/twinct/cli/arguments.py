@@ -33,5 +33,8 @@ LOOPBACK, PAGE_PORT = "127.0.0.1", 8080
 Host = Annotated[str, tyro.conf.arg(help="Address that the page listens on.")]
 Port = Annotated[int, tyro.conf.arg(help="Port of the page; 0: any free port.")]
 Network = Annotated[
-    Flag, tyro.conf.arg(help="Allow a --host other than loopback; the page has no password.")
+    Flag,
+    tyro.conf.arg(
+        help="Allow a --host other than loopback: for all who know the page's address, unencrypted."
+    ),
 ]

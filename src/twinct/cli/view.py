@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
@@ -16,10 +17,9 @@ from twinct.scenario import load_scenario, named_places
 from twinct.viewer.locate import folder_of_run
 
 if TYPE_CHECKING:
-    import viser
-
     from twinct.scan import SimulationBuilder
     from twinct.viewer.following import LivePage
+    from twinct.viewer.server import Server
     from twinct.viewer.show import Show
 
 MOST_RUNS = 2
@@ -113,8 +113,8 @@ def _view_scenario(
 
 
 @contextmanager
-def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserServer]:
-    """Yield a server, and print its address."""
+def serving(host: str, port: int, allow_network: bool) -> Iterator[Server]:
+    """Yield a server, and print its address, which is the key to it."""
     from twinct.viewer.server import address, by_ssh, close, is_loopback, serve
 
     server = serve(host, port, allow_network=allow_network, label="twinct")
@@ -124,8 +124,10 @@ def serving(host: str, port: int, allow_network: bool) -> Iterator[viser.ViserSe
             say(f"from another machine: {by_ssh(server)}, then {address(server)} there")
         else:
             say(
-                f"--allow-network: the page has no password: anyone who reaches {host}:"
-                f"{server.get_port()} sees it and can use its controls",
+                f"--allow-network: whoever knows this address and reaches {host}:"
+                f"{server.get_port()} sees the run and can use the controls. All goes over the "
+                "network unencrypted, the address too: who listens there can read it. From another "
+                f"machine, write {socket.gethostname()} or an IP address of this machine as host",
                 warning=True,
             )
         yield server

@@ -15,10 +15,10 @@ from threading import Event as Signal
 from typing import Any
 
 import numpy as np
-import viser
 
 from twinct.geometry import Floats
 from twinct.viewer.curves import Curve, curves
+from twinct.viewer.markdown import plain
 from twinct.viewer.numbers import (
     nearest_view,
     of_joints,
@@ -30,6 +30,7 @@ from twinct.viewer.numbers import (
 )
 from twinct.viewer.room import Room
 from twinct.viewer.scenery import set_lights
+from twinct.viewer.server import Server
 from twinct.viewer.show import RECONSTRUCTION, TRUTH, Show
 from twinct.viewer.slices import AXES
 from twinct.viewer.stage import DIFFERENCE, IN_FRONT_MM, NOTHING, Look, Stage, colour_of
@@ -76,7 +77,7 @@ class _Wishes:
 class Page:
     """The page that all browsers share."""
 
-    def __init__(self, server: viser.ViserServer, runs: int = 1, *, live: bool = False) -> None:
+    def __init__(self, server: Server, runs: int = 1, *, live: bool = False) -> None:
         """Build an empty page for one or two runs; ``live`` initially follows the newest view."""
         self.server = server
         self._changed = Condition()
@@ -289,7 +290,7 @@ class Page:
         self._changed.wait_for(lambda: self._wishes, beat_s)
 
     def _complain(self, text: str) -> None:
-        self._head.content = f"{self._head.content}\n\n**{text}**"
+        self._head.content = f"{self._head.content}\n\n**{plain(text)}**"
 
     def _paint(self, wishes: _Wishes) -> None:
         with self.server.atomic():
@@ -325,9 +326,9 @@ class Page:
         for run, mesh in wishes.fields.items():
             self.stages[run].set_field_of_view(mesh)
         if wishes.said is not None or wishes.shows:
-            lines = [f"### {show.name}\n{show.state}" for show in self.shows]
-            problems = [f"**{p}**" for show in self.shows for p in show.problems]
-            told = [wishes.said] if wishes.said else []
+            lines = [f"### {plain(show.name)}\n{plain(show.state)}" for show in self.shows]
+            problems = [f"**{plain(p)}**" for show in self.shows for p in show.problems]
+            told = [plain(wishes.said)] if wishes.said else []
             self._head.content = "\n\n".join([*lines, *told, *problems])
         return bool(wishes.shows or wishes.rooms or wishes.specimens)
 

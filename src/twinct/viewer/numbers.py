@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twinct.geometry import Floats, ScanGeometry
+from twinct.viewer.markdown import plain
 from twinct.viewer.show import Show
 from twinct.viewer.slices import AXES, Plane, index_at
 
@@ -22,7 +23,7 @@ def of_view(show: Show, view: int) -> str:
             continue
         source, panel = geometry.source[view], geometry.detector[view]
         lines = [
-            f"*{name}*",
+            f"*{plain(name)}*",
             f"source {_point(source)} mm",
             f"panel {_point(panel)} mm",
             f"SDD {geometry[view].sdd[0]:.2f} mm",
@@ -46,13 +47,13 @@ def of_view(show: Show, view: int) -> str:
 
 def of_joints(show: Show, view: int, body: str) -> str:
     """Return a body's name, and the joints of its arm."""
-    told = [f"**{body}**"]
+    told = [f"**{plain(body)}**"]
     joints = show.joints_at(view)
     if joints is not None and show.plan is not None:
         arm = body.partition("_")[0]
         degrees = np.degrees(joints)
         rows = [
-            f"| {name} | {value:.2f} |"
+            f"| {plain(name)} | {value:.2f} |"
             for name, value in zip(show.plan.joint_names, degrees, strict=True)
             if name.startswith(f"{arm}_")
         ]
@@ -111,7 +112,8 @@ def of_point(show: Show, point: Floats, where: str) -> str | None:
     for name, volume in show.volumes.items():
         found = index_at(volume.grid, point)
         if found is not None:
-            told.append(f"{name}: {float(volume.array[found]):.5f} /mm in voxel (z, y, x) {found}")
+            value = float(volume.array[found])
+            told.append(f"{plain(name)}: {value:.5f} /mm in voxel (z, y, x) {found}")
     return "\n\n".join([f"**{where}** at {_point(point)} mm", *told]) if told else None
 
 

@@ -1,8 +1,8 @@
-"""A viser server that only this machine can reach, and that shares nothing.
+"""A viser server that only the owner of its address can use, and that shares nothing.
 
 viser listens on all addresses, takes the next port if one is in use, has a button that shares the
-page on the internet, and admits pages of any site. This file reverses that, and is the only one
-that uses viser's internals.
+page on the internet, and admits everybody with messages of any size. This file reverses that, and
+is the only one that uses viser's internals.
 """
 
 from __future__ import annotations
@@ -12,24 +12,68 @@ import io
 import ipaddress
 import logging
 import socket
+import threading
 from collections.abc import Iterator
-from urllib.parse import urlsplit
+from typing import Any
 
 import viser
+import websockets.asyncio.server
 from viser import _messages as messages
-from viser.infra import WebsockClientConnection
 
 from twinct.core.errors import InputError
-
-log = logging.getLogger(__name__)
+from twinct.viewer.guard import LARGEST_MESSAGE, LOCAL_NAMES, Guard
 
 LOOPBACK = "127.0.0.1"
-LOCAL_NAMES = ("localhost", LOOPBACK, "::1")
+
+_STARTING = threading.Lock()
 
 
-def serve(
-    host: str, port: int, *, allow_network: bool = False, label: str = ""
-) -> viser.ViserServer:
+class Server(viser.ViserServer):
+    """A viser server that answers only requests that pass its guard.
+
+    Attributes:
+        guard: checks each request, for the page's file and for its data.
+    """
+
+    def __init__(self, host: str, port: int, guard: Guard, label: str) -> None:
+        """Start the server.
+
+        Raises:
+            RuntimeError: this version of viser starts it another way, without the guard.
+        """
+        self.guard = guard
+        with _guarded(guard) as used:
+            super().__init__(host=host, port=port, verbose=False, label=label)
+        if not used:
+            self.stop()
+            raise RuntimeError(f"viser {viser.__version__} does not let requests be checked")
+
+
+@contextlib.contextmanager
+def _guarded(guard: Guard) -> Iterator[list[int]]:
+    """Guard the websocket servers that start in this block; yield their ports.
+
+    viser passes no such options on to the library, so its function is replaced meanwhile.
+    """
+    used: list[int] = []
+    module: Any = websockets.asyncio.server
+    with _STARTING:
+        real = module.serve
+
+        def serve(handler: Any, host: str, port: int, **options: Any) -> Any:
+            used.append(port)
+            check = guard.over(options.pop("process_request"))
+            options["max_size"] = LARGEST_MESSAGE
+            return real(handler, host, port, process_request=check, **options)
+
+        module.serve = serve
+        try:
+            yield used
+        finally:
+            module.serve = real
+
+
+def serve(host: str, port: int, *, allow_network: bool = False, label: str = "") -> Server:
     """Start a server; ``close`` ends it.
 
     Args:
@@ -44,23 +88,28 @@ def serve(
     """
     if not allow_network and not is_loopback(host):
         raise InputError(
-            f"--host {host}: the page has no password, so it is for this machine only "
-            f"({LOOPBACK}); --allow-network shows it to anyone who reaches this address"
+            f"--host {host}: the page is for this machine only ({LOOPBACK}); --allow-network opens "
+            "it to the network, unencrypted, for all who know its address"
         )
     if not 0 <= port <= 65535:
         raise InputError(f"--port {port}: a port is a number from 0 to 65535")
     _require_free(host, port)
     with _quiet():
-        server = viser.ViserServer(host=host, port=port, verbose=False, label=label)
+        server = Server(host, port, _guard(host, allow_network), label)
     # Users need not know of connections without a valid handshake.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     if port and server.get_port() != port:  # another process was faster: viser took the next
         close(server)
         raise InputError(_in_use(port))
     _share_nothing(server)
-    if not allow_network:
-        _refuse_other_sites(server)
     return server
+
+
+def _guard(host: str, allow_network: bool) -> Guard:
+    names = {host.lower(), *LOCAL_NAMES}
+    if allow_network:
+        names.add(socket.gethostname().lower())
+    return Guard(names, any_address=allow_network)
 
 
 def close(server: viser.ViserServer) -> None:
@@ -78,11 +127,12 @@ def is_loopback(host: str) -> bool:
     return False
 
 
-def address(server: viser.ViserServer) -> str:
-    """Return the page's URL for browsers on this machine."""
+def address(server: Server) -> str:
+    """Return the page's URL for browsers on this machine; who knows it can use the page."""
     host = server.get_host()
     shown = "localhost" if host in (*LOCAL_NAMES, "0.0.0.0", "::") else host
-    return f"http://{shown}:{server.get_port()}"
+    shown = f"[{shown}]" if ":" in shown else shown
+    return f"http://{shown}:{server.get_port()}/{server.guard.token}/"
 
 
 def by_ssh(server: viser.ViserServer) -> str:
@@ -114,27 +164,6 @@ def _share_nothing(server: viser.ViserServer) -> None:
     server.gui.configure_theme(show_share_button=False, show_logo=False, brand_color=(31, 96, 145))
     for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
         server._websock_server.unregister_handler(kind)
-
-
-def _refuse_other_sites(server: viser.ViserServer) -> None:
-    """Close connections that pages of other sites open from a browser on this machine.
-
-    Browsers let any page open websockets to loopback, and a site may point its own name to
-    loopback. The names in the request reveal both (RFC 6455, section 10.2).
-    """
-    inner = server._websock_server
-
-    async def look(client: WebsockClientConnection) -> None:
-        connection = inner._live_connections[client.client_id]
-        headers = connection.request.headers if connection.request else {}
-        names = [urlsplit(f"//{headers.get('Host', '')}").hostname]
-        if origin := headers.get("Origin"):
-            names.append(urlsplit(origin).hostname)
-        if any(name not in LOCAL_NAMES for name in names):
-            log.warning("refused a connection from a page of %s", origin or names[0])
-            await connection.close(1008, "only for this machine")
-
-    inner._client_connect_cb.insert(0, look)
 
 
 @contextlib.contextmanager
