@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import viser
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
@@ -83,6 +84,14 @@ PASS_TIME = """
     window.passTime(ms);
     setTimeout(done, 20);  // comes after the timer by which the page plays, which is shorter
 """
+
+ASK = """
+    const [page, protocol, done] = arguments;
+    const asking = new WebSocket(page, [protocol]);
+    asking.onmessage = () => done(true);
+    asking.onclose = () => done(false);
+"""
+PROTOCOL = f"viser-v{viser.__version__}"
 
 _MARKS = itertools.count()
 
@@ -221,6 +230,16 @@ class Browser:
         actions.move_to_element_with_offset(
             canvas, round((x - 0.5) * width), round((y - 0.5) * height)
         ).click().perform()
+
+    def script(self, code: str, *told: Any) -> Any:
+        """What a script in the page returns."""
+        return self._driver.execute_script(code, *told)
+
+    def comes(self, page: str, asking: str) -> bool:
+        """Whether a page's data come to a script that asks from another page's address."""
+        self.leave()
+        self._driver.get(asking)
+        return self._driver.execute_async_script(ASK, page.replace("http", "ws", 1), PROTOCOL)
 
     def text(self) -> str:
         return self._driver.find_element(By.TAG_NAME, "body").text

@@ -6,8 +6,11 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +24,7 @@ from twinct.scan import SimulationBuilder
 from twinct.viewer.following import Follower
 from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
-from twinct.viewer.server import LOOPBACK, close, serve
+from twinct.viewer.server import LOOPBACK, address, close, serve
 from twinct.viewer.show import Show
 from twinct.viewer.single_file import VIEWS_A_SECOND, export_page
 from twinct.viewer.stage import Stage
@@ -200,6 +203,54 @@ def test_a_page_broken_on_purpose_is_noticed(
     monkeypatch.setattr(browser, "wait", once)
     with pytest.raises(AssertionError, match=NOTICED):
         CHECKS[check](tried)
+
+
+def test_names_of_a_stranger_run_no_script(tried: Tried) -> None:
+    show = tried.show()
+    bad = "<img src=x onerror=window.ran=1>"
+    renamed = replace(
+        show,
+        name=bad,
+        state=bad,
+        problems=(bad,),
+        poses={**show.poses, bad: show.poses["believed"]},
+        volumes={**show.volumes, bad: next(iter(show.volumes.values()))},
+        residuals={**show.residuals, bad: (2.0, 1.0)},
+    )
+    browser = tried.browser
+    with tried.page(renamed) as page:
+        page.say(bad)
+        browser.still()
+        assert browser.text().count(bad) >= 4  # name, state, problem, said
+        browser.choose("slices of", bad)
+        browser.still()
+        assert browser.script("return window.ran") is None
+        browser.script("document.body.insertAdjacentHTML('beforeend', arguments[0])", bad)
+        browser.wait(lambda: browser.script("return window.ran"), "it does not run as HTML either")
+
+
+def test_pages_of_others_are_sent_nothing(tried: Tried) -> None:
+    """Even if they know the token, in the browser that shows the page."""
+
+    class Other(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.end_headers()
+            self.wfile.write(b"<title>another page</title>")
+
+        def log_message(self, format: str, *args: Any) -> None:
+            pass
+
+    with closing(Page(server := serve(LOOPBACK, 0))), HTTPServer((LOOPBACK, 0), Other) as other:
+        Thread(target=other.serve_forever, daemon=True).start()
+        page, port = address(server), other.server_port
+        assert tried.browser.comes(page, page)
+        for asking in (f"http://localhost:{port}", f"http://127.0.0.1:{port}"):
+            assert not tried.browser.comes(page, asking)
+        assert not tried.browser.comes(f"http://localhost:{server.get_port()}/", page)
+        tried.browser.leave()
+        other.shutdown()
+    close(server)
 
 
 def test_a_click_tells_numbers(tried: Tried) -> None:
