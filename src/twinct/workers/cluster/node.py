@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import platform
 import shutil
 import socket
+import stat
 import tempfile
 import uuid
 from collections.abc import Mapping
@@ -98,11 +100,28 @@ def versions() -> str:
 
 
 def folder(pool: str) -> Path:
-    """Return the folder of a pool on this machine; it does not change when Ray restarts."""
-    parent = os.environ.get("TWINCT_CACHE") or str(
-        Path(tempfile.gettempdir()) / f"twinct-studies-{os.getuid()}"
-    )
-    return Path(parent).absolute() / pool / socket.gethostname()
+    """Return the folder of a pool on this machine; it does not change when Ray restarts.
+
+    Raises:
+        InputError: others may write to the folder for temporary files of this user.
+    """
+    given = os.environ.get("TWINCT_CACHE")
+    parent = Path(given).absolute() if given else _own_folder()
+    return parent / pool / socket.gethostname()
+
+
+def _own_folder() -> Path:
+    """Return this user's folder among the temporary files, whose name others can guess."""
+    path = Path(tempfile.gettempdir()).absolute() / f"twinct-studies-{os.getuid()}"
+    with contextlib.suppress(FileExistsError):
+        path.mkdir(mode=0o700)
+    found = path.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise InputError(
+            f"{path}: another user may write there; remove it, or set TWINCT_CACHE to a folder of "
+            "your own"
+        )
+    return path
 
 
 @cache
