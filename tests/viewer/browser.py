@@ -221,6 +221,10 @@ class Browser:
     def press(self, button: str) -> None:
         self._driver.find_element(By.XPATH, f"//button[normalize-space(.)='{button}']").click()
 
+    def turn_to(self, tab: str) -> None:
+        path = f"//*[@role='tab'][normalize-space(.)='{tab}']"
+        self._driver.find_element(By.XPATH, path).click()
+
     def click(self, x: float, y: float) -> None:
         """Click at a share of the window's width and height."""
         actions = webdriver.ActionChains(self._driver)

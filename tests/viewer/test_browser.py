@@ -223,6 +223,8 @@ def test_names_of_a_stranger_run_no_script(tried: Tried) -> None:
         browser.still()
         assert browser.text().count(bad) >= 4  # name, state, problem, said
         browser.choose("slices of", bad)
+        browser.turn_to("Curves")
+        browser.wait(lambda: browser.text().count(bad) >= 6, "no curves of it")
         browser.still()
         assert browser.script("return window.ran") is None
         browser.script("document.body.insertAdjacentHTML('beforeend', arguments[0])", bad)
