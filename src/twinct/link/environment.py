@@ -62,6 +62,8 @@ def settle(environment: MutableMapping[str, str]) -> None:
     """Set the environment variables of ROS 2; keep a discovery range that is already set."""
     environment["RMW_IMPLEMENTATION"] = MIDDLEWARE
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # The current folder may be a stranger's, and profiles there can lead messages to his machine.
+    environment.setdefault("SKIP_DEFAULT_XML_FILE", "1")
 
 
 _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>

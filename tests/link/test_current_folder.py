@@ -1,0 +1,45 @@
+"""Fast DDS is given no settings by the folder in which a scan is started."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.ros, pytest.mark.process]
+
+PROFILES = """<?xml version="1.0"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+<participant profile_name="planted" is_default_profile="true"><rtps><planted/></rtps></participant>
+</profiles></dds>
+"""
+"""With a word that Fast DDS complains of."""
+
+JOINS = """
+import os, sys
+from twinct.link.participant import Station
+os.environ.update(SKIP_DEFAULT_XML_FILE=sys.argv[2]) if sys.argv[2] else None
+Station("here", int(sys.argv[1])).close()
+"""
+
+
+def said(folder: Path, domain: int, skip: str) -> str:
+    """What a process says that joins a graph from a folder."""
+    result = subprocess.run(
+        [sys.executable, "-P", "-c", JOINS, str(domain), skip],
+        cwd=folder,
+        env={k: v for k, v in os.environ.items() if k != "SKIP_DEFAULT_XML_FILE"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return result.stdout + result.stderr
+
+
+def test_profiles_in_the_current_folder_are_not_read(tmp_path: Path, domain: int) -> None:
+    (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text(PROFILES)
+    assert "planted" not in said(tmp_path, domain, "")
+    assert "planted" in said(tmp_path, domain, "0")  # it would be read
