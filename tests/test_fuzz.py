@@ -6,14 +6,29 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, given, seed, settings
 from waiting import HANG_S
+
+from twinct.core.errors import ScenarioError
+from twinct.core.files.plain_yaml import read_file
+from twinct.scenario import load_scenario, scenario_schema
 
 FUZZ = Path(__file__).parents[1] / "tools" / "fuzz"
 
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+
 sys.path.append(str(FUZZ))
-from hanging import Watch, used_s  # noqa: E402 - a module of the tool
+from generated import mutants  # noqa: E402 - modules of the tool
+from hanging import Activity, Watch, activity_of  # noqa: E402
+from schema import Schema  # noqa: E402
+
+GENERATED = mutants(
+    Schema(scenario_schema()),
+    [read_file(file, "scenario").value for file in sorted(SCENARIOS.glob("*.yaml"))],
+)
 
 KIND = """
 import os, signal
@@ -53,22 +68,19 @@ class Kind:
 
 
 DRIVER = """
-import itertools, math, sys
+import math, sys
 from pathlib import Path
 from driver import fuzz
-from hanging import Limits
+from hanging import Activity, Limits
 
-place, turns = Path(sys.argv[1]), itertools.count()
+place = Path(sys.argv[1])
 
-def clock():  # it goes on as long as the worker lives that is blocked
+def activity(pid):  # only the worker that is blocked wants nothing
     blocked = place / "blocked"
-    return float(next(turns) if blocked.exists() and is_there(blocked.read_text()) else 0)
+    return Activity(0.0, not blocked.exists() or int(blocked.read_text() or 0) != pid)
 
-def is_there(pid):
-    return Path("/proc", pid).exists()
-
-limits = Limits(idle_s=0.5, look_s=0.01)
-found = fuzz("mischief", 5, range(8), math.inf, place, limits, clock)
+limits = Limits(idle_looks=3, look_s=0.01)
+found = fuzz("mischief", 5, range(8), math.inf, place, limits, activity)
 print(sorted(found.words.items()), len(found.failures))
 """
 
@@ -95,26 +107,42 @@ def test_each_way_to_fail_is_found_and_kept(tmp_path: Path) -> None:
 
 
 def test_who_uses_the_processor_may_be_slow_but_not_endless() -> None:
-    used, now = 100.0, 0.0
-    watch = Watch(1, 7.0, 60.0, used=lambda pid: used, clock=lambda: now)
+    used = 100.0
+    watch = Watch(1, 7.0, 0, lambda pid: Activity(used, True))
     said = []
     for used in (101.0, 104.0, 107.0, 107.1):  # noqa: B007 - the watch sees it
-        now += 3600.0  # on a machine that is busy with other work
         said.append(watch.hangs())
     assert said == [False, False, False, True]
 
 
-def test_who_uses_none_is_blocked_once_the_clock_says_so() -> None:
-    used, now = 100.0, 0.0
-    watch = Watch(1, 7.0, 60.0, used=lambda pid: used, clock=lambda: now)
-    now = 60.0
+def test_who_waits_for_a_processor_never_hangs() -> None:
+    watch = Watch(1, 7.0, 2, lambda pid: Activity(100.0, True))
+    assert not any(watch.hangs() for _ in range(10_000))
+
+
+def test_who_is_blocked_at_several_looks_in_a_row_hangs() -> None:
+    now = Activity(100.0, False)
+    watch = Watch(1, 7.0, 2, lambda pid: now)
+    assert not watch.hangs() and not watch.hangs()
+    now = Activity(100.1, False)  # it did something
     assert not watch.hangs()
-    now, used = 100.0, 100.1
-    assert not watch.hangs()
-    now = 160.0
-    assert not watch.hangs()
-    now = 160.1
-    assert watch.hangs()
+    assert [watch.hangs() for _ in range(3)] == [False, False, True]
+
+
+@pytest.mark.process
+def test_a_process_that_waits_for_input_wants_nothing() -> None:
+    """It may still be starting at the first looks."""
+    waits = "import sys; print('ready', flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", waits], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        try:
+            assert process.stdout is not None and process.stdout.readline() == b"ready\n"
+            while activity_of(process.pid).wants_to_run:
+                pass
+            assert activity_of(os.getpid()).wants_to_run  # this one runs
+        finally:
+            process.kill()
 
 
 @pytest.mark.clock
@@ -149,9 +177,26 @@ if sys.argv[1:] != ["ends"]:
         try:
             assert process.stdout is not None and process.stdout.readline() == "burnt\n"
             floors_s = 6 * 0.01  # six numbers are rounded down to ticks
-            assert used_s(process.pid) > 3 * 0.2 - floors_s
+            assert activity_of(process.pid).used_s > 3 * 0.2 - floors_s
         finally:
             process.kill()
+
+
+@seed(20261126)
+@settings(
+    max_examples=200,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+@given(GENERATED)
+def test_a_generated_scenario_loads_or_is_refused_in_few_words(mutant: Any) -> None:
+    data, overrides, _ = mutant
+    try:
+        load_scenario(data, overrides)
+    except ScenarioError as error:
+        assert all(0 < len(text) < 2000 for text in (str(error), *error.problems))
 
 
 @pytest.mark.process
@@ -159,10 +204,11 @@ def test_a_case_does_not_depend_on_what_ran_before_in_the_folder(tmp_path: Path)
     code = f"""
 import random, sys; sys.path[:0] = [{str(FUZZ)!r}]
 from pathlib import Path
-from scenario_files import Kind
+from generated import Kind
+from schema import drawn
 for turn in range(2):
     kind = Kind(Path({str(tmp_path)!r}))
-    print(len(kind._data), kind._values(random.Random(3)))
+    print(len(kind.data), drawn(random.Random(3), kind.mutants))
 """
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=HANG_S
@@ -177,6 +223,7 @@ for turn in range(2):
     "kind",
     [
         *("scenarios", "files"),
+        pytest.param("schema", marks=pytest.mark.tutorial),  # see the generated scenarios above
         pytest.param("stores", marks=pytest.mark.tutorial),  # their scans take a minute
         pytest.param("messages", marks=[pytest.mark.tutorial, pytest.mark.ros]),
     ],

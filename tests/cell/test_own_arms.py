@@ -298,7 +298,7 @@ def test_keys_that_do_not_fit_the_arm_are_refused(chain: Path) -> None:
 def test_what_is_no_file_is_refused_at_once(tmp_path: Path, monkeypatch) -> None:
     pipe = tmp_path / "pipe.xml"
     os.mkfifo(pipe)
-    assert "is a FIFO, not a regular file" in refusal(pipe)
+    assert "is a named pipe (FIFO), not a file" in refusal(pipe)
     assert "is a folder" in refusal(tmp_path)
     assert "does not exist" in refusal(tmp_path / "none.xml")
     override = f"cell.source_arm={{model: null, file: {tmp_path / 'arm.xml'}}}"
@@ -307,7 +307,7 @@ def test_what_is_no_file_is_refused_at_once(tmp_path: Path, monkeypatch) -> None
     (tmp_path / "arm.xml").unlink()
     pipe.rename(tmp_path / "arm.xml")
     stage_digests(scenario)  # does not wait for a writer
-    with pytest.raises(ScenarioError, match=r"arm\.xml is a FIFO, not a regular file"):
+    with pytest.raises(ScenarioError, match=r"arm\.xml is a named pipe"):
         load_scenario(DEMO, [override])
     large = tmp_path / "large.xml"
     large.write_bytes(b" ")

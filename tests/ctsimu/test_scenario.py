@@ -125,14 +125,14 @@ def test_row_0_is_on_top_whichever_way_w_points(data, write):
     ],
 )
 def test_numbers_by_hand(tmp_path, parameter, unit, frame, expected):
-    section = JsonSection({"x": parameter}, "", Moment(frame, 4), tmp_path, [])
+    section = JsonSection({"x": parameter}, "", Moment(frame, 4), tmp_path, {})
     assert section.number("x", unit) == pytest.approx(expected)
     assert not section.problems
 
 
 def test_text_drifts_hold_until_the_next(tmp_path):
     data = {"file": {"value": "a", "drifts": [{"value": ["b", "c"]}]}}
-    found = [JsonSection(data, "", Moment(i, 4), tmp_path, []).text("file") for i in range(4)]
+    found = [JsonSection(data, "", Moment(i, 4), tmp_path, {}).text("file") for i in range(4)]
     assert found == ["b", "b", "b", "c"]
 
 

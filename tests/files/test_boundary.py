@@ -24,10 +24,10 @@ def test_what_is_no_regular_file_is_not_opened(tmp_path: Path) -> None:
     (tmp_path / "zero").symlink_to("/dev/zero")
     (tmp_path / "loop").symlink_to("loop")
     for name, why in {
-        "pipe": "is a FIFO, not a regular file",
-        "zero": "is a device, not a regular file",
+        "pipe": r"is a named pipe \(FIFO\), not a file",
+        "zero": "is a device, not a file",
         "none": "does not exist",
-        **{".": "is a folder", "loop": "cannot be read", "x" * 300: "cannot be read"},
+        **{".": "is a folder, not a file", "loop": "cannot be read", "x" * 300: "cannot be read"},
         "a\0b": "cannot be read",
     }.items():
         with pytest.raises(SpecimenError, match=f"^the mesh {why}"):

@@ -17,5 +17,5 @@ def test_only_a_file_is_read(tmp_path):
     (tmp_path / "good").write_text('{"a": [1]}')
     assert read_json(tmp_path / "good") == {"a": [1]}
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(ValueError, match="pipe is a FIFO, not a regular file"):
+    with pytest.raises(ValueError, match="pipe is a named pipe"):
         read_json(tmp_path / "pipe")

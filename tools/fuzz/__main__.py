@@ -21,8 +21,8 @@ from pathlib import Path
 from driver import fuzz
 
 KINDS = {
-    **{"scenarios": "scenario_files", "bodies": "bodies", "files": "input_files"},
-    **{"stores": "store_files", "messages": "message_fields"},
+    **{"scenarios": "scenario_files", "schema": "generated", "bodies": "bodies"},
+    **{"files": "input_files", "stores": "store_files", "messages": "message_fields"},
 }
 """Name of the module of each kind, which has a class ``Kind``."""
 

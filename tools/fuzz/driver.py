@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hanging import Limits, Watch
+from hanging import Activity, Limits, Watch
 
 CASES_A_WORKER = 20_000
 """Cases per worker; a fresh worker limits the memory that libraries retain from each case."""
@@ -47,13 +47,13 @@ class Worker:
         seed: int,
         place: Path,
         limits: Limits,
-        clock: Callable[[], float],
+        activity: Callable[[int], Activity] | None,
         *,
         any_speed: bool,
     ) -> None:
         """Use ``place`` for the material and for the folder of the current case."""
         self.folder = place / "case"
-        self._limits, self._clock = limits, clock
+        self._limits, self._activity = limits, activity
         own = [kind, str(seed), str(place), str(self.folder), *(["any-speed"] * any_speed)]
         script = Path(__file__).resolve().with_name("worker.py")
         self._command = [sys.executable, str(script), *own]
@@ -106,9 +106,10 @@ class Worker:
     def _line(self, processor_s: float) -> bytes:
         """Return the next line of the worker; empty if it hangs or has ended."""
         assert self._process is not None and self._process.stdout is not None
-        watch = Watch(self._process.pid, processor_s, self._limits.idle_s, clock=self._clock)
+        limits = self._limits
+        watch = Watch(self._process.pid, processor_s, limits.idle_looks, self._activity)
         while b"\n" not in self._rest:
-            if not select.select([self._process.stdout], [], [], self._limits.look_s)[0]:
+            if not select.select([self._process.stdout], [], [], limits.look_s)[0]:
                 if watch.hangs():
                     return b""
                 continue
@@ -134,7 +135,7 @@ def fuzz(
     seconds: float,
     place: Path,
     limits: Limits = Limits(),  # noqa: B008 - it is frozen
-    clock: Callable[[], float] = time.monotonic,
+    activity: Callable[[int], Activity] | None = None,
     *,
     any_speed: bool = False,
 ) -> Outcome:
@@ -147,11 +148,11 @@ def fuzz(
         seconds: time after which no new case starts.
         place: folder for files, named after the kind on the command line.
         limits: limits beyond which a worker hangs.
-        clock: clock that runs while a worker uses no processor time.
+        activity: function that returns the activity of a worker, by its pid.
         any_speed: if True, no case is too slow as long as its worker does not hang.
     """
     found, end, last = Outcome(), time.monotonic() + seconds, time.monotonic()
-    with Worker(kind, seed, place, limits, clock, any_speed=any_speed) as worker:
+    with Worker(kind, seed, place, limits, activity, any_speed=any_speed) as worker:
         for number in numbers:
             if time.monotonic() > end:
                 break

@@ -1,18 +1,22 @@
-"""Detection of hanging processes by the processor time that they use.
+"""Detection of hanging processes by what they do, not by the clock.
 
 On a busy machine a process is slow but uses no more processor time. A process in an endless loop
-exceeds its processor time. A blocked process uses none; only this case is timed by the clock.
+exceeds its processor time. A blocked process uses none, and neither runs, nor waits for a processor
+or a disk, each time that one looks.
 """
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 _TICKS_S = os.sysconf("SC_CLK_TCK")
+
+_WANTS_TO_RUN = frozenset("RD")
+"""States of a thread that runs or waits for a processor or a disk, see proc_pid_stat(5)."""
 
 
 @dataclass(frozen=True)
@@ -23,62 +27,75 @@ class Limits:
         start_s: processor time for loading libraries and making material such as scans.
         times: limit of processor time as a multiple of that of a case; the worker itself reports
             slower cases that end.
-        idle_s: time on the clock during which the worker and its children use no processor time.
-        look_s: interval between two checks.
+        idle_looks: looks in a row at which the worker and its children were blocked.
+        look_s: interval between two looks.
     """
 
     start_s: float = 2000.0
     times: float = 10.0
-    idle_s: float = 900.0
+    idle_looks: int = 900
     look_s: float = 1.0
 
 
+class Activity(NamedTuple):
+    """Processor seconds of a process and its descendants, and whether one of them wants to run."""
+
+    used_s: float
+    wants_to_run: bool
+
+
 class Watch:
-    """Watch on the processor time of a process."""
+    """Watch on the activity of a process."""
 
     def __init__(
         self,
         pid: int,
         processor_s: float,
-        idle_s: float,
-        used: Callable[[int], float] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        idle_looks: int,
+        activity: Callable[[int], Activity] | None = None,
     ) -> None:
         """Start the watch.
 
         Args:
             pid: pid of the process.
             processor_s: processor time that it and its descendants may use from now on.
-            idle_s: time on the clock within which they must use any processor time.
-            used: function that returns their processor seconds (default ``used_s``).
-            clock: clock that runs while they use none.
+            idle_looks: looks in a row at which all may be blocked.
+            activity: function that returns their activity (default ``activity_of``).
         """
-        self._pid, self._idle_s = pid, idle_s
-        self._used, self._clock = used or used_s, clock
-        self._last, self._since = self._used(pid), clock()
+        self._pid, self._idle_looks = pid, idle_looks
+        self._activity = activity or activity_of
+        self._last, self._idle = self._activity(pid).used_s, 0
         self._end = self._last + processor_s
 
     def hangs(self) -> bool:
-        """Return True if the process has exceeded its processor time or been idle for too long."""
-        used, now = self._used(self._pid), self._clock()
-        if used != self._last:
-            self._last, self._since = used, now
-        return used > self._end or now - self._since > self._idle_s
+        """Look; return True if the process exceeded its processor time or was blocked too often."""
+        now = self._activity(self._pid)
+        blocked = now.used_s == self._last and not now.wants_to_run
+        self._last, self._idle = now.used_s, self._idle + 1 if blocked else 0
+        return now.used_s > self._end or self._idle > self._idle_looks
 
 
-def used_s(pid: int) -> float:
-    """Return the processor seconds of a process and its descendants, including reaped children."""
+def activity_of(pid: int) -> Activity:
+    """Return the activity of a process and its descendants; reaped children count as used."""
     ticks: dict[int, int] = {}
     children: dict[int, list[int]] = {}
     for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            # The name may contain anything; field 3 follows it, see proc_pid_stat(5).
-            told = (folder / "stat").read_text(errors="replace").rpartition(")")[2].split()
-        except OSError:  # the process has just ended
-            continue
-        children.setdefault(int(told[1]), []).append(int(folder.name))
-        ticks[int(folder.name)] = sum(map(int, told[11:15]))
+        for told in _stats(folder / "stat"):
+            children.setdefault(int(told[1]), []).append(int(folder.name))
+            ticks[int(folder.name)] = sum(map(int, told[11:15]))
     family = [pid]
     for member in family:
         family += children.get(member, [])
-    return sum(ticks.get(member, 0) for member in family) / _TICKS_S
+    threads = (file for member in family for file in Path(f"/proc/{member}/task").glob("*/stat"))
+    states = {told[0] for file in threads for told in _stats(file)}
+    used_s = sum(ticks.get(member, 0) for member in family) / _TICKS_S
+    return Activity(used_s, not _WANTS_TO_RUN.isdisjoint(states))
+
+
+def _stats(file: Path) -> Iterator[list[str]]:
+    """Yield the fields of a file ``stat`` from the third on; none if its process has just ended."""
+    try:
+        # The name may contain anything; field 3 follows it, see proc_pid_stat(5).
+        yield file.read_text(errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return

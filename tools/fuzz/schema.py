@@ -1,113 +1,154 @@
-"""Random values from a JSON Schema: within its limits, beyond them, and of wrong types."""
+"""Strategies of hypothesis for values that a JSON Schema allows, nearly allows, or does not."""
 
 from __future__ import annotations
 
+import functools
 import random
-from typing import Any
+from typing import Any, TypeVar
 
-from mutations import nasty
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mutations import NASTY_VALUES
 
-WRONG = 0.04
-"""Share of values that ignore the schema."""
+T = TypeVar("T")
 
-DEEPEST = 12
+MOST_BYTES = 4096
+"""Size of the random bytes from which a value is drawn; larger values are cut off by hypothesis."""
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=50),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=9), inner, max_size=4)
+    ),
+    max_leaves=8,
+)
+"""Any plain data."""
+
+NASTY = st.sampled_from(NASTY_VALUES) | JSON
+NAMES = st.sampled_from(("", "x", "bone", "water", "believed", "data/curve.txt", "a b")) | st.text()
+SYMBOLS = st.sampled_from(("H", "O", "Ca", "Fe", "W", "Xx", ""))
+TAGS = ("kind", "method", "algorithm")
 
 
 class Schema:
-    """Source of values that a JSON Schema allows, or nearly allows."""
+    """Source of strategies for the parts of a JSON Schema.
+
+    Attributes:
+        sections: top-level keys.
+    """
 
     def __init__(self, schema: dict[str, Any]) -> None:
         """Store the schema."""
         self._whole = schema
+        self.sections = list(schema["properties"])
+        self._by_ref: dict[str, st.SearchStrategy[Any]] = {}
 
-    @property
-    def sections(self) -> list[str]:
-        """Names of the top-level keys."""
-        return list(self._whole["properties"])
-
-    def value_at(self, rng: random.Random, key: tuple[str | int, ...]) -> Any:
-        """Return a value for a key; any value if the schema lacks the key."""
-        part = self._whole
+    @functools.cache  # noqa: B019 - as long as the schema
+    def at(self, key: tuple[str | int, ...]) -> st.SearchStrategy[Any]:
+        """Return a strategy for a key; any value if the schema lacks the key."""
+        parts = [self._whole]
         for step in key:
-            branches = [self._resolved(branch) for branch in self._branches(part)]
-            if isinstance(step, int):
-                inner = [branch["items"] for branch in branches if "items" in branch]
-            else:
-                named = (branch.get("properties", {}) for branch in branches)
-                inner = [properties[step] for properties in named if step in properties]
-            if not inner:
-                return nasty(rng)
-            part = rng.choice(inner)
-        return self.value(rng, part)
+            inner: list[dict[str, Any]] = []
+            for part in (branch for around in parts for branch in self._branches(around)):
+                if isinstance(step, int) and "items" in part:
+                    inner.append(part["items"])
+                elif step in part.get("properties", {}):
+                    inner.append(part["properties"][step])
+            parts = inner
+        return st.one_of([self._of(part) for part in parts]) if parts else NASTY
 
-    def value(self, rng: random.Random, part: dict[str, Any], depth: int = 0) -> Any:
-        """Return a value for a part of the schema."""
-        if rng.random() < WRONG or depth > DEEPEST:
-            return nasty(rng)
-        part = self._resolved(rng.choice(self._branches(part)))
-        if "const" in part:
-            return part["const"]
-        if "enum" in part:
-            return rng.choice(part["enum"])
+    def _of(self, part: dict[str, Any]) -> st.SearchStrategy[Any]:
+        """Return a strategy for a part of the schema; one of 24 values ignores the part."""
+        if "$ref" in part:
+            name = part["$ref"].rpartition("/")[2]
+            if name not in self._by_ref:
+                self._by_ref[name] = st.deferred(lambda: self._of(self._whole["$defs"][name]))
+            return self._by_ref[name]
+        for word in ("anyOf", "oneOf", "allOf"):
+            if word in part:
+                return st.one_of([self._of(branch) for branch in part[word]])
+        allowed = self._allowed(part)
+        return st.integers(1, 24).flatmap(lambda pick: NASTY if pick == 7 else allowed)
+
+    def _allowed(self, part: dict[str, Any]) -> st.SearchStrategy[Any]:
+        if "const" in part or "enum" in part:
+            return st.sampled_from(part.get("enum", [part.get("const")]))
         match part.get("type"):
             case "object":
-                return self._object(rng, part, depth)
+                return self._object(part)
+            case "array" if "prefixItems" in part:
+                return st.tuples(*map(self._of, part["prefixItems"])).map(list)
             case "array":
-                return self._array(rng, part, depth)
-            case "integer" | "number" as kind:
-                return _number(rng, part, whole=kind == "integer")
+                least = part.get("minItems", 0)
+                return st.lists(
+                    self._of(part.get("items", {})), min_size=max(least - 1, 0), max_size=least + 3
+                )
+            case "integer":
+                return _numbers(part, st.integers)
+            case "number":
+                return _numbers(part, st.floats) | _numbers(part, st.integers)
             case "boolean":
-                return rng.random() < 0.5
+                return st.booleans()
             case "null":
-                return None
+                return st.none()
             case "string":
-                return rng.choice(("", "x", "bone", "water", "believed", "data/curve.txt", "a b"))
+                return NAMES
             case _:
-                return nasty(rng)
+                return NASTY
 
-    def _object(self, rng: random.Random, part: dict[str, Any], depth: int) -> Any:
-        tags = ("kind", "method", "algorithm")
-        share = rng.random()
-        found = {
-            name: self.value(rng, inner, depth + 1)
-            for name, inner in part.get("properties", {}).items()
-            if name in tags or "default" not in inner or rng.random() < share
-        }
-        if isinstance(other := part.get("additionalProperties"), dict):
-            names = rng.sample(("H", "O", "Ca", "Fe", "W", "Xx", ""), rng.randint(0, 3))
-            found |= {name: self.value(rng, other, depth + 1) for name in names}
-        return found
-
-    def _array(self, rng: random.Random, part: dict[str, Any], depth: int) -> Any:
-        if "prefixItems" in part:
-            return [self.value(rng, inner, depth + 1) for inner in part["prefixItems"]]
-        least = part.get("minItems", 0)
-        number = rng.choice((least, least, least + 1, least + 3, max(least - 1, 0)))
-        return [self.value(rng, part.get("items", {}), depth + 1) for _ in range(number)]
+    def _object(self, part: dict[str, Any]) -> st.SearchStrategy[Any]:
+        properties = part.get("properties", {})
+        always = {n for n, inner in properties.items() if n in TAGS or "default" not in inner}
+        of = {name: self._of(inner) for name, inner in properties.items()}
+        found = st.fixed_dictionaries(
+            {name: of[name] for name in always},
+            optional={name: of[name] for name in of if name not in always},
+        )
+        other = part.get("additionalProperties")
+        if not isinstance(other, dict):
+            return found
+        more = st.dictionaries(SYMBOLS, self._of(other), max_size=3)
+        return st.tuples(found, more).map(lambda two: two[0] | two[1])
 
     def _branches(self, part: dict[str, Any]) -> list[dict[str, Any]]:
-        part = self._resolved(part)
+        while "$ref" in part:
+            part = self._whole["$defs"][part["$ref"].rpartition("/")[2]]
         for word in ("anyOf", "oneOf", "allOf"):
             if word in part:
                 return [b for branch in part[word] for b in self._branches(branch)]
         return [part]
 
-    def _resolved(self, part: dict[str, Any]) -> dict[str, Any]:
-        while "$ref" in part:
-            part = self._whole["$defs"][part["$ref"].rpartition("/")[2]]
-        return part
+
+def _numbers(part: dict[str, Any], kind: Any) -> st.SearchStrategy[Any]:
+    """Return numbers within the limits, the limits themselves and those next to them, and any."""
+    low = part.get("minimum", part.get("exclusiveMinimum"))
+    high = part.get("maximum", part.get("exclusiveMaximum"))
+    limits = [x + by for x in (low, high) if x is not None for by in (-1, -1e-9, 0, 1e-9, 1)]
+    if kind is st.integers:
+        low, high = (None if x is None else round(x) for x in (low, high))
+        limits = [round(limit) for limit in limits]
+    inside = kind(low, high) | kind(low, low + 100 if low is not None else 100)
+    return inside | st.sampled_from(limits) | kind() if limits else inside | kind()
 
 
-def _number(rng: random.Random, part: dict[str, Any], *, whole: bool) -> float:
-    low = part.get("minimum", part.get("exclusiveMinimum", -1000))
-    high = part.get("maximum", part.get("exclusiveMaximum", max(low, 0) + 1000))
-    pick = rng.random()
-    if pick < 0.25:
-        number = rng.choice((low, high, low - 1, high + 1, low + 1e-9, 0, 1))
-    elif pick < 0.5:
-        number = rng.choice(
-            (1e-9, 1e-6, 1e-3, 0.1, 1, 2, 10, 100, 1e4, 1e5, 1e7, 1e12, 1e200, 1e308)
-        )
-    else:
-        number = low + (high - low) * rng.random() ** 3
-    return round(number) if whole else float(number)
+@functools.cache
+def _drawer(strategy: st.SearchStrategy[T]) -> tuple[Any, list[T]]:
+    found: list[T] = []
+
+    @settings(database=None, deadline=None, suppress_health_check=list(HealthCheck))
+    @given(strategy)
+    def take(value: T) -> None:
+        found.append(value)
+
+    return take.hypothesis.fuzz_one_input, found
+
+
+def drawn(rng: random.Random, strategy: st.SearchStrategy[T]) -> T:
+    """Return a value of a strategy, determined by ``rng`` alone."""
+    draw, found = _drawer(strategy)
+    found.clear()
+    size = MOST_BYTES
+    while not found:  # hypothesis draws nothing if the bytes do not suffice
+        draw(rng.randbytes(size))
+        size *= 2
+    return found[0]

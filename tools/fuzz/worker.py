@@ -23,6 +23,9 @@ from cases import Case, Kind
 
 from twinct.core.errors import InputError
 
+LONGEST = 2000
+"""Number of characters that neither a message nor one of its problems reaches."""
+
 FRESH_BYTES = 64 * 2**20
 """Address space beyond the memory of a case: libraries map more than they touch."""
 
@@ -54,7 +57,7 @@ def tried(
     """Try a case; return ``word``, ``ok``, ``told``, ``trace``, ``seconds``, ``memory_bytes``."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    case, trace = Case("cannot be made", lambda: ""), ""
+    case, trace, longest = Case("cannot be made", lambda: ""), "", 0
     Path("/proc/self/clear_refs").write_text("5")  # resets the memory peak
     before = time.process_time()
     try:
@@ -63,10 +66,13 @@ def tried(
         word = case.act()
     except InputError as error:
         word, trace = "refused", "\n".join(error.problems)
+        longest = max(map(len, (str(error), *error.problems)))
     except BaseException as error:
         word, trace = f"{type(error).__name__}", traceback.format_exc()
     seconds = time.process_time() - before
     ok = word == "refused" or not trace
+    if longest >= LONGEST:
+        word, ok = f"a message of {longest} characters", False
     if ok and seconds > kind.seconds and not any_speed:
         word, ok = "too slow", False
     if ok and (peak := _status("VmHWM")) > kind.memory_bytes:

@@ -27,6 +27,7 @@ from twinct.calibration import (
 )
 from twinct.core.errors import CalibrationError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
+from twinct.core.foreign_text import quoted
 from twinct.core.progress import Progress
 from twinct.geometry import Floats, VolumeGrid
 from twinct.geometry.wire import PosePairs
@@ -310,7 +311,9 @@ def refuse_own(name: str) -> None:
         InputError: every scan has a geometry of this name, or it is no valid file name.
     """
     if checked_name(name) in OWN:
-        raise InputError(f"name {name!r} is reserved: every scan already has {', '.join(OWN)}")
+        raise InputError(
+            f"name {quoted(name)} is reserved: every scan already has {', '.join(OWN)}"
+        )
 
 
 def keep(geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan]]) -> None:

@@ -9,7 +9,8 @@ import traceback
 from collections.abc import Sequence
 from types import FrameType
 
-from twinct.core.errors import InputError, TwinctError
+from twinct.core.errors import TwinctError
+from twinct.core.foreign_text import shortened
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
 
@@ -43,9 +44,8 @@ def run_command(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # tyro: 0 after --help, 2 after invalid arguments
         return stop.code if isinstance(stop.code, int) else EXIT_OTHER
     except TwinctError as error:
-        problems = error.problems if isinstance(error, InputError) else (str(error),)
-        for problem in problems:
-            _say(f"twinct: {problem}")
+        for line in error.lines:
+            _say(f"twinct: {line}")
         return error.exit_code
     except KeyboardInterrupt:
         kept = _KEPT.get(next(iter(arguments), ""))
@@ -61,7 +61,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         if os.environ.get("TWINCT_DEBUG"):
             traceback.print_exc()
         _say(
-            f"twinct: unexpected {type(error).__name__}: {error}\n"
+            f"twinct: unexpected {type(error).__name__}: {shortened(str(error))}\n"
             "twinct: this is a bug in twinct; set TWINCT_DEBUG=1 to see where"
         )
         return EXIT_OTHER

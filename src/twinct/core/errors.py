@@ -9,11 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from twinct.core.foreign_text import stated
+
 
 class TwinctError(Exception):
     """Base of all errors that twinct raises on purpose."""
 
     exit_code = 1
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines of the message, below 2,000 characters together."""
+        return stated([super().__str__()])
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
 
 
 class InputError(TwinctError):
@@ -21,14 +31,21 @@ class InputError(TwinctError):
 
     Attributes:
         problems: one sentence per problem, each understandable alone.
+        more: number of further problems, which have no sentence.
     """
 
     exit_code = 2
 
-    def __init__(self, problems: str | Iterable[str]) -> None:
-        """Store every problem, so that a user can fix all of them at once."""
+    def __init__(self, problems: str | Iterable[str], more: int = 0) -> None:
+        """Store every problem; the message states the first ones."""
         self.problems = (problems,) if isinstance(problems, str) else tuple(problems)
+        self.more = more
         super().__init__("\n".join(self.problems))
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines of the message: the first problems, and a count of the others."""
+        return stated(self.problems, self.more)
 
 
 class ScenarioError(InputError):

@@ -7,15 +7,17 @@ from typing import Annotated, Any, NamedTuple
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
 from pydantic.fields import FieldInfo
 
+from twinct.core.foreign_text import quoted
+
 
 def _sane(least: float, most: float) -> AfterValidator:
     """Return a validator that refuses magnitudes that are implausible or unsafe in arithmetic."""
 
     def sane(value: float) -> float:
         if abs(value) > most:
-            raise ValueError(f"must be at most {most:g} in magnitude, but is {value!r}")
+            raise ValueError(f"must be at most {most:g} in magnitude, but is {quoted(value)}")
         if 0 < abs(value) < least:
-            raise ValueError(f"must be at least {least:g} in magnitude, but is {value!r}")
+            raise ValueError(f"must be at least {least:g} in magnitude, but is {quoted(value)}")
         return value
 
     return AfterValidator(sane)

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted, whole_number
 
 SETTING = "TWINCT_THREADS"
 _CPU_MAX = Path("/sys/fs/cgroup/cpu.max")
@@ -40,9 +41,10 @@ def threads() -> int:
     text = os.environ.get(SETTING, "").strip()
     if not text:
         return available_threads()
-    if not (text.isascii() and text.isdigit() and int(text) >= 1):
-        raise InputError(f"{SETTING}={text!r}: must be a whole number of at least 1")
-    return int(text)
+    number = whole_number(text)
+    if not number:
+        raise InputError(f"{SETTING}={quoted(text)}: must be a whole number of at least 1")
+    return number
 
 
 def load_numba() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import read_text
+from twinct.core.foreign_text import number, quoted
 
 LARGEST_BYTES = 16 * 2**20
 """Size limit of one file: a million moments."""
@@ -47,7 +48,7 @@ def _column(file: object, folder: Path, as_text: bool) -> list[Any]:
     if as_text:
         return _filled(cells)
     try:
-        return _finite([float(cell) for cell in cells])
+        return _finite([number(cell) for cell in cells])
     except ValueError as error:
         raise ValueError(f"{path} is not a column of numbers: {error}") from None
 
@@ -83,5 +84,4 @@ def as_float(value: float) -> float:
 
 def short(value: object) -> str:
     """Return a value for a message, shortened if it is long."""
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return quoted(value, 60)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import ScenarioError
-from twinct.core.files.boundary import read_text, shortened
+from twinct.core.files.boundary import read_text
+from twinct.core.foreign_text import shortened
 
 LARGEST_BYTES = 16 * 2**20
 """Size limit of one file; the largest in BAM's suite has 0.02 MB."""
@@ -49,8 +51,8 @@ def read_json(path: Path, skipped: str) -> dict[str, Any]:
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     data = _Object(pairs)
     if len(data) < len(pairs):
-        keys = [key for key, _ in pairs]
-        data.repeated = tuple(key for key in data if keys.count(key) > 1)
+        times = Counter(key for key, _ in pairs)
+        data.repeated = tuple(key for key in data if times[key] > 1)
     return data
 
 

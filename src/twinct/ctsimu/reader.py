@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from twinct.core.files.boundary import ABSENT, no_file
 from twinct.ctsimu.drifts import as_float, drift_values, interpolated, short
 from twinct.ctsimu.ranges import ANY, Range
 
@@ -35,6 +36,9 @@ UNITS: Mapping[str, Mapping[str | None, float]] = {
     "": {None: 1.0, "relative": 1.0},
 }
 """Factor from each unit to our unit, which is the key."""
+
+MOST_HINTS = 100
+"""Largest number of unknown keys whose likely meaning is searched for, which takes time."""
 
 _PARAMETER_KEYS = {"value", "unit", "uncertainty", "drifts", "comment"}
 _DRIFT_KEYS = {"value", "file", "unit", "known_to_reconstruction", "comment"}
@@ -58,14 +62,14 @@ class JsonSection:
         place: its dotted key, for messages.
         moment: moment of the scan.
         folder: base folder of relative file names.
-        problems: list that collects one sentence for each error or unsupported feature.
+        problems: collects one sentence for each error or unsupported feature, as its keys.
     """
 
     data: Mapping[str, Any]
     place: str
     moment: Moment
     folder: Path
-    problems: list[str]
+    problems: dict[str, None]
     _read: set[str] = field(default_factory=set)
     _may_be_empty: set[str] = field(default_factory=set)
     _missing: list[str] = field(default_factory=list)
@@ -182,13 +186,12 @@ class JsonSection:
         path = self.folder / name.replace("\\", "/")
         try:
             path = path.resolve()
-            if path.is_file():
-                return path
-            what = "is a folder, not a file" if path.is_dir() else ""
+            why = no_file(path)
         except (OSError, RuntimeError, ValueError):  # a name that no file can have
-            what = ""
-        self.problem(key, f"{path} {what}" if what else f"no file at {path}")
-        return None
+            why = ABSENT
+        if why:
+            self.problem(key, f"no file at {path}" if why == ABSENT else f"{path} {why}")
+        return None if why else path
 
     def skip(self, *keys: str) -> None:
         """Mark keys as read that change nothing in an image."""
@@ -200,9 +203,7 @@ class JsonSection:
 
     def problem(self, key: str, sentence: str) -> None:
         """Report a problem with a key."""
-        message = f"{self._place_of(key)}: {sentence}"
-        if message not in self.problems:
-            self.problems.append(message)
+        self.problems[f"{self._place_of(key)}: {sentence}"] = None
 
     def require(self, *keys: str) -> None:
         """Record required keys; ``finish`` reports the empty ones, unless one is misspelt."""
@@ -212,7 +213,8 @@ class JsonSection:
         """Report every missing key and every unread key, here and below."""
         known = self._read | self._may_be_empty
         unread = [key for key in self.data if key not in self._read and key != "comment"]
-        near = {key: _nearest(key, known) for key in unread if key not in self._may_be_empty}
+        strange = [key for key in unread if key not in self._may_be_empty]
+        near = {key: _nearest(key, known) for key in strange[:MOST_HINTS]}
         for key in self._missing:
             if key not in near.values():
                 self.problem(key, "is missing")
@@ -228,7 +230,7 @@ class JsonSection:
         return ".".join(part for part in (self.place, key) if part)
 
     def _below(self, key: str, data: Mapping[str, Any], *, quiet: bool = False) -> JsonSection:
-        place, problems = self._place_of(key), [] if quiet else self.problems
+        place, problems = self._place_of(key), {} if quiet else self.problems
         below = JsonSection(data, place, self.moment, self.folder, problems)
         return self._inner.setdefault(key, below)
 
@@ -294,7 +296,8 @@ class JsonSection:
     def _only(self, key: str, data: Mapping[str, Any], known: set[str]) -> None:
         for name in data:
             if name not in known:
-                self.problem(f"{key}.{name}", _unknown(_nearest(name, known)))
+                hint = _nearest(name, known) if len(self.problems) < MOST_HINTS else None
+                self.problem(f"{key}.{name}", _unknown(hint))
 
 
 def _nearest(key: str, known: set[str]) -> str | None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from twinct.core.draws import view_rng
 from twinct.core.errors import ScanExistsError, ScenarioError
 from twinct.core.files.images import RawImage, write_tiff
+from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import storage_errors
 from twinct.ctsimu.camera import Camera
 from twinct.ctsimu.digitiser import Digitiser, Image
@@ -170,7 +171,7 @@ def _claim(files: Files, identity: str, resume: bool) -> None:
     """Check that the folder is free or holds this very rendering, and write the key file."""
     make_folder(files.folder)
     # NAME_* would also match the images of NAME_2.
-    own = re.compile(re.escape(files.name) + r"_(\d{4,}|(dark|flat)(_\d{4,})?)\.tif")
+    own = re.compile(re.escape(files.name) + r"_([0-9]{4,}|(dark|flat)(_[0-9]{4,})?)\.tif")
     images = any(own.fullmatch(path.name) for path in files.folder.iterdir())
     # A rendering that failed before its first image claims nothing.
     claimed = files.key.exists() and (images or files.metadata.exists())
@@ -190,8 +191,8 @@ def _claim(files: Files, identity: str, resume: bool) -> None:
 def _digest(key: Path) -> str | None:
     """Return the digest in a key file; None if the file is not ours."""
     try:
-        found = json.loads(key.read_text())
-    except ValueError:
+        found = read_json(key)
+    except (OSError, ValueError):
         return None
     return found.get("digest") if isinstance(found, dict) else None
 

@@ -46,7 +46,7 @@ class CtsimuScenario(Plan):
         Raises:
             ScenarioError: the frame is invalid or not supported.
         """
-        problems: list[str] = []
+        problems: dict[str, None] = {}
         frame = read_frame(self._root(Moment(index, self.frames, believed), problems))
         if problems or frame is None:
             raise ScenarioError([f"{self.path}: {p}" for p in problems])
@@ -62,7 +62,7 @@ class CtsimuScenario(Plan):
         }
         return ScanGeometry(**arrays, panel=views[0].panel)
 
-    def _root(self, moment: Moment, problems: list[str]) -> JsonSection:
+    def _root(self, moment: Moment, problems: dict[str, None]) -> JsonSection:
         return JsonSection(self.data, "", moment, self.path.parent, problems)
 
 
@@ -75,14 +75,14 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
     path = Path(path).expanduser()
     data = read_json(path, skipped="simulation")
     # Problems of the plan are reported together with all others of frame 0.
-    plan = read_plan(JsonSection(data, "", Moment(0, 1), path.parent, []).section("acquisition"))
+    plan = read_plan(JsonSection(data, "", Moment(0, 1), path.parent, {}).section("acquisition"))
     scenario = CtsimuScenario(**vars(plan), path=path, data=data)
     seen: set[object] = set()
     for index in range(plan.frames):
-        problems: list[str] = []
+        problems: dict[str, None] = {}
         frame = read_frame(scenario._root(Moment(index, plan.frames), problems))
         if frame is not None:
-            problems += _wrong_references(frame, seen)
+            problems |= dict.fromkeys(_wrong_references(frame, seen))
         if problems:
             # Later frames would repeat these problems with other numbers.
             when = f" (frame {index})" if index else ""

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from twinct.core.errors import InputError, LinkError
 from twinct.core.extras import require
+from twinct.core.foreign_text import quoted, whole_number
 
 MIDDLEWARE = "rmw_fastrtps_cpp"
 DOMAINS = range(1, 101)
@@ -130,9 +131,10 @@ class Domain:
         origin = "domain_id"
         if wanted is None and (text := os.environ.get("ROS_DOMAIN_ID", "").strip()):
             origin = "ROS_DOMAIN_ID"
-            wanted = int(text) if text.isdigit() else -1
-            if wanted < 0:
-                raise InputError(f"{origin}={text!r} is not a number from 0 to {LARGEST_DOMAIN}")
+            wanted = whole_number(text)
+            if wanted is None:
+                told = f"{origin}={quoted(text)}"
+                raise InputError(f"{told} is not a number from 0 to {LARGEST_DOMAIN}")
         if wanted is not None:
             if not 0 <= wanted <= LARGEST_DOMAIN:
                 raise InputError(f"{origin}={wanted} is not a number from 0 to {LARGEST_DOMAIN}")
@@ -209,7 +211,7 @@ def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
             os.close(descriptor)
     for port in folder.glob("fastrtps_port*"):
         with suppress(OSError):
-            if port.name.rpartition("port")[2].isdigit() and not _young(port):
+            if whole_number(port.name.rpartition("port")[2]) is not None and not _young(port):
                 if not port.with_name(f"{port.name}_el").exists():
                     _remove_segment(folder, port.name)
 

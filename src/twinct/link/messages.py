@@ -19,6 +19,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
 from std_msgs.msg import Float64MultiArray
 
+from twinct.core.foreign_text import quoted
 from twinct.geometry import ScanGeometry
 from twinct.geometry.wire import Instant, JointSample, Reached, SevenNumbers, Target, from_seven
 from twinct.link import plain
@@ -73,7 +74,7 @@ def _poses(
     message: PoseArray, names: tuple[str, ...], *, repeated: bool = False
 ) -> tuple[SevenNumbers, ...]:
     if message.header.frame_id not in (plain.WORLD, ""):
-        raise MalformedError(f"frame {message.header.frame_id!r}, expected {plain.WORLD!r}")
+        raise MalformedError(f"frame {quoted(message.header.frame_id)}, expected {plain.WORLD!r}")
     count = len(message.poses)
     if count != len(names) and not (repeated and count and count % len(names) == 0):
         raise MalformedError(f"{count} poses, expected {len(names)}: {', '.join(names)}")

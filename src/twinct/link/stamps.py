@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from twinct.core.foreign_text import quoted, whole_number
 from twinct.scenario import Scenario, stage_digests
 
 NANO = 1_000_000_000
@@ -30,9 +31,10 @@ class Stamp(NamedTuple):
     def parse(cls, text: str) -> Stamp:
         """Invert ``str``; raise ``ValueError`` unless the text is ``SECONDS.NANOSECONDS``."""
         sec, point, nanosec = text.partition(".")
-        if not (point and sec.isdigit() and nanosec.isdigit() and len(nanosec) == 9):
-            raise ValueError(f"{text!r} is not SECONDS.NANOSECONDS with nine digits")
-        return cls(int(sec), int(nanosec))
+        seconds, rest = whole_number(sec), whole_number(nanosec)
+        if not point or seconds is None or rest is None or len(nanosec) != 9:
+            raise ValueError(f"{quoted(text)} is not SECONDS.NANOSECONDS with nine digits")
+        return cls(seconds, rest)
 
     def __str__(self) -> str:
         return f"{self.sec}.{self.nanosec:09d}"

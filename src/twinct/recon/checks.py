@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 
@@ -102,7 +103,7 @@ class Checks:
             good = False
         if not good:
             self.problems.append(
-                f"{name} is {value!r}; it must be a whole number of at least 1{limit}"
+                f"{name} is {quoted(value)}; it must be a whole number of at least 1{limit}"
             )
             return 1
         return int(value)
@@ -110,19 +111,23 @@ class Checks:
     def relaxation(self, value: float) -> float:
         """Return the relaxation, between 0 and 2, both excluded."""
         if not 0 < value < 2:
-            self.problems.append(f"relaxation is {value!r}; it must be above 0 and below 2")
+            self.problems.append(f"relaxation is {quoted(value)}; it must be above 0 and below 2")
         return float(value)
 
     def not_negative(self, name: str, value: float) -> float:
         """Return a finite number of at least 0."""
         if not (value >= 0 and math.isfinite(value)):
-            self.problems.append(f"{name} is {value!r}; it must be a finite number of at least 0")
+            self.problems.append(
+                f"{name} is {quoted(value)}; it must be a finite number of at least 0"
+            )
         return float(value)
 
     def huber(self, value: float | None) -> float | None:
         """Return a finite number above 0, or None."""
         if value is not None and not (value > 0 and math.isfinite(value)):
-            self.problems.append(f"huber is {value!r}; it must be a finite number above 0, or None")
+            self.problems.append(
+                f"huber is {quoted(value)}; it must be a finite number above 0, or None"
+            )
         return value
 
     def start(

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats
 
 log = logging.getLogger(__name__)
@@ -149,7 +150,9 @@ def asked_for(name: str | None = None) -> str | None:
     chosen = name or os.environ.get(ENGINE_VARIABLE)
     if chosen and chosen not in get_args(EngineName):
         place = "engine" if name else ENGINE_VARIABLE
-        raise InputError(f"{place} is {chosen!r}; it must be {' or '.join(get_args(EngineName))}")
+        raise InputError(
+            f"{place} is {quoted(chosen)}; it must be {' or '.join(get_args(EngineName))}"
+        )
     return chosen or None
 
 

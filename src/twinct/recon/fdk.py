@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.core.threads import threads
 from twinct.geometry import Floats, ScanGeometry
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
@@ -118,7 +119,9 @@ def _checked_circle(
 ) -> Circle:
     """Return the circle of the scan; raise InputError for all problems together."""
     if window not in get_args(Window):
-        checks.problems.append(f"window is {window!r}; choose from {', '.join(get_args(Window))}")
+        checks.problems.append(
+            f"window is {quoted(window)}; choose from {', '.join(get_args(Window))}"
+        )
     if mask is not None and mask.ndim == 3 and not mask.any(axis=(1, 2)).all():
         view = int(mask.any(axis=(1, 2)).argmin())
         checks.problems.append(

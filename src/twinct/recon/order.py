@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.foreign_text import quoted
 from twinct.geometry import ScanGeometry
 from twinct.recon.checks import Checks
 
@@ -93,7 +94,7 @@ def view_order(checks: Checks, geometry: ScanGeometry, order: Order, rng: Rng | 
     if isinstance(order, str):
         if order not in named:
             checks.problems.append(
-                f"order is {order!r}; it must be {', '.join(named)} or a permutation"
+                f"order is {quoted(order)}; it must be {', '.join(named)} or a permutation"
             )
         elif order == "random" and rng is None:
             checks.problems.append("order 'random' needs rng: a numpy Generator or a seed")

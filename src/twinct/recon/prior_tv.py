@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.core.settings import Section, Vector, setting
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, Problem, solve_by
@@ -145,7 +146,7 @@ def prior_tv(
     huber = checks.huber(huber)
     x0 = checks.start(x0, A.domain_shape)
     if not 0 <= share <= 1:
-        checks.problems.append(f"share is {share!r}; it must be a number from 0 to 1")
+        checks.problems.append(f"share is {quoted(share)}; it must be a number from 0 to 1")
     checks.problems += prior_problems(prior, A.grid, start or Pose.identity())
     checks.done()
     require_memory(PRIOR_TV, A)

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from twinct.core.foreign_text import quoted
 from twinct.core.threads import threads
 from twinct.recon.checks import Checks
 from twinct.recon.engine import Singles
@@ -64,7 +65,7 @@ class BestPass:
     def checked(cls, checks: Checks, stop: StopName | None) -> BestPass:
         """Build from an argument; report a problem to ``checks``."""
         if stop is not None and stop not in get_args(StopName):
-            checks.problems.append(f"stop is {stop!r}; it must be auto or None")
+            checks.problems.append(f"stop is {quoted(stop)}; it must be auto or None")
         return cls(stop)
 
     @property

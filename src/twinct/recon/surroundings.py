@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, mask_of, masked_image, remainder, start_volume
 from twinct.recon.engine import Singles
@@ -81,9 +82,13 @@ def without_surroundings(
     p, pixels = checks.projections(line_integrals, mask)
     margins = np.asarray(margin_mm, dtype=np.float64)
     if not (np.isfinite(margins).all() and (margins >= 0).all() and margins.any()):
-        checks.problems.append(f"margin_mm is {margin_mm!r}; it must be a finite number above 0")
+        checks.problems.append(
+            f"margin_mm is {quoted(margin_mm)}; it must be a finite number above 0"
+        )
     if not (voxel_mm > 0 and math.isfinite(voxel_mm)):
-        checks.problems.append(f"voxel_mm is {voxel_mm!r}; it must be a finite number above 0")
+        checks.problems.append(
+            f"voxel_mm is {quoted(voxel_mm)}; it must be a finite number above 0"
+        )
     expected = checks.start(expected, A.domain_shape, "expected")
     checks.done()
     coarse = coarse_grid(grid, margins, voxel_mm)

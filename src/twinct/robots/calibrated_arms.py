@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twinct.core.errors import InputError
-from twinct.core.files.boundary import read_text, shortened
+from twinct.core.files.boundary import read_text
 from twinct.core.files.writing import storage_errors, write_text
+from twinct.core.foreign_text import quoted, shortened
 from twinct.geometry import Chain, Floats, Misfit, Pose
 from twinct.geometry.wire import PosePairs
 
@@ -154,7 +155,9 @@ class CalibratedArms:
         try:
             told = json.loads(text)
             if told["format"] != FORMAT:
-                raise ValueError(f"format {told['format']!r}, but this twinct reads {FORMAT!r}")
+                raise ValueError(
+                    f"format {quoted(told['format'])}, but this twinct reads {FORMAT!r}"
+                )
             changes = [_change(told[side], len(told[side]["nominal"]) - 2) for side in SIDES]
             nominal = [np.array(told[side]["nominal"], float) for side in SIDES]
             periods, made_by = int(told["gear_periods"]), dict(told["made_by"])

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from twinct.core.errors import InputError, MissingExtraError, TrajectoryError
 from twinct.core.extras import require
+from twinct.core.foreign_text import quoted
 from twinct.evaluation import sight
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
@@ -173,7 +174,7 @@ def check_geometries(scenario: Scenario, derived: Path | None = None) -> None:
     others = [name for name in scenario.reconstruction.geometries if name not in known]
     if others:
         raise InputError(
-            f"reconstruction.geometry: unknown geometry {others[0]!r}; choose from "
+            f"reconstruction.geometry: unknown geometry {quoted(others[0])}; choose from "
             f"{', '.join(known)}; 'twinct geometry DIR --as NAME' derives one from a finished scan"
         )
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose, ScanGeometry
 from twinct.recon.known_components import Beam, FoundImplant, Implant, outside, without_implants
 from twinct.recon.metal import without_metal
@@ -211,7 +212,9 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
     for i, told in enumerate(section.implants):
         key = f"{_KEY}.implants.{i}"
         if told.part and told.part not in parts and None in (told.shape, told.position_mm):
-            problems.append(f"{key}.part: no part is called {told.part!r}; choose from {[*parts]}")
+            problems.append(
+                f"{key}.part: no part is called {quoted(told.part)}; choose from {[*parts]}"
+            )
             continue
         part: Part = told.described_by(parts.get(told.part))
         name = part.name or f"implant {i}"

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from twinct.core.errors import MemoryShortageError
+from twinct.core.foreign_text import quoted
 from twinct.core.memory import available_bytes
 from twinct.core.threads import threads
 from twinct.runs.acquisition import Link
@@ -102,7 +103,7 @@ def require_memory(scenario: Scenario) -> None:
     pixels, grid = math.prod(panel.shape), scenario.reconstruction.volume_grid
     zoomed = scenario.reconstruction.zoom is not None
     told = {
-        f"specimen.parts.{i}.shape: part {part.label!r}": _part_bytes(part.shape)
+        f"specimen.parts.{i}.shape: part {quoted(part.label)}": _part_bytes(part.shape)
         for i, part in enumerate(scenario.specimen.parts)
     }
     told |= {

@@ -14,6 +14,7 @@ from pathlib import Path
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import storage_errors
+from twinct.core.foreign_text import quoted
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
 from twinct.report import cross_sections, found_of
@@ -72,7 +73,9 @@ def derive_geometry(
     refuse_other_keys(overrides, "uncertainty")
     scenario = _scenario_of(folder, overrides)
     if checked_name(name) in (taken := (*OWN, RELATIVE)):
-        raise InputError(f"name {name!r} is reserved: every scan already has {', '.join(taken)}")
+        raise InputError(
+            f"name {quoted(name)} is reserved: every scan already has {', '.join(taken)}"
+        )
     with (
         sole_owner(folder.lock),
         audience_of(observers) as audience,

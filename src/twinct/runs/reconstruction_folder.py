@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from twinct.core.errors import InputError
+from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import write_json
 from twinct.evaluation import ImageFigures
@@ -113,6 +114,8 @@ class Reconstruction:
             # Earlier versions stored these two keys at the top level instead of in ``found``.
             before = {key: told.pop(key) for key in ("implants", "passes") if key in told}
             told.setdefault("found", {key: value for key, value in before.items() if value})
+            if why := no_file(path / "sections.npz"):
+                raise ValueError(f"sections.npz {why}")
             with np.load(path / "sections.npz") as arrays:
                 slices = {
                     plane: CrossSection(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from twinct import scenario
+from twinct.core.foreign_text import quoted
 from twinct.evaluation import (
     Measurement,
     RoundBody,
@@ -90,10 +91,10 @@ class Places:
         for i, region in enumerate(self.section.regions):
             # A shell is covered if its part is: see below.
             if not (isinstance(region.shape, scenario.Shell) or len(self.region(region.name))):
-                found[f"regions.{i}"] = f"{region.name!r} covers no voxel of the grid"
+                found[f"regions.{i}"] = f"{quoted(region.name)} covers no voxel of the grid"
         for key, name, target in self.section.references():
             if target == "part" and not len(self.part(name)):
-                found[key] = f"{name!r} covers no voxel of the grid"
+                found[key] = f"{quoted(name)} covers no voxel of the grid"
         for kind in figure_kinds().values():
             for i, one in enumerate(self.section.entries(kind.name)):
                 problems = kind.check(self, one)

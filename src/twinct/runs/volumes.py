@@ -18,8 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError
+from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import complete, storage_errors
+from twinct.core.foreign_text import whole_number
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
@@ -407,14 +409,17 @@ class _Checkpoints:
     def newest(self, grid: VolumeGrid) -> tuple[int, NDArray[np.float32] | None, list[float]]:
         """Return the number of finished iterations, their volume and their residuals."""
         for file in self._files():
+            if no_file(file):  # a pipe, perhaps, which would block
+                continue
             try:
                 with np.load(file) as content:
                     volume, residuals = content["volume"], json_of(str(content["residuals"]))
             except (OSError, ValueError, KeyError, zipfile.BadZipFile):
                 log.warning("%s is not readable and is ignored", file)
                 continue
-            if volume.shape == grid.shape:
-                return int(file.stem.rpartition("-")[2]), volume, residuals
+            done = whole_number(file.stem.rpartition("-")[2])
+            if done is not None and volume.shape == grid.shape:
+                return done, volume, residuals
         return 0, None, []
 
     def keep(self, iterations: int, volume: NDArray[np.float32], residuals: list[float]) -> None:

@@ -18,6 +18,7 @@ from twinct.scan.manifest import (
     Damage,
     damaged,
     digest_of,
+    lost,
     read_row,
     row_file,
     sealed,
@@ -82,7 +83,7 @@ class CheckedStore(LocalStore):
         if file.startswith("status/"):
             whole = data in (None, ACQUIRED)
         elif data is None:
-            raise damaged(self.root, Damage(file, "missing", view))
+            raise damaged(self.root, lost(self.root, file, view) or Damage(file, "missing", view))
         else:
             whole = not self._has_manifest or self._row(view).get(file) == digest_of(data)
         if not whole:

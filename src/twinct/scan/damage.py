@@ -20,6 +20,7 @@ from twinct.scan.manifest import (
     chunk_name,
     compared,
     digest_of,
+    lost,
     read_frame_manifest,
     read_row,
     row_file,
@@ -50,9 +51,11 @@ def view_damage(path: Path) -> list[Damage]:
         if view not in taken:
             found.append(Damage(status_file(view), "missing", view))
             continue
-        status = path / status_file(view)
-        if not status.is_file() or status.read_bytes() != ACQUIRED:
-            found.append(Damage(status_file(view), "changed", view))
+        status = status_file(view)
+        if gone := lost(path, status, view):
+            found.append(gone)
+        elif (path / status).read_bytes() != ACQUIRED:
+            found.append(Damage(status, "changed", view))
         found += _by_row(path, view) if sizes is None else _by_size(path, view, sizes)
     return found
 
@@ -111,7 +114,7 @@ def _number_of_views(path: Path) -> int:
     try:
         told = read_json(path / "status" / "zarr.json")
         return int(told["shape"][0])
-    except (OSError, ValueError, TypeError, LookupError):
+    except (OSError, ValueError, TypeError, LookupError, OverflowError):
         return 0
 
 
@@ -147,8 +150,8 @@ def _by_size(path: Path, view: int, sizes: dict[str, tuple[int, int | None]]) ->
     found: list[Damage] = []
     for name, (dimensions, size) in sizes.items():
         file = path / (chunk := f"{name}/{chunk_name(view, dimensions)}")
-        if not file.is_file():
-            found.append(Damage(chunk, "missing", view))
+        if gone := lost(path, chunk, view):
+            found.append(gone)
         elif size is not None and file.stat().st_size != size:
             found.append(Damage(chunk, "changed", view))
     return found

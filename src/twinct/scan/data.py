@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.pictures import show
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
 from twinct.scan.encoder_model import evidence_of, seen_from
@@ -110,7 +111,8 @@ class Scan:
             its = {"views": len(found.poses), "executed": found.made_by.get("executed")}
             if its["views"] != own["views"] or its["executed"] not in (None, own["executed"]):
                 raise InputError(
-                    f"geometry {name!r} was derived from another scan: it has {its['views']} views "
+                    f"geometry {quoted(name)} was derived from another scan: it has "
+                    f"{its['views']} views "
                     f"made for executed poses {str(its['executed'])[:12]}; this scan has "
                     f"{own['views']} views and executed poses {str(own['executed'])[:12]}"
                 )
@@ -211,7 +213,7 @@ class Scan:
     def __repr__(self) -> str:
         """Return a one-line summary without arrays and poses."""
         rows, columns = self.transmission.shape[1:]
-        return f"Scan({self.scenario.name!r}, {len(self)} views, {columns} x {rows} px)"
+        return f"Scan({quoted(self.scenario.name)}, {len(self)} views, {columns} x {rows} px)"
 
     def poses(self, which: str) -> PosePairs:
         """Return the poses of ``commanded``, ``executed``, ``believed`` or a derived geometry.
@@ -225,7 +227,7 @@ class Scan:
             return cast(PosePairs, getattr(self, which))
         if which not in self.derived:
             raise InputError(
-                f"unknown geometry {which!r}; choose from {', '.join((*OWN, *self.derived))}"
+                f"unknown geometry {quoted(which)}; choose from {', '.join((*OWN, *self.derived))}"
             )
         return self.derived[which].poses
 

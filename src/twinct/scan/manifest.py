@@ -12,9 +12,11 @@ import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from twinct.core.errors import DamagedError
+from twinct.core.files.boundary import ABSENT, no_file
+from twinct.core.foreign_text import whole_number
 
 FOLDER = "manifest"
 FRAME, VIEWS = f"{FOLDER}/frame", f"{FOLDER}/views"
@@ -36,25 +38,32 @@ class Damage:
 
     Attributes:
         file: its path in the store.
-        what: kind of damage.
+        what: changed, missing, or a sentence about what is there instead.
         view: the file's view; None if it belongs to all.
     """
 
     file: str
-    what: Literal["changed", "missing"]
+    what: str
     view: int | None = None
 
     def __str__(self) -> str:
-        """Return view and array, or the file, and the kind of damage."""
+        """Return view and array, or the file, and the damage."""
         array = self.file.rpartition("/")[0]
+        since = " since it was written" if self.what in ("changed", "missing") else ""
         place = self.file if self.view is None else f"view {self.view}, {array}"
-        return f"{place}: {self.what} since it was written"
+        return f"{place}: {self.what}{since}"
 
 
 def damaged(path: Path, *found: Damage) -> DamagedError:
     """Return the error that reports damage in a store."""
     told = [f"{path}: {damage}" for damage in found]
     return DamagedError([*told[:-1], f"{told[-1]}; {ADVICE}"], found)
+
+
+def lost(path: Path, file: str, view: int | None) -> Damage | None:
+    """Return the damage if there is no file of this name, but nothing or a pipe or a folder."""
+    why = no_file(path / file)
+    return Damage(file, "missing" if why == ABSENT else why, view) if why else None
 
 
 def digest_of(data: Any) -> str:
@@ -90,8 +99,7 @@ def chunk_name(view: int, dimensions: int) -> str:
 def view_of(file: str) -> int | None:
     """Return the view that a chunk file belongs to; None for any other file."""
     mark, _, rest = file.rpartition("/")[2].partition(".")
-    number = rest.partition(".")[0]
-    return int(number) if mark == "c" and number.isdecimal() else None
+    return whole_number(rest.partition(".")[0]) if mark == "c" else None
 
 
 def row_file(view: int) -> str:
@@ -153,8 +161,8 @@ def read_row(path: Path, view: int) -> dict[str, str]:
 
 
 def _read_sealed(path: Path, file: str, view: int | None) -> dict[str, str]:
-    if not (path / file).is_file():
-        raise damaged(path, Damage(file, "missing", view))
+    if gone := lost(path, file, view):
+        raise damaged(path, gone)
     try:
         return unsealed((path / file).read_bytes())
     except ValueError:
@@ -165,8 +173,8 @@ def compared(path: Path, digests: Mapping[str, str], view: int | None = None) ->
     """Compare files with their digests, and return the damage."""
     found: list[Damage] = []
     for file, digest in digests.items():
-        if not (path / file).is_file():
-            found.append(Damage(file, "missing", view))
+        if gone := lost(path, file, view):
+            found.append(gone)
         elif digest_of((path / file).read_bytes()) != digest:
             found.append(Damage(file, "changed", view))
     return found

@@ -16,6 +16,7 @@ import numpy as np
 from twinct.core.errors import InputError
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import storage_errors, write_text
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
 
@@ -77,7 +78,9 @@ class NamedGeometry:
         try:
             told = read_json(path)
             if told["format"] != FORMAT:
-                raise ValueError(f"its format is {told['format']!r}; this twinct reads {FORMAT!r}")
+                raise ValueError(
+                    f"its format is {quoted(told['format'])}; this twinct reads {FORMAT!r}"
+                )
             sides = [_poses(told[side]) for side in ("source", "detector")]
             if len(sides[0]) != len(sides[1]):
                 raise ValueError("source and detector differ in their number of views")
@@ -108,7 +111,7 @@ def checked_name(name: str) -> str:
     """
     if not _NAME.fullmatch(name):
         raise InputError(
-            f"name {name!r}: use at most 64 letters, digits, dots, hyphens and underscores"
+            f"name {quoted(name)}: use at most 64 letters, digits, dots, hyphens and underscores"
         )
     return name
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import DamagedError, InputError, ScanExistsError
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import require_space, storage_errors
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs
 from twinct.scan.damage import frame_damage, make_way, view_damage
@@ -109,7 +110,7 @@ class ScanStore:
             self._format = self._group.attrs.get("format")
         if isinstance(self._format, bool) or self._format not in READABLE:
             raise InputError(
-                f"{path}: the scan store has format {self._format!r}; this twinct reads "
+                f"{path}: the scan store has format {quoted(self._format)}; this twinct reads "
                 f"{' and '.join(map(str, READABLE))}; a newer one may read it"
             )
         if self._format == FORMAT and not self.vouched:
@@ -354,7 +355,8 @@ class ScanStore:
         if name not in self.kept:
             there = ", ".join(self.kept) or "transmission only"
             raise InputError(
-                f"{self.path} keeps {there} and no {name!r} images; request them with detector.keep"
+                f"{self.path} keeps {there} and no {quoted(name)} images; request them with "
+                "detector.keep"
             )
         return self._read(name, view)
 

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from twinct.core.foreign_text import quoted
 from twinct.core.settings import Conflict, ConflictError, Section, setting
 from twinct.scenario.composition import Composition
 
@@ -40,7 +41,7 @@ class TwoMaterialHardening(Section):
     @model_validator(mode="after")
     def _two(self) -> TwoMaterialHardening:
         if self.base == self.dense:
-            message = f"base and dense are the same material, {self.base!r}: use one_material"
+            message = f"base and dense are the same material, {quoted(self.base)}: use one_material"
             raise ConflictError(Conflict(message, ("base", "dense")))
         return self
 

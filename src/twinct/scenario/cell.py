@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from twinct.core.foreign_text import quoted
 from twinct.core.settings import (
     Conflict,
     ConflictError,
@@ -108,7 +109,8 @@ class Arm(Section):
         near = difflib.get_close_matches(model, ARMS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near and not colon else ""
         raise ValueError(
-            f"unknown arm {model!r}{hint} (known: {', '.join(ARMS)}, and menagerie:NAME for an "
+            f"unknown arm {quoted(model)}{hint} (known: {', '.join(ARMS)}, and menagerie:NAME "
+            "for an "
             "arm of MuJoCo Menagerie)"
         )
 

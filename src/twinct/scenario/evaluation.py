@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from twinct.core.foreign_text import quoted
 from twinct.core.settings import Conflict, Length, NonNegative, Section, Vector, setting
 from twinct.evaluation.figure_kind import FigureSettings
 from twinct.evaluation.figure_kinds import BUILT_IN, figure_kinds
@@ -94,18 +95,18 @@ class EvaluationSection(Section):
         for at, name, target in self.references():
             what, having = known.get(target) or self._entries_named(target)
             if name not in having:
-                found.append(_conflict(at, f"unknown {what} {name!r}; {_are(having)}"))
+                found.append(_conflict(at, f"unknown {what} {quoted(name)}; {_are(having)}"))
             elif target == "round body" and not isinstance(bodies[name], Sphere | Cylinder):
-                found.append(_conflict(at, f"{name!r} is neither a sphere nor a cylinder"))
+                found.append(_conflict(at, f"{quoted(name)} is neither a sphere nor a cylinder"))
         found += [
-            _conflict(f"regions.{i}.name", f"a part is also called {region.name!r}")
+            _conflict(f"regions.{i}.name", f"a part is also called {quoted(region.name)}")
             for i, region in enumerate(self.regions)
             if region.name in parts
         ]
         for kind in figure_kinds():
             labels = Counter(one.label for one in self.entries(kind))
             twice = [label for label, times in labels.items() if times > 1]
-            found += [_conflict(kind, f"{label!r} appears more than once") for label in twice]
+            found += [_conflict(kind, f"{quoted(label)} appears more than once") for label in twice]
         return found
 
     def references(self) -> Iterator[tuple[str, str, str]]:
@@ -142,7 +143,7 @@ def _with_kinds() -> tuple[type[EvaluationSection], dict[str, str]]:
             entries: Any = (tuple[kind.settings, ...], setting((), kind.description))
             section = create_model("Evaluation", __base__=section, **{name: entries}, **about)
         except Exception as error:  # settings may come from any package
-            broken[name] = f"the settings of {name!r} cannot be used: {error}"
+            broken[name] = f"the settings of {quoted(name)} cannot be used: {error}"
             log.warning(broken[name])
     return section, broken
 

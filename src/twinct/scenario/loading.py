@@ -15,10 +15,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from twinct.core.errors import InputError, ScenarioError
-from twinct.core.files.boundary import no_file
+from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.plain_yaml import written
 from twinct.core.files.writing import write_text
-from twinct.scenario.messages import place, problems
+from twinct.core.foreign_text import shortened
+from twinct.scenario.messages import place, refusal
 from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
@@ -86,16 +87,13 @@ class Template:
 def _checked(draft: Draft) -> Scenario:
     scenario = _validate(draft)
     problems = [
-        place(draft, key_of(key)) + (f"no file at {file}" if why == _MISSING else f"{file} {why}")
+        place(draft, key_of(key)) + (f"no file at {file}" if why == ABSENT else f"{file} {why}")
         for key, file in scenario.files().items()
         if (why := no_file(file, folder=True))
     ]
     if problems:
         raise ScenarioError(problems)
     return scenario
-
-
-_MISSING = "does not exist"
 
 
 def write_scenario(
@@ -169,9 +167,10 @@ def _validate(draft: Draft) -> Scenario:
     try:
         text = json.dumps(draft.data, default=str)
     except (TypeError, ValueError, RecursionError) as error:  # plain data that came from no file
-        raise ScenarioError(f"a scenario must consist of plain data: {error}") from None
+        why = shortened(str(error))
+        raise ScenarioError(f"a scenario must consist of plain data: {why}") from None
     try:
         # In JSON mode, strict validation still takes lists for tuples and text for paths.
         return Scenario.model_validate_json(text, strict=True)
     except ValidationError as error:
-        raise ScenarioError(problems(draft, error)) from None
+        raise refusal(draft, error) from None

@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from twinct.core.files.boundary import shortened
+from twinct.core.errors import ScenarioError
+from twinct.core.foreign_text import quoted, shortened
 from twinct.core.settings import Conflict, ConflictError
 from twinct.scenario.evaluation import BROKEN_KINDS
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
@@ -28,11 +29,13 @@ _BROKEN: dict[Key, dict[str, str]] = {
 """Reasons why extensions cannot be used, by their names, at the keys that name or have them."""
 
 MOST_PROBLEMS = 50
-"""Largest number of reported problems; a file with more is probably no scenario."""
+"""Largest number of problems that get a sentence; a file with more is probably no scenario."""
 
 
-def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scenario) -> list[str]:
-    """Return one sentence per problem of the validated model ``root``.
+def refusal(
+    draft: Draft, error: ValidationError, root: type[BaseModel] = Scenario
+) -> ScenarioError:
+    """Return the error with one sentence per problem of the validated model ``root``.
 
     In a union, only the branches that the value could have meant are reported.
     """
@@ -61,8 +64,7 @@ def problems(draft: Draft, error: ValidationError, root: type[BaseModel] = Scena
             meant = [text for _, text in parts]
         if meant:
             sentences.append(place(draft, key) + " or ".join(dict.fromkeys(meant)))
-    left = [f"and {len(details) - MOST_PROBLEMS} more"] if len(details) > MOST_PROBLEMS else []
-    return sentences + conflicts + left
+    return ScenarioError([*sentences, *conflicts], max(len(details) - MOST_PROBLEMS, 0))
 
 
 def _blamed(draft: Draft, section: Key, conflict: Conflict) -> str:
@@ -77,13 +79,15 @@ def place(draft: Draft, key: Key) -> str:
 
 
 def _prefix(origin: str, key: Key) -> str:
-    return (f"{origin}: " if origin else "") + (".".join(map(str, key)) + ": " if key else "")
+    name = ".".join(shortened(str(step), 60) for step in key)
+    return "".join(f"{part}: " for part in (origin, name) if part)
 
 
 def shown(value: Any) -> str:
     """Return a value as text for a message, shortened if it is long."""
-    text = repr(value) if isinstance(value, (str, int, float)) else reprlib.repr(value)
-    return shortened(text, 80)
+    if isinstance(value, str | int | float):
+        return quoted(value)
+    return shortened(reprlib.repr(value), 80)
 
 
 _PLAIN = {

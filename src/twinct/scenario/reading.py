@@ -11,8 +11,9 @@ from typing import Any, TypeGuard, cast
 import numpy as np
 
 from twinct.core.errors import ScenarioError
-from twinct.core.files.boundary import absolute, no_file, shortened
+from twinct.core.files.boundary import ABSENT, absolute, no_file
 from twinct.core.files.plain_yaml import Key, read_file, read_value
+from twinct.core.foreign_text import quoted, shortened, whole_number
 from twinct.core.settings import FILE_KEYS
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.objects import as_settings
@@ -152,7 +153,8 @@ def read_yaml(path: Path, what: str) -> Draft:
 
 def key_of(dotted: str) -> Key:
     """Split a dotted key into its steps."""
-    return tuple(int(step) if step.isdigit() else step for step in dotted.split("."))
+    steps = ((whole_number(step), step) for step in dotted.split("."))
+    return tuple(step if number is None else number for number, step in steps)
 
 
 def is_mapping(data: object) -> TypeGuard[dict[str, Any]]:
@@ -189,10 +191,10 @@ def _extended(own: Draft, folder: Path, chain: tuple[Path, ...]) -> Draft:
     origin = own.origin(("extends",))
     place = f"{origin}: extends: " if origin else "extends: "
     if not isinstance(parent, str):
-        raise ScenarioError(f"{place}{shortened(repr(parent))} is not a file name")
+        raise ScenarioError(f"{place}{quoted(parent)} is not a file name")
     if why := no_file(folder / parent):
         none = f"no file at {folder / parent}"
-        raise ScenarioError(f"{place}{none if why == 'does not exist' else f'{parent} {why}'}")
+        raise ScenarioError(f"{place}{none if why == ABSENT else f'{parent} {why}'}")
     base = _read(folder / parent, chain)
     _merge(base, own.data, own.origins, ())
     return base
@@ -231,7 +233,7 @@ def _apply_override(draft: Draft, override: str) -> None:
 def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
     at = place or dotted
     if not all(step.strip() for step in dotted.split(".")):
-        raise ScenarioError(f"{dotted!r}: expected a dotted key, such as detector.columns")
+        raise ScenarioError(f"{quoted(dotted)}: expected a dotted key, such as detector.columns")
     key, steps = key_of(dotted), dotted.split(".")
     here: Any = draft.data
     for depth, step in enumerate(steps):
@@ -258,10 +260,11 @@ def _index(here: Any, step: str, place: str) -> Any:
         return step
     if not is_list(here):
         raise ScenarioError(f"{place} is a value and has no keys")
-    if not step.isdigit() or int(step) >= len(here):
+    number = whole_number(step)
+    if number is None or number >= len(here):
         what = f"{place} is a list of length {len(here)}"
-        raise ScenarioError(f"{what}; {step!r} is not a valid index")
-    return int(step)
+        raise ScenarioError(f"{what}; {quoted(step)} is not a valid index")
+    return number
 
 
 def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:

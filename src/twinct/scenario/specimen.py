@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from twinct.core.foreign_text import quoted
 from twinct.core.settings import (
     Conflict,
     ConflictError,
@@ -212,7 +213,8 @@ class Specimen(Section):
     def _reference_is_a_part(self) -> Specimen:
         names = [part.label for part in self.parts]
         if self.reference and self.reference not in names:
-            message = f"reference: no part is called {self.reference!r}; the parts are {names}"
+            told = quoted(self.reference), quoted(names, 300)
+            message = "reference: no part is called {}; the parts are {}".format(*told)
             raise ConflictError(Conflict(message, ("reference",)))
         return self
 

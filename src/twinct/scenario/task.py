@@ -10,6 +10,7 @@ from typing import Any
 
 from pydantic import Field, create_model
 
+from twinct.core.foreign_text import quoted
 from twinct.core.settings import Conflict, Finite, NonNegative, Section, Vector, setting
 from twinct.recon.objectives import LessIsBetter, MoreIsBetter, Objective
 from twinct.recon.objectives.objective import ObjectiveSettings
@@ -84,7 +85,7 @@ def _usable() -> tuple[dict[str, Objective[Any]], dict[str, str]]:
             _with_keys({name: objective})
             usable[name] = objective
         except Exception as error:  # settings may come from any package
-            broken[name] = f"the objective {name!r} cannot be used: {error}"
+            broken[name] = f"the objective {quoted(name)} cannot be used: {error}"
             log.warning(broken[name])
     return usable, broken
 
@@ -182,7 +183,8 @@ class ViewTask(_Objectives):
                 message = f"{key}: low ({one.low:g}) must be below high ({one.high:g})"
                 found.append(Conflict(message, (f"{key}.low", f"{key}.high")))
             if one.key in [other.key for other in family[:i]]:
-                found.append(Conflict(f"{key}.key: {one.key!r} is listed twice", (f"{key}.key",)))
+                message = f"{key}.key: {quoted(one.key)} is listed twice"
+                found.append(Conflict(message, (f"{key}.key",)))
         parts = [part.label for part in specimen.parts]
         for one, section in self.goals.values():
             found += one.conflicts(section, parts)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from twinct import scenario
 from twinct.core.errors import SpecimenError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.specimen.materials import Material, material
 from twinct.specimen.shapes import shape_surface
@@ -154,7 +155,7 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
         if substance is not None:
             placed = surface(part.specimen_from_part.apply(mesh.vertices), mesh.faces)
             if why := _no_body(placed):
-                problems.append(f"specimen.parts.{i}.shape: part {part.label!r} {why}")
+                problems.append(f"specimen.parts.{i}.shape: part {quoted(part.label)} {why}")
                 continue
             built.append(BuiltPart(part.label, substance, placed))
     if problems:
@@ -193,7 +194,7 @@ def _disjoint(parts: list[BuiltPart]) -> tuple[BuiltPart, ...]:
         disjoint.append(replace(part, mesh=mesh))
         if not len(mesh.faces):
             problems.append(
-                f"part {part.name!r} is empty: later parts cover it completely. Where parts "
+                f"part {quoted(part.name)} is empty: later parts cover it completely. Where parts "
                 "overlap, the later one wins; list the outer part first"
             )
     if problems:

@@ -21,6 +21,7 @@ import numpy as np
 import xraylib
 
 from twinct.core.errors import SpecimenError
+from twinct.core.foreign_text import quoted
 from twinct.scenario import Composition
 
 FRACTION_SUM_TOLERANCE = 0.005
@@ -47,20 +48,23 @@ class Material:
         """Check the elements and their shares, normalise the shares and freeze them."""
         if not self.density_g_cm3 > 0:
             raise SpecimenError(
-                f"material {self.name!r}: density {self.density_g_cm3:g} g/cm3 must be positive"
+                f"material {quoted(self.name)}: density {self.density_g_cm3:g} g/cm3 must be "
+                "positive"
             )
         if not self.mass_fractions:
-            raise SpecimenError(f"material {self.name!r} has no elements")
+            raise SpecimenError(f"material {quoted(self.name)} has no elements")
         for symbol, share in self.mass_fractions.items():
             _atomic_number(symbol, self.name)
             if not share > 0:
                 raise SpecimenError(
-                    f"material {self.name!r}: the share of {symbol} must be positive, got {share:g}"
+                    f"material {quoted(self.name)}: the share of {symbol} must be positive, "
+                    f"got {share:g}"
                 )
         total = sum(self.mass_fractions.values())
         if abs(total - 1.0) > FRACTION_SUM_TOLERANCE:
             raise SpecimenError(
-                f"material {self.name!r}: the mass fractions add up to {total:.4g}; they must "
+                f"material {quoted(self.name)}: the mass fractions add up to {total:.4g}; "
+                "they must "
                 f"add up to 1 (within {FRACTION_SUM_TOLERANCE:g})"
             )
         shares = {symbol: share / total for symbol, share in self.mass_fractions.items()}
@@ -87,7 +91,8 @@ class Material:
             )
         except ValueError as error:
             raise SpecimenError(
-                f"material {self.name!r}: no attenuation data at {energy_kev:g} keV ({error}); "
+                f"material {quoted(self.name)}: no attenuation data at {energy_kev:g} keV "
+                f"({error}); "
                 "xraylib covers about 0.1 to 800 keV"
             ) from None
         return self.density_g_cm3 * mass_attenuation / MM_PER_CM
@@ -117,7 +122,8 @@ class Material:
             )
         except ValueError as error:
             raise SpecimenError(
-                f"material {self.name!r}: no energy-absorption data at {energy_kev:g} keV ({error})"
+                f"material {quoted(self.name)}: no energy-absorption data at {energy_kev:g} "
+                f"keV ({error})"
             ) from None
 
 
@@ -180,7 +186,8 @@ def _composed(composition: Composition) -> Material:
         data = xraylib.CompoundParser(formula)
     except ValueError as error:
         raise SpecimenError(
-            f"formula {formula!r} cannot be read ({error}); write it like H2O or Ca10(PO4)6(OH)2"
+            f"formula {quoted(formula)} cannot be read ({error}); write it like H2O or "
+            "Ca10(PO4)6(OH)2"
         ) from None
     return Material(formula, composition.density_g_cm3, _by_symbol(data))
 
@@ -191,7 +198,7 @@ def _unknown(wanted: str, origin: str) -> str:
     near += [name for k, name in known.items() if _key(wanted) in k and name not in near][:3]
     hint = f"nearest: {', '.join(near)}" if near else f"built in: {', '.join(BUILT_IN)}"
     return (
-        f"{origin}: unknown material {wanted!r}; {hint}. Element symbols also work, and any "
+        f"{origin}: unknown material {quoted(wanted)}; {hint}. Element symbols also work, and any "
         "other material can be given as {formula: H2O, density_g_cm3: 1.0} or "
         "{mass_fractions: {H: 0.112, O: 0.888}, density_g_cm3: 1.0}"
     )
@@ -210,7 +217,8 @@ def _by_symbol(data: dict[str, Any]) -> dict[str, float]:
 def _atomic_number(symbol: str, name: str) -> int:
     if symbol not in _ELEMENTS:
         raise SpecimenError(
-            f"material {name!r}: {symbol!r} is not an element symbol (H to Pu, written like Ca)"
+            f"material {quoted(name)}: {quoted(symbol)} is not an element symbol (H to Pu, "
+            "written like Ca)"
         )
     return xraylib.SymbolToAtomicNumber(symbol)
 

@@ -130,7 +130,9 @@ def _with_hollows_darkened(
         return colour
     filled = np.where(hit, depth, 0.0)
     for sigma_mm, strength in ((3.0, 0.05), (12.0, 0.022)):
-        sigma = sigma_mm / pixel_mm
+        # Beyond a quarter of the picture, more takes long and changes little: in a picture of a
+        # body of 1 mm, 12 mm would be 5,000 pixels.
+        sigma = min(sigma_mm / pixel_mm, max(hit.shape) / 4)
         weight = gaussian_filter(hit.astype(float), sigma)
         around = gaussian_filter(filled, sigma) / np.maximum(weight, 1e-6)
         behind = np.clip(around - depth, 0, 40)

@@ -10,6 +10,7 @@ import numpy as np
 from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.meshes import read_mesh
+from twinct.core.foreign_text import quoted
 from twinct.scenario import Shape
 from twinct.specimen.balls import true_centres
 from twinct.specimen.head import brain_surface, head_surface
@@ -71,7 +72,7 @@ def _anatomy(shape: scenario.Skull | scenario.Head | scenario.Brain, name: str) 
         return make[shape.kind](shape.scale, edge)
     except (ValueError, IndexError):  # no lattice point lies inside
         raise SpecimenError(
-            f"part {name!r}: mesh_resolution_mm {edge:g} is too coarse for a {shape.kind} "
+            f"part {quoted(name)}: mesh_resolution_mm {edge:g} is too coarse for a {shape.kind} "
             f"of scale {shape.scale:g}"
         ) from None
 
@@ -86,7 +87,7 @@ def _helix(shape: scenario.BallHelix) -> trimesh.Trimesh:
 
 
 def _from_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
-    where = f"part {name!r}: mesh file {shape.path}"
+    where = f"part {quoted(name)}: mesh file {shape.path}"
     mesh = read_mesh(shape.path, where)
     vertices = mesh.vertices * shape.unit_mm
     if shape.centre:

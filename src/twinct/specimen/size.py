@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct import scenario
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.specimen.build import BuiltSpecimen
 
@@ -64,7 +65,7 @@ def specimen_size(
             advice = (
                 f"{key} is {unit_mm:g}; {UNITS_MM[name]:g} ({name}) would make it {size:.3g} mm"
             )
-        warnings.append(f"part {body.name!r} measures {_edges(edges)}, {beside}: {advice}")
+        warnings.append(f"part {quoted(body.name)} measures {_edges(edges)}, {beside}: {advice}")
     size, seen, box = (tuple(lengths.tolist()) for lengths in (high - low, field, grid.size_mm))
     return SpecimenSize(size, seen, box, tuple(warnings))
 

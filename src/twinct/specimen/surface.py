@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import SpecimenError
+from twinct.core.foreign_text import quoted
 
 if TYPE_CHECKING:
     import trimesh
@@ -131,7 +132,8 @@ def subtract(
     whole, tools = solid(mesh), [solid(other) for other in touching]
     if whole.is_empty() or any(tool.is_empty() for tool in tools):
         raise SpecimenError(
-            f"part {name!r} overlaps another part, but one of the two is not a solid that can "
+            f"part {quoted(name)} overlaps another part, but one of the two is not a solid "
+            "that can "
             "be cut: its surface is not an orientable manifold"
         )
     return from_manifold(whole - manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError, SpecimenError
+from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import FILE_KEYS
 from twinct.runs import Need, needs
@@ -19,7 +20,7 @@ from twinct.specimen.materials import material
 from twinct.study.design import Design, Trial
 from twinct.study.trial_figures import figure_names
 
-MOST_PROBLEMS = 20
+MOST_PROBLEMS = 9
 """Number of problems after which checking stops."""
 
 
@@ -85,7 +86,7 @@ class Checker:
         """Check trials, and return all of them with their costs.
 
         Raises:
-            InputError: one sentence for each problem, for about the first twenty.
+            InputError: one sentence for each problem, for about the first nine.
         """
         found: list[Checked] = []
         problems: dict[str, Trial] = {}
@@ -104,12 +105,10 @@ class Checker:
                 figures.update(figure_names(scenario))
                 found.append(self._checked(trial, scenario))
         if problems:
-            raise InputError(
-                [
-                    f"{problem}; in {trial}" if trial.axes else problem
-                    for problem, trial in problems.items()
-                ]
-            )
+            told = [f"{p}; in {trial}" if trial.axes else p for p, trial in problems.items()]
+            if len(problems) >= MOST_PROBLEMS:
+                told = [*told[:MOST_PROBLEMS], "further trials were not checked"]
+            raise InputError(told)
         self._require_figures(figures)
         self._require_different(found)
         return found
@@ -141,7 +140,7 @@ class Checker:
         hint = f"choose from {', '.join(sorted(known))}"
         if near := difflib.get_close_matches(name, known, n=3, cutoff=0.6):
             hint = f"did you mean {' or '.join(map(repr, near))}?"
-        return f"{place + ': ' if place else ''}figure {name!r}: no trial has it; {hint}"
+        return f"{place + ': ' if place else ''}figure {quoted(name)}: no trial has it; {hint}"
 
     def _check_materials(self, scenario: Scenario) -> None:
         """Raise if a material is unknown; look up each material once.

@@ -19,7 +19,7 @@ from twinct.core.errors import InputError, ScenarioError
 from twinct.core.files.boundary import absolute
 from twinct.core.settings import FILE_KEYS
 from twinct.scenario import Scenario, Template
-from twinct.scenario.messages import problems
+from twinct.scenario.messages import refusal
 from twinct.scenario.reading import Draft, is_list, is_mapping, key_of, read_yaml
 from twinct.study.results import OWN_COLUMNS
 from twinct.study.settings import Axis, NormalDraw, Study
@@ -178,7 +178,7 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
     try:
         study = Study.model_validate_json(json.dumps(draft.data, default=str), strict=True)
     except ValidationError as error:
-        raise InputError(problems(draft, error, Study)) from None
+        raise refusal(draft, error, Study) from None
     fixed = {key: _absolute(key, value, folder) for key, value in study.set.items()}
     where = draft.origin(("set",))
     places = {key: draft.origin(("set", key)) or f"{where}set {key}" for key in fixed}

@@ -11,7 +11,9 @@ from typing import Any
 
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.folder_paths import Below, names_below
+from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import check_folder, draft_of, write_json, write_text
+from twinct.core.foreign_text import quoted
 from twinct.study import journal, results
 from twinct.study.design import Design
 
@@ -89,10 +91,10 @@ class StudyFolder:
 
     def _there(self) -> dict[str, Any]:
         try:
-            told = json.loads(self.identity.read_text(encoding="utf-8"))
+            told = read_json(self.identity)
             if told["format"] != FORMAT:
                 raise ValueError(
-                    f"format {told['format']!r}; this version of twinct reads {FORMAT!r}"
+                    f"format {quoted(told['format'])}; this version of twinct reads {FORMAT!r}"
                 )
             return told
         except (OSError, ValueError, KeyError, TypeError) as error:

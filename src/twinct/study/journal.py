@@ -15,6 +15,7 @@ from typing import Any, Literal, get_args
 from twinct.core.errors import InputError
 from twinct.core.files.reading import reason
 from twinct.core.files.writing import storage_errors
+from twinct.core.foreign_text import quoted
 
 NAME = "journal.jsonl"
 
@@ -84,7 +85,7 @@ class Row:
         if not isinstance(told["trial"], int) or not isinstance(told["key"], str):
             raise ValueError("trial is not a number, or key is not text")
         if told["status"] not in get_args(Status):
-            raise ValueError(f"status {told['status']!r} is neither done nor failed")
+            raise ValueError(f"status {quoted(told['status'])} is neither done nor failed")
         return cls(**told)
 
 

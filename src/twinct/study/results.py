@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.writing import complete, storage_errors
+from twinct.core.foreign_text import quoted
 from twinct.study.journal import Journal, Row
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ def results_table(rows: Iterable[Row]) -> pd.DataFrame:
     columns += [(name, _texts([getattr(row, name) for row in rows])) for name in _LAST]
     names = [name for name, _ in columns]
     if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError(f"axis {twice[0]!r}: another column of the results has this name")
+        raise InputError(f"axis {quoted(twice[0])}: another column of the results has this name")
     return pd.DataFrame(dict(columns))
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, JsonValue, model_validator
 
+from twinct.core.foreign_text import quoted
 from twinct.core.settings import (
     Conflict,
     ConflictError,
@@ -21,7 +22,7 @@ from twinct.core.settings import (
 
 def _dotted(text: str) -> str:
     if not re.fullmatch(r"[a-z_0-9]+(\.[a-z_0-9]+)*", text):
-        raise ValueError(f"{text!r} is not a dotted key such as reconstruction.relaxation")
+        raise ValueError(f"{quoted(text)} is not a dotted key such as reconstruction.relaxation")
     return text
 
 

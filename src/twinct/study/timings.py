@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import write_json
 
 log = logging.getLogger(__name__)
@@ -31,9 +31,9 @@ class Book:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         path = Path(base) / "twinct" / "study.json"
         try:
-            told = json.loads(path.read_text(encoding="utf-8"))
+            told = read_json(path)
             entries = {str(kind): (int(n), float(mean)) for kind, (n, mean) in told.items()}
-        except (OSError, ValueError, TypeError, AttributeError):
+        except (OSError, ValueError, TypeError, AttributeError, OverflowError):
             entries = {}
         return cls(path, entries)
 

@@ -35,6 +35,7 @@ from twinct.runs.acquisition import rig_factory
 from twinct.runs.reporting import figures_of
 from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
+from twinct.scenario.reading import key_of
 from twinct.specimen import BuiltSpecimen
 from twinct.specimen.built_file import load_built, save_built
 from twinct.study.cache import Cache
@@ -377,7 +378,7 @@ def _digest(told: Any) -> str:
 
 
 def _set(data: Any, dotted: str, value: str) -> None:
-    *around, last = (int(step) if step.isdigit() else step for step in dotted.split("."))
+    *around, last = key_of(dotted)
     for step in around:
         data = data[step]
     data[last] = value

@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from twinct.core.errors import TrajectoryError
-from twinct.core.files.boundary import read_text, shortened
+from twinct.core.files.boundary import read_text
+from twinct.core.foreign_text import number as number_of
+from twinct.core.foreign_text import quoted, shortened
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.orbit import panel_axes
@@ -21,8 +23,6 @@ from twinct.trajectory.orbit import panel_axes
 LARGEST_BYTES = 64 * 2**20
 MOST_VIEWS = 100_000
 """Largest number of views, as for all other trajectories."""
-MOST_PROBLEMS = 20
-"""Largest number of problems reported for a file."""
 
 _COLUMNS = [f"{name}_{axis}" for name in ("source", "detector", "u", "v") for axis in "xyz"]
 _MAS = "mas"
@@ -103,10 +103,8 @@ def _table(path: Path) -> tuple[Floats, list[int]]:
     rows: list[list[float]] = []
     numbers: list[int] = []
     for position, (number, row) in enumerate(lines):
-        if len(problems) >= MOST_PROBLEMS:
-            break
         try:
-            rows.append([float(cell) for cell in row])
+            rows.append([number_of(cell) for cell in row])
         except ValueError:
             first = position == 0
             problems += [f"{path}:{number}: {what}" for what in _wrong_names(row, first)]
@@ -131,7 +129,7 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
     try:
         text = read_text(path, f"{path}: the table of views", LARGEST_BYTES, TrajectoryError)
         read = enumerate(csv.reader(io.StringIO(text, newline="")), start=1)
-        lines = list(islice(((n, row) for n, row in read if row), MOST_VIEWS + MOST_PROBLEMS))
+        lines = list(islice(((n, row) for n, row in read if row), MOST_VIEWS + 2))
     except csv.Error as error:
         raise TrajectoryError(f"{path}: cannot read the views: {error}") from None
     return [(n, row) for n, row in lines if not row[0].lstrip().startswith("#")]
@@ -142,7 +140,7 @@ def _wrong_names(row: list[str], first: bool) -> list[str]:
     if not first or any(map(_is_number, row)):
         return [f"{_told(row)} holds something that is not a number"]
     if len(row) in (7, 13) and (name := row[-1].strip()) != _MAS:
-        return [f"the last of {len(row)} columns must be {_MAS}, not {shortened(name, 50)!r}"]
+        return [f"the last of {len(row)} columns must be {_MAS}, not {quoted(name, 50)}"]
     return []
 
 
@@ -166,7 +164,7 @@ def _told(row: list[str]) -> str:
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell)
+        number_of(cell)
     except ValueError:
         return False
     return True
@@ -185,8 +183,6 @@ def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
             except (ValueError, TrajectoryError) as error:
                 what = str(error).removeprefix("view 0: ").replace(" of view 0", "")
                 problems.append(f"{section.path}:{line}: {what}")
-                if len(problems) >= MOST_PROBLEMS:
-                    break
         raise TrajectoryError(problems) from None
 
 

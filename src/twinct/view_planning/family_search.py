@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import ScanGeometry
 from twinct.scan import SimulationBuilder
@@ -191,7 +192,8 @@ def _check(builder: SimulationBuilder, task: ViewTask, family: FamilySearch) -> 
         key = f"task.family.parameters.{i}"
         if one.key not in numbers:
             problems.append(
-                f"{key}.key: the scenario's trajectory has no numeric key {one.key!r}; choose "
+                f"{key}.key: the scenario's trajectory has no numeric key {quoted(one.key)}; "
+                "choose "
                 f"from {', '.join(numbers)}"
             )
             continue

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from twinct.core.errors import InputError
+from twinct.core.files.boundary import no_file
+from twinct.core.files.plain_json import read_json
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.observers import IterationDone
@@ -239,6 +241,8 @@ class RunFolder:
             stat = path.stat()
         except FileNotFoundError:
             return otherwise
+        if why := no_file(path, folder=True):  # a pipe, perhaps, which would block
+            raise InputError(f"{path} {why}")
         mark = stat.st_mtime_ns, stat.st_size, stat.st_ino
         known = self._known.get(path)
         if known is None or known[0] != mark:
@@ -254,7 +258,7 @@ class RunFolder:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = read_json(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot read the figures of a run: {error}") from None
     return found if isinstance(found, dict) else {}

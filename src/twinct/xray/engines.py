@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 from twinct.core.errors import InputError
 from twinct.core.extensions import Offers, offers
+from twinct.core.foreign_text import quoted
 from twinct.xray.engine import EngineChoice
 from twinct.xray.gvxr import GVXR
 
@@ -33,12 +34,13 @@ def engine_named(name: str) -> EngineChoice:
     if name not in (known := engines()):
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        reason = known.broken.get(name, f"there is no engine {name!r}{hint}")
+        reason = known.broken.get(name, f"there is no engine {quoted(name)}{hint}")
         raise InputError(f"xray.engine: {reason} (allowed: {', '.join(known)})")
     choice = known[name]
     if missing := [module for module in choice.modules if not _installed(module)]:
         raise InputError(
-            f"xray.engine: the engine {name!r} needs {', '.join(missing)}, not installed here "
+            f"xray.engine: the engine {quoted(name)} needs {', '.join(missing)}, not "
+            "installed here "
             f"(allowed without: {', '.join(BUILT_IN)})"
         )
     return choice

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.specimen.materials import Material
 from twinct.xray._owner import SceneOwner
@@ -76,7 +77,9 @@ class PathRenderer(SceneOwner):
             raise SpecimenError("the specimen has no parts: there is nothing to image")
         if samples < 1:
             raise ValueError(f"{samples} samples along a pixel edge: at least 1 is needed")
-        if faults := [f"part {b.label!r} {fault}" for b in bodies if (fault := mesh_fault(b.mesh))]:
+        if faults := [
+            f"part {quoted(b.label)} {fault}" for b in bodies if (fault := mesh_fault(b.mesh))
+        ]:
             raise SpecimenError(faults)
         self.materials: tuple[Material, ...] = tuple(dict.fromkeys(b.material for b in bodies))
         self._material = [self.materials.index(body.material) for body in bodies]

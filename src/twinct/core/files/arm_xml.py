@@ -13,8 +13,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 from twinct.core.errors import ScenarioError
-from twinct.core.files.boundary import no_file
+from twinct.core.files.boundary import ABSENT, no_file, read_bytes
 from twinct.core.files.reading import reason
+from twinct.core.foreign_text import number, quoted, shortened
 
 LARGEST_BYTES = 16 * 2**20
 """Largest XML file; the largest arms of Menagerie have 0.03 MB."""
@@ -84,14 +85,11 @@ class _Plain(ElementTree.TreeBuilder):
 
 
 def _parsed(path: Path, where: str) -> Any:
-    if why := no_file(path):
-        raise ScenarioError(f"{where} {why}")
-    if (size := path.stat().st_size) > LARGEST_BYTES:
-        raise ScenarioError(f"{where} has {size} bytes; the limit is {LARGEST_BYTES}")
+    data = read_bytes(path, where, LARGEST_BYTES, ScenarioError)
     try:
-        return ElementTree.fromstring(path.read_bytes(), ElementTree.XMLParser(target=_Plain()))
+        return ElementTree.fromstring(data, ElementTree.XMLParser(target=_Plain()))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise ScenarioError(f"{where} is not readable XML: {error}") from None
+        raise ScenarioError(f"{where} is not readable XML: {shortened(str(error))}") from None
 
 
 def _inside(main: Path, name: str, where: str) -> Path:
@@ -99,10 +97,11 @@ def _inside(main: Path, name: str, where: str) -> Path:
     file = (main.parent / name).resolve()
     if not file.is_relative_to(main.parent):
         raise ScenarioError(
-            f"{where} names {name!r}, outside its folder {main.parent}: copy the file into it"
+            f"{where} names {quoted(name)}, outside its folder {main.parent}: copy the file into it"
         )
-    if not file.is_file():
-        raise ScenarioError(f"{where} names {name!r}, but there is no file {file}")
+    if why := no_file(file):
+        told = f"there is no file {file}" if why == ABSENT else f"{file} {why}"
+        raise ScenarioError(f"{where} names {quoted(name)}, but {told}")
     return file
 
 
@@ -142,7 +141,7 @@ def _mjcf_assets(root: Any, main: Path, where: str) -> list[Path]:
     for element in root.iter():
         if element.tag == "model" and element.get("file"):
             raise ScenarioError(
-                f"{where} attaches another model, {element.get('file')!r}: include it instead"
+                f"{where} attaches another model, {quoted(element.get('file'))}: include it instead"
             )
         folder = settings.get("texturedir" if element.tag == "texture" else "meshdir", "")
         for name in [name for name in element.attrib if name.startswith("file")]:
@@ -177,7 +176,8 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
         name: str = mesh.get("filename", "")
         if Path(name).suffix.lower() not in MESHES:
             raise ScenarioError(
-                f"{where} names the collision mesh {name!r}; only {', '.join(MESHES)} can be read"
+                f"{where} names the collision mesh {quoted(name)}; only {', '.join(MESHES)} "
+                "can be read"
             )
         if name.startswith(_PACKAGE):
             name = _beside(name, main.parent, where)
@@ -194,7 +194,8 @@ def _beside(name: str, folder: Path, where: str) -> str:
         if (folder / file).is_file():
             return file
     raise ScenarioError(
-        f"{where} names {name!r}, but packages are searched only in its own folder, and {folder} "
+        f"{where} names {quoted(name)}, but packages are searched only in its own folder, and "
+        f"{folder} "
         f"holds neither {tries[0]} nor {tries[1]}: copy the meshes there"
     )
 
@@ -204,12 +205,13 @@ def _speeds(root: Any, where: str) -> Iterator[tuple[str, float]]:
         limit = joint.find("limit")
         text = "0" if limit is None else limit.get("velocity", "0")
         try:
-            speed = float(text)
+            speed = number(text)
         except ValueError:
             speed = math.nan
         if not 0 <= speed < math.inf:
             raise ScenarioError(
-                f"{where}: joint {joint.get('name')}: velocity {text!r} is not a speed in rad/s"
+                f"{where}: joint {joint.get('name')}: velocity {quoted(text)} is not a speed "
+                "in rad/s"
             )
         if speed > 0:  # exporters write 0 for an unknown limit
             yield joint.get("name", ""), speed

@@ -16,13 +16,20 @@ from typing import BinaryIO
 
 from twinct.core.errors import InputError, TwinctError
 from twinct.core.files.reading import reason
+from twinct.core.foreign_text import quoted, shortened
 from twinct.core.memory import available_bytes
 
-LONGEST_REASON = 300
-"""Largest number of characters of a library's message."""
+ABSENT = "does not exist"
+"""Reason of ``no_file`` if there is nothing at the path."""
 
-_IRREGULAR = {stat.S_IFIFO: "FIFO", stat.S_IFSOCK: "socket"}
-"""Names of irregular files; all others are devices."""
+_OTHERS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe (FIFO)",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+"""Names of the kinds of files that are not read."""
 
 
 def absolute(folder: Path, name: str) -> Path:
@@ -34,9 +41,7 @@ def absolute(folder: Path, name: str) -> Path:
     try:
         return (folder / Path(name).expanduser()).resolve()
     except (OSError, RuntimeError, ValueError) as error:  # no such user, circular links, NUL
-        raise ValueError(
-            f"{shortened(repr(name))} is not a valid file name: {reason(error)}"
-        ) from None
+        raise ValueError(f"{quoted(name)} is not a valid file name: {reason(error)}") from None
 
 
 def no_file(path: Path, *, folder: bool = False) -> str:
@@ -44,14 +49,12 @@ def no_file(path: Path, *, folder: bool = False) -> str:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        return "does not exist"
+        return ABSENT
     except (OSError, ValueError) as error:
         return f"cannot be read: {shortened(reason(error))}"
     if stat.S_ISREG(mode) or (folder and stat.S_ISDIR(mode)):
         return ""
-    if stat.S_ISDIR(mode):
-        return "is a folder; a file is needed"
-    return f"is a {_IRREGULAR.get(stat.S_IFMT(mode), 'device')}, not a regular file"
+    return f"is {_OTHERS.get(stat.S_IFMT(mode), 'of an unknown kind')}, not a file"
 
 
 def file_bytes(
@@ -91,7 +94,7 @@ def open_regular(
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(descriptor, "rb") as stream:
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):  # replaced meanwhile
-                raise kind(f"{where} is not a regular file")
+                raise kind(f"{where} is no longer a file")
             yield stream
     except OSError as error:
         raise kind(f"{where} cannot be read: {reason(error)}") from None
@@ -159,9 +162,3 @@ def require_memory(where: str, needed: float, kind: type[InputError] = InputErro
             f"{where} needs {needed / 2**30:.3g} GiB of memory; only {available / 2**30:.3g} "
             f"GiB are available ({limit})"
         )
-
-
-def shortened(text: str, most: int = LONGEST_REASON) -> str:
-    """Return an external text on one line, shortened if it is long."""
-    line = " ".join(text.split())
-    return line if len(line) <= most else f"{line[: most - 3]}..."

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.core.errors import SpecimenError
-from twinct.core.files.boundary import no_file, read_bytes, require_memory, shortened
+from twinct.core.files.boundary import no_file, read_bytes, require_memory
+from twinct.core.foreign_text import shortened, whole_number
 
 if TYPE_CHECKING:
     import trimesh
@@ -44,8 +45,10 @@ def read_triangles(path: Path, where: str) -> trimesh.Trimesh:
     if kind == "ply":
         _check_ply(data, where)
     try:
-        # From memory, so that other files that it names, such as textures, are not opened.
-        mesh: Any = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh")
+        # From memory and without materials, so that no other file that it names is looked for.
+        mesh: Any = trimesh.load(
+            io.BytesIO(data), file_type=kind, force="mesh", skip_materials=True
+        )
     except ImportError:  # trimesh asks for an encoding detector if text is in no encoding it knows
         raise SpecimenError(f"{where} is not a mesh file; expected {_KNOWN}") from None
     except Exception as error:  # trimesh's readers raise any exception
@@ -83,8 +86,9 @@ def _check_ply(data: bytes, where: str) -> None:
     """Refuse a PLY header that states more elements than the file has bytes."""
     header = data[: max(data.find(b"end_header"), 0)]
     for number in re.findall(rb"^element\s+\S+\s+(\S+)", header, re.MULTILINE):
-        if not number.isdigit() or len(number) > 18 or int(number) > len(data):
-            told = shortened(number.decode(errors="replace"), 30)
+        told = number.decode("latin-1")
+        if (elements := whole_number(told)) is None or elements > len(data):
+            told = shortened(told, 30)
             raise SpecimenError(f"{where} is cut off: its header states {told} elements")
 
 

@@ -8,6 +8,9 @@ from typing import Any
 
 from twinct.core.files.boundary import no_file
 
+LARGEST_BYTES = 2**28
+"""Largest file; figures of a thousand views have a hundredth of this size."""
+
 
 def json_of(text: str | bytes) -> Any:
     """Return the value of a JSON text.
@@ -22,7 +25,7 @@ def json_of(text: str | bytes) -> Any:
 
 
 def read_json(path: Path) -> Any:
-    """Return the value of a regular JSON file; pipes are refused, since they may block.
+    """Return the value of a JSON file; pipes are refused, since they may block.
 
     Raises:
         ValueError: see ``json_of``, or there is no such file.
@@ -30,4 +33,6 @@ def read_json(path: Path) -> Any:
     """
     if why := no_file(path):
         raise ValueError(f"{path.name} {why}")
+    if (size := path.stat().st_size) > LARGEST_BYTES:
+        raise ValueError(f"{path.name} has {size} bytes; the limit is {LARGEST_BYTES}")
     return json_of(path.read_text(encoding="utf-8"))

@@ -18,6 +18,7 @@ import yaml
 
 from twinct.core.errors import ScenarioError
 from twinct.core.files.boundary import read_text
+from twinct.core.foreign_text import quoted
 
 LARGEST_BYTES = 2**20
 """Largest file; a study with 10,000 values has a tenth of this size."""
@@ -170,7 +171,7 @@ class _Reader:
             if name == "<<" and not event.style:
                 self._refuse(line, key, "merge keys (<<) are not supported; write out the keys")
             if name in data:
-                self._refuse(line, key, f"the key {name!r} appears twice")
+                self._refuse(line, key, f"the key {quoted(name)} appears twice")
             data[name] = self._value(next(self._events), (*key, name))
         return data
 

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
-from twinct.core.files.boundary import read_text, shortened
+from twinct.core.files.boundary import read_text
+from twinct.core.foreign_text import number as number_of
+from twinct.core.foreign_text import shortened
 
 LARGEST_BYTES = 16 * 2**20
 """Largest file: half a million rows."""
@@ -31,7 +33,7 @@ def read_columns(path: Path, columns: int, *, more: bool = False) -> NDArray[np.
         if not words:
             continue
         try:
-            row = [float(word) for word in (words[:columns] if more else words)]
+            row = [number_of(word) for word in (words[:columns] if more else words)]
         except ValueError as error:
             raise InputError(f"{path}:{number}: {wanted}: {shortened(str(error), 120)}") from None
         if len(row) != columns:

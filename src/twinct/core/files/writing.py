@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from twinct.core.errors import InputError, StorageError
+from twinct.core.files.boundary import ABSENT, no_file
 
 _SPARE_BYTES = 64 * 2**20
 """Disk space to leave free in addition to the output."""
@@ -96,7 +97,11 @@ def check_folder(path: Path, own: Collection[str] | None = None) -> None:
     _check_parents(path)
     if own is None or not path.is_dir():
         return
-    others = sorted(p.name for p in path.iterdir() if p.name not in own)
+    there = sorted(path.iterdir())
+    for inner in there:
+        if (why := no_file(inner, folder=True)) and why != ABSENT:  # a pipe would block a reader
+            raise InputError(f"--out {path}: {inner.name} {why}")
+    others = [inner.name for inner in there if inner.name not in own]
     if others:
         listed = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
         raise InputError(

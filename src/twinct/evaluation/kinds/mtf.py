@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.evaluation.figure import Figure
 from twinct.evaluation.figure_kind import (
     Curve,
@@ -83,7 +84,7 @@ def _check(places: NamedPlaces, one: Transfer) -> dict[str, str]:
         )
     elif not len(ball(places.grid, pose, radius)):
         found = "lies outside the grid"
-    return {"at": f"{one.at!r} {found}"} if found else {}
+    return {"at": f"{quoted(one.at)} {found}"} if found else {}
 
 
 MTF = FigureKind(

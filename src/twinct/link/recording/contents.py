@@ -14,6 +14,7 @@ from mcap.records import Attachment
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.geometry.wire import Reached
 from twinct.link.recording.reader import Recording, Said, instant_of
 from twinct.link.recording.recorder import FORMAT
@@ -74,7 +75,7 @@ class Contents:
     def _take_facts(self, path: Path, facts: dict[str, str]) -> None:
         if facts.get("format") != FORMAT:
             raise InputError(
-                f"{path} has recording format {facts.get('format')!r}; this twinct reads "
+                f"{path} has recording format {quoted(facts.get('format'))}; this twinct reads "
                 f"{FORMAT!r}, and a newer one may read it"
             )
         if "images" not in facts:
@@ -99,7 +100,7 @@ class Contents:
     def view_of(self) -> dict[int, int]:
         """View of each stamp that ``/scan/views`` lists."""
         told = ((stamp, said.message.source) for stamp, said in self.said[VIEWS].items())
-        found = ((stamp, re.fullmatch(r"view (\d+)", source)) for stamp, source in told)
+        found = ((stamp, re.fullmatch("view ([0-9]{1,18})", source)) for stamp, source in told)
         return {stamp: int(match[1]) for stamp, match in found if match}
 
     def at(self, topic: str, stamp: int) -> Any:

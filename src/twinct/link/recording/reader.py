@@ -17,6 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from zstandard import ZstdError
 
 from twinct.core.errors import InputError
+from twinct.core.files.boundary import no_file
 from twinct.geometry.wire import Instant, SevenNumbers
 from twinct.link.recording.definitions import definition
 from twinct.link.stamps import NANO
@@ -106,6 +107,8 @@ class Recording:
         self.whole, self.damaged = False, 0
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        if why := no_file(path):
+            raise InputError(f"{path} {why}")
         try:
             with path.open("rb") as file:
                 next(StreamReader(file).records, None)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Generic, Protocol, TypeVar
 
 from pydantic import Field
 
+from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import Conflict, Section, setting
 from twinct.geometry import Floats, Pose, ScanGeometry
@@ -230,7 +231,7 @@ def unknown_parts(wanted: Mapping[str, str], parts: Sequence[str]) -> list[Confl
         f"{'the parts are' if len(parts) > 1 else 'the only part is'} {', '.join(map(repr, parts))}"
     )
     return [
-        Conflict(f"{key}: unknown part {name!r}; {having}", (key,))
+        Conflict(f"{key}: unknown part {quoted(name)}; {having}", (key,))
         for key, name in wanted.items()
         if name not in parts
     ]

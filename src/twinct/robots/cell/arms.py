@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twinct.core.errors import MissingExtraError, ScenarioError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
@@ -80,7 +81,7 @@ def _menagerie_file(name: str, key: str) -> Path:
         if not folder.is_dir():
             there = ", ".join(sorted(p.name for p in Path(root).glob("*/") if p.is_dir()))
             raise ScenarioError(
-                f"{key}.model: MENAGERIE_ROOT={root} holds no model {name!r}; it holds "
+                f"{key}.model: MENAGERIE_ROOT={root} holds no model {quoted(name)}; it holds "
                 f"{there or 'none'}"
             )
     else:
@@ -95,7 +96,7 @@ def _menagerie_file(name: str, key: str) -> Path:
             names = list(mujoco_menagerie.names())
             near = difflib.get_close_matches(name, names, n=5, cutoff=0.3) or names
             raise ScenarioError(
-                f"{key}.model: MuJoCo Menagerie has no model {name!r}; the nearest of its "
+                f"{key}.model: MuJoCo Menagerie has no model {quoted(name)}; the nearest of its "
                 f"{len(names)}: {', '.join(near)}"
             ) from None
         except mujoco_menagerie.MenagerieError as error:

@@ -9,6 +9,7 @@ import numpy as np
 
 from twinct.core.errors import ScenarioError
 from twinct.core.files.arm_xml import read_arm_xml
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.scenario import Arm
@@ -116,10 +117,11 @@ def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: 
     names = [model.body(b).name for b in range(model.nbody)]
     name = asked or names[1]
     if name not in names:
-        raise ScenarioError(f"{where} has no base {name!r}; it has {', '.join(names[1:])}")
+        raise ScenarioError(f"{where} has no base {quoted(name)}; it has {', '.join(names[1:])}")
     if model.body_weldid[names.index(name)] != 0:
         raise ScenarioError(
-            f"{where}: base {name!r} is moved by joints: set the key base to a body that stands "
+            f"{where}: base {quoted(name)} is moved by joints: set the key base to a body "
+            "that stands "
             "still, or to world for the file's origin"
         )
     return Pose.from_metres(data.body(name).xpos, np.roll(data.body(name).xquat, -1))
@@ -148,7 +150,7 @@ def _flange(
     usual, places = (FLANGE_LINKS, bodies) if is_urdf else (FLANGE_SITES, sites)
     name = asked or next((name for name in usual if name in places), None)
     if name is None or name not in (*sites, *bodies):
-        lacks = f"no flange {name!r}" if name else f"no flange, such as {' or '.join(usual)}"
+        lacks = f"no flange {quoted(name)}" if name else f"no flange, such as {' or '.join(usual)}"
         raise ScenarioError(
             f"{where} has {lacks}: set the key flange to one of "
             f"{', '.join(filter(None, (*sites, *bodies)))}"
@@ -158,13 +160,14 @@ def _flange(
     last = model.jnt_bodyid[-1]
     if model.body_weldid[body] != last:
         raise ScenarioError(
-            f"{where}: flange {name!r} is not part of the last link, {model.body(last).name}"
+            f"{where}: flange {quoted(name)} is not part of the last link, {model.body(last).name}"
         )
     z = place.xmat.reshape(3, 3)[:, 2]
     outwards = (place.xpos - data.xanchor[-1]) @ z
     if not asked and (abs(data.xaxis[-1] @ z) < ALONG or outwards < -ROUNDING_M):
         raise ScenarioError(
-            f"{where}: z of its flange {name!r} does not point along the last joint's axis, away "
+            f"{where}: z of its flange {quoted(name)} does not point along the last joint's "
+            "axis, away "
             "from the arm: set the key flange to a frame whose z points towards the tool"
         )
     if name in sites:

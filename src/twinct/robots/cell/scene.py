@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinct.core.errors import ScenarioError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import MM_PER_M, Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
@@ -302,7 +303,8 @@ def _specimen_outside_zones(built: CellModel) -> None:
             gap = mujoco.mj_geomDistance(model, data, geom, hull, 10.0, line)
             if gap < 0:
                 problems.append(
-                    f"cell.zones.{index}: zone {zone.name!r} reaches {-gap / MM:.1f} mm into the "
+                    f"cell.zones.{index}: zone {quoted(zone.name)} reaches {-gap / MM:.1f} mm "
+                    "into the "
                     "specimen: nothing could be imaged without entering the zone"
                 )
     if problems:

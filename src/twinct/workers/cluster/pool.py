@@ -337,7 +337,7 @@ def _answers(address: str) -> bool:
     try:
         with socket.create_connection((host.strip("[]"), int(port)), ANSWER_S):
             return True
-    except (OSError, ValueError):
+    except (OSError, ValueError, OverflowError):  # the last for a port beyond 65,535
         return False
 
 
