@@ -12,6 +12,7 @@ from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.writing import require_space, storage_errors
 from twinct.exchange import Bundle, FormatName, Values, bundle_bytes, format_named, write_bundle
 from twinct.observers import Observers, audience_of
+from twinct.runs.folder import Folder
 from twinct.scan import OWN, ScanStore, line_integrals, named_geometries
 
 
@@ -85,7 +86,7 @@ def export_scan(
 
 
 def _store_path(scan: Path) -> Path:
-    for path in (scan / "scan.zarr", scan):
+    for path in (Folder(scan).scan, scan):
         if (path / "zarr.json").is_file():
             return path.absolute()
     raise InputError(f"{scan} is neither a run folder nor a scan.zarr")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.folder_paths import Below, names_below
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.plain_yaml import read_file, written
@@ -60,6 +61,15 @@ class Folder:
     logs = Below("log")
     log = Below("twinct.log")
     lock = Below("twinct.lock")
+
+    def __post_init__(self) -> None:
+        """Check that the path is no pipe or device.
+
+        Raises:
+            InputError: it is one.
+        """
+        if (why := no_file(self.path, folder=True)) and why != ABSENT:
+            raise InputError(f"{self.path} {why}")
 
     @property
     def results(self) -> tuple[Path, ...]:

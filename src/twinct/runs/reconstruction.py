@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import storage_errors
 from twinct.core.foreign_text import quoted
@@ -198,7 +199,9 @@ def _free_name(scenario: Scenario, which: str, kept: dict[str, Reconstruction]) 
 
 def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:
     """Return the scenario that a run was made with, with some keys changed."""
-    if not folder.scenario.is_file() or not folder.scan.is_dir():
+    if (why := no_file(folder.scenario)) and why != ABSENT:
+        raise InputError(f"{folder.scenario} {why}")
+    if why or not folder.scan.is_dir():
         raise InputError(
             f"{folder.path} is not a run folder; expected scenario.yaml and scan.zarr in it"
         )

@@ -54,7 +54,8 @@ def no_file(path: Path, *, folder: bool = False) -> str:
         return f"cannot be read: {shortened(reason(error))}"
     if stat.S_ISREG(mode) or (folder and stat.S_ISDIR(mode)):
         return ""
-    return f"is {_OTHERS.get(stat.S_IFMT(mode), 'of an unknown kind')}, not a file"
+    there = _OTHERS.get(stat.S_IFMT(mode), "of an unknown kind")
+    return f"is {there}, not a {'file or folder' if folder else 'file'}"
 
 
 def file_bytes(
