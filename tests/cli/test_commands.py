@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import nibabel
@@ -17,6 +18,7 @@ import zarr
 from waiting import HANG_S
 
 from twinct.cli import run_command
+from twinct.core.interruption import keeping
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 DEMO = str(SCENARIOS / "demo.yaml")
@@ -160,8 +162,8 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     process.send_signal(signal.SIGTERM)
     process.send_signal(signal.SIGCONT)
     _, stderr = process.communicate(timeout=HANG_S)
-    assert process.returncode == 1
-    assert "continue with --resume" in stderr and "Traceback" not in stderr
+    assert process.returncode == 128 + signal.SIGTERM
+    assert f"{out} keeps 4 of 10 views; --resume continues" in stderr and "Traceback" not in stderr
     assert json.loads((out / "seconds.json").read_text())["motion"] > 0
 
 
@@ -471,20 +473,99 @@ def test_schema_is_json(capsys) -> None:
     assert json.loads(capsys.readouterr().out)["title"] == "twinct scenario"
 
 
-@pytest.mark.parametrize(
-    ("command", "kept"),
-    [("check", ""), ("run", "; every acquired view is kept, continue with --resume")]
-    + [("study", "; every finished trial is kept, continue with --resume")],
-)
-def test_what_an_interrupted_command_keeps_is_said(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], command: str, kept: str
+NOTHING = "before its results were complete; earlier ones stay"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(("kept", "said"), [("", NOTHING), ("DIR keeps it", "DIR keeps it")])
+def test_an_interrupt_ends_with_its_signal_and_says_what_is_kept(
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    number: signal.Signals,
+    kept: str,
+    said: str,
 ) -> None:
     def interrupted(**_: object) -> None:
-        raise KeyboardInterrupt
+        with keeping(lambda: kept):
+            signal.raise_signal(number)
 
     monkeypatch.setattr("twinct.cli.commands.app.cli", interrupted)
-    assert run_command([command, "demo.yaml"]) == 1
-    assert capfd.readouterr().err == f"twinct: interrupted{kept}\n"
+    assert run_command(["run", "demo.yaml"]) == 128 + number
+    assert capfd.readouterr().err == f"twinct: interrupted: {said}\n"
+
+
+def test_a_second_interrupt_cuts_the_end_short_but_not_what_is_said(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(**_: object) -> None:
+        with keeping(lambda: "outer"), ExitStack() as stack:
+            stack.callback(signal.raise_signal, signal.SIGINT)
+            with keeping(lambda: "inner"):
+                signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("twinct.cli.commands.app.cli", interrupted)
+    assert run_command(["run", "demo.yaml"]) == 128 + signal.SIGINT
+    assert capfd.readouterr().err == "twinct: interrupted: outer; inner\n"
+
+
+TELLING = """
+import sys
+import twinct.cli.commands
+from rich.console import Console
+from twinct.cli import main
+from twinct.cli.progress import on_terminal, say
+def work(**_):
+    with on_terminal() as audience, audience.stage("work", 1) as step:
+        audience.say("begun")
+        step()
+    {}
+twinct.cli.commands.app.cli = work
+main(["run"])
+"""
+"""A command that tells its progress and its result."""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("closed", ["stdout", "stderr", "both"])
+@pytest.mark.parametrize("told", ["sys.stdout.write('x')", "say('x')", "Console().print('x')"])
+def test_a_closed_pipe_ends_a_command_quietly(closed: str, told: str) -> None:
+    """As SIGPIPE ends other programs, but after the work; lost progress harms nothing."""
+    read, write = os.pipe()
+    os.close(read)
+    out, errors = (
+        write if closed in (name, "both") else subprocess.PIPE for name in ("stdout", "stderr")
+    )
+    command = [sys.executable, "-c", TELLING.format(told)]
+    with subprocess.Popen(command, text=True, stdout=out, stderr=errors) as ended:
+        os.close(write)
+        said = ended.communicate(timeout=HANG_S)
+    assert ended.returncode == (0 if closed == "stderr" else 128 + signal.SIGPIPE)
+    if closed == "stderr":
+        assert said[0].split() == ["begun", "x"]
+    elif closed == "stdout":
+        assert said[1].startswith("work: 1 of 1") and len(said[1].splitlines()) == 1
+
+
+IGNORING = """
+import signal
+for number in (signal.SIGINT, signal.SIGHUP):
+    signal.signal(number, signal.SIG_IGN)
+import twinct.cli.commands
+from twinct.cli import main
+def work(**_):
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.raise_signal(number)
+twinct.cli.commands.app.cli = work
+main(["run"])
+"""
+"""A command that Ctrl-C and the end of its terminal meet, as a job in the background."""
+
+
+@pytest.mark.process
+def test_a_job_in_the_background_does_not_hear_ctrl_c() -> None:
+    command = [sys.executable, "-c", IGNORING]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("name", ["check", "run", "render", "node", "schema", "specimen", "report"])

@@ -183,7 +183,7 @@ def test_a_worker_that_is_killed_is_replaced(command, undisturbed) -> None:
 def test_drivers_that_end_leave_no_process_and_their_study_goes_on(command, undisturbed) -> None:
     """Kill the first with three rows, interrupt the next with six."""
     begun = 0
-    for ended, number, code in ((3, signal.SIGKILL, -signal.SIGKILL), (6, signal.SIGINT, 1)):
+    for ended, number, code in ((3, signal.SIGKILL, -signal.SIGKILL), (6, signal.SIGINT, 130)):
         process = command.start(*(["--resume"] if begun else []))
         command.let(3)
         begun += 4  # the last one waits
@@ -192,6 +192,7 @@ def test_drivers_that_end_leave_no_process_and_their_study_goes_on(command, undi
         said = process.communicate(timeout=HANG_S)[1]
         assert process.returncode == code
         assert "Traceback" not in said
+        assert code < 0 or f"{command.out} keeps {ended} of 12 trials; --resume continues" in said
         until(lambda: not alive(command.mark))
         assert command.ended == ended
     command.let(12)  # more than are needed: it takes none twice

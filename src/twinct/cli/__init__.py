@@ -3,32 +3,62 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
 import traceback
 from collections.abc import Sequence
-from types import FrameType
 
 from twinct.core.errors import TwinctError
 from twinct.core.foreign_text import shortened
+from twinct.core.interruption import EndedBySignal, end_like_ctrl_c, notes_of
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
 
 EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2
+EXIT_SIGNAL = 128
+"""Added to the number of a signal, as shells do: 130 for Ctrl-C, 143 for SIGTERM."""
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Run one command and end the process: 0 done, 2 bad input, 1 anything else."""
-    sys.exit(run_command(argv))
+    """Run one command and end the process; see ``run_command`` for the exit code."""
+    code = run_command(argv)
+    if code > EXIT_SIGNAL:
+        for number in (signal.SIGINT, signal.SIGTERM):  # another one ends the process at once
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, signal.SIG_DFL)
+    sys.exit(code)
 
 
 def run_command(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; errors go to stderr, without a traceback."""
-    arguments = sys.argv[1:] if argv is None else list(argv)
+    """Run one command and return its exit code; errors go to stderr, without a traceback.
+
+    Returns:
+        0: done. 2: bad input. 128 + the number of a signal: ended by Ctrl-C (130), SIGTERM (143),
+        SIGHUP (129), or because nobody reads the output any more (141). 1: anything else.
+    """
+    end_like_ctrl_c(signal.SIGTERM, signal.SIGHUP)
+    try:
+        code = _code_of(sys.argv[1:] if argv is None else list(argv))
+        sys.stdout.flush()
+    except KeyboardInterrupt as stop:  # also while a message is written
+        number = stop.number if isinstance(stop, EndedBySignal) else signal.SIGINT
+        kept = "; ".join(notes_of(stop)) or "before its results were complete; earlier ones stay"
+        code = EXIT_SIGNAL + number
+        try:
+            _say(f"twinct: interrupted: {kept}")
+        except BrokenPipeError:
+            _close_unread()
+    except BrokenPipeError:
+        _close_unread()
+        code = EXIT_SIGNAL + signal.SIGPIPE
+    return code
+
+
+def _code_of(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         sys.stdout.write(f"twinct {__version__}\n")
         return EXIT_DONE
-    signal.signal(signal.SIGTERM, _as_interrupt)
     try:
         limit_threads()  # before the libraries that it limits are loaded
         from twinct.cli.commands import app
@@ -42,22 +72,16 @@ def run_command(argv: Sequence[str] | None = None) -> int:
             args=respelled(arguments),
         )
     except SystemExit as stop:  # tyro: 0 after --help, 2 after invalid arguments
+        if isinstance(stop.__context__, BrokenPipeError):  # rich
+            raise stop.__context__ from None
         return stop.code if isinstance(stop.code, int) else EXIT_OTHER
     except TwinctError as error:
         for line in error.lines:
             _say(f"twinct: {line}")
         return error.exit_code
-    except KeyboardInterrupt:
-        kept = _KEPT.get(next(iter(arguments), ""))
-        _say(
-            "twinct: interrupted"
-            f"{f'; every {kept} is kept, continue with --resume' if kept else ''}"
-        )
-        return EXIT_OTHER
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_OTHER
     except Exception as error:
+        if isinstance(error, BrokenPipeError) and _unread():
+            raise
         if os.environ.get("TWINCT_DEBUG"):
             traceback.print_exc()
         _say(
@@ -68,14 +92,22 @@ def run_command(argv: Sequence[str] | None = None) -> int:
     return EXIT_DONE
 
 
-_KEPT = {"run": "acquired view", "study": "finished trial"}
-"""Results that an interrupted command keeps, if it can be resumed."""
-
-
 def _say(message: str) -> None:
     sys.stderr.write(message + "\n")
     sys.stderr.flush()
 
 
-def _as_interrupt(signum: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+def _unread() -> list[int]:
+    """Return the descriptors among stdout and stderr that are pipes without a reader."""
+    watched = select.poll()
+    for stream in (1, 2):
+        watched.register(stream, 0)
+    return [stream for stream, told in watched.poll(0) if told & select.POLLERR]
+
+
+def _close_unread() -> None:
+    """Discard output that nobody reads, so that the end of the process does not fail with it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in _unread():
+        os.dup2(nowhere, stream)
+    os.close(nowhere)

@@ -6,12 +6,15 @@ import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from rich.console import Console
 
 from twinct.cli.arguments import Flag
+
+if TYPE_CHECKING:
+    from twinct.ctsimu.scenario import CtsimuScenario
 
 ctsimu = tyro.extras.SubcommandApp()
 
@@ -49,6 +52,7 @@ def render(
     from twinct.cli.progress import on_terminal
     from twinct.core.errors import MemoryShortageError
     from twinct.core.files.writing import check_folder
+    from twinct.core.interruption import keeping
     from twinct.ctsimu import Options, load_ctsimu, render
 
     _check_options(samples, spot_points, seed)
@@ -56,7 +60,11 @@ def render(
     loaded = load_ctsimu(scenario)
     options = Options(samples, spot_points, seed)
     try:
-        with on_terminal() as audience, audience.stage("projections", loaded.frames) as step:
+        with (
+            on_terminal() as audience,
+            audience.stage("projections", loaded.frames) as step,
+            keeping(partial(_kept, loaded, out)),
+        ):
             files = render(loaded, out, options, resume=resume, step=step)
     except MemoryError as error:
         columns, rows = reversed(loaded.frame(0).panel.shape)
@@ -121,13 +129,15 @@ def qualify(
     from rich.table import Table
 
     from twinct.core.files.writing import check_folder
+    from twinct.core.interruption import keeping
     from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify
 
     check_folder(out)
     console, say = Console(), partial(Console(stderr=True).print, highlight=False)
     table = Table("test", "figure", "required", "measured", "")
     marks = {True: "passed", False: "FAILED", None: ""}
-    found = qualify(out, tests or TESTS, step=say)
+    with keeping(lambda: f"{out} keeps its images; the same command continues"):
+        found = qualify(out, tests or TESTS, step=say)
     for v in found:
         table.add_row(v.test, v.what, v.asked, v.measured, marks[v.passed])
     console.print(table)
@@ -135,6 +145,14 @@ def qualify(
         console.print(f"{name} is skipped: {why}", highlight=False)
     if any(verdict.passed is False for verdict in found):
         raise SystemExit(1)
+
+
+def _kept(scenario: CtsimuScenario, out: Path) -> str:
+    from twinct.ctsimu.outputs import Files
+
+    files = Files(out, scenario.name)
+    done = sum(files.projection(index).exists() for index in range(scenario.frames))
+    return f"{out} keeps {done} of {scenario.frames} projections; --resume continues"
 
 
 def _check_options(samples: int, spot_points: int, seed: int) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich import progress
+    from rich.console import Console
 
     from twinct.observers import Audience, Event, Observer
 
@@ -26,7 +27,7 @@ def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
     from twinct.observers import Observer, Said, StageBegan, StageEnded, StageStep, audience_of
 
     kinds = (StageBegan, StageStep, StageEnded, Said)
-    with audience_of([Observer(TerminalProgress(), kinds), *others]) as audience:
+    with audience_of([Observer(_while_read(TerminalProgress()), kinds), *others]) as audience:
         notices = _Notices(audience)
         logger = logging.getLogger(NOTICED)
         logger.addHandler(notices)
@@ -34,6 +35,19 @@ def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
             yield audience
         finally:
             logger.removeHandler(notices)
+
+
+def _while_read(hear: Callable[[Event], None]) -> Callable[[Event], None]:
+    """Return a function that does not mind if nobody reads its output any more.
+
+    The work goes on; the command notices when it prints its result.
+    """
+
+    def heard(event: Event) -> None:
+        with suppress(BrokenPipeError):
+            hear(event)
+
+    return heard
 
 
 class _Notices(logging.Handler):
@@ -54,21 +68,29 @@ def say(text: str, *, warning: bool = False) -> None:
     TerminalProgress()(Said(text, warning))
 
 
+def _console(*, stderr: bool = False) -> Console:
+    from rich.console import Console
+
+    class Unhidden(Console):
+        """A console whose own way with a closed pipe ends the thread without a word."""
+
+        def on_broken_pipe(self) -> None:
+            raise
+
+    return Unhidden(stderr=stderr)
+
+
 class TerminalProgress:
     """One bar per stage; in a log file, one line every half minute."""
 
     def __init__(self) -> None:
         """Check whether stderr is a terminal."""
-        from rich.console import Console
-
-        self._console = Console(stderr=True)
+        self._console = _console(stderr=True)
         self._bar: progress.Progress | None = None
         self._shown = 0.0
 
     def __call__(self, event: Event) -> None:
         """Show an event, if it belongs to a stage."""
-        from rich.console import Console
-
         from twinct.observers import Said, StageBegan, StageEnded, StageStep
 
         match event:
@@ -91,7 +113,7 @@ class TerminalProgress:
                 text = f"{name}: {done} of {total}, {seconds:.1f} s"
                 self._console.print(text, highlight=False)
             case Said(text, warning):
-                console = self._console if warning else Console()
+                console = self._console if warning else _console()
                 console.print(f"twinct: warning: {text}" if warning else text, **_PLAIN)
             case _:
                 pass

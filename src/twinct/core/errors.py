@@ -1,7 +1,8 @@
 """Errors that twinct raises on purpose.
 
 Each names the value, the allowed values and the origin. ``exit_code`` is the exit status of the
-command line: 2 for input that a user can fix, 1 for anything else.
+command line: 2 for input that a user can fix, 1 for anything else. ``core.interruption`` has the
+interruptions, which are no errors.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_yaml import read_file
 from twinct.core.files.writing import storage_errors
+from twinct.core.interruption import keeping
 from twinct.core.threads import limit_threads, load_numba
 from twinct.evaluation import ImageFigures, figure_kinds
 from twinct.link.recording import recorder_of
@@ -50,6 +51,7 @@ from twinct.runs.reporting import Results, judge, truth_of, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, SimulationBuilder, check_space, named_geometries
+from twinct.scan.status import views_taken
 from twinct.scenario import SECTIONS, Scenario, stage_digests, with_files_in
 from twinct.scenario.version_0_1 import volume_digest
 
@@ -161,6 +163,7 @@ def run(
             make_rig = stack.enter_context(rigs)
         warnings = _prepare(builder, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))
+        stack.enter_context(keeping(lambda: _kept(folder, len(builder.targets))))
         folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
         stack.enter_context(logged_to(folder.log))
@@ -179,6 +182,11 @@ def run(
         else:
             _make_volumes(builder, folder, seconds, audience)
     return Run(scenario, folder)
+
+
+def _kept(folder: Folder, views: int) -> str:
+    taken = len(views_taken(folder.scan))
+    return f"{folder.path} keeps {taken} of {views} views; --resume continues"
 
 
 def finished_run(folder: Folder) -> Run:

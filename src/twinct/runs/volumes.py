@@ -22,6 +22,7 @@ from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import complete, storage_errors
 from twinct.core.foreign_text import whole_number
+from twinct.core.interruption import keeping
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
@@ -180,7 +181,8 @@ def _reconstruct(
             course = iteration, iterations, residual
             audience.tell(IterationDone(algorithm.name, which, *course, whole))
 
-    with audience.stage(name, iterations * updates, done * updates) as tick:
+    stage = audience.stage(name, iterations * updates, done * updates)
+    with keeping(lambda: kept.in_words(iterations)), stage as tick:
         problem = Problem(
             projector=A,
             line_integrals=integrals,
@@ -435,6 +437,11 @@ class _Checkpoints:
             for file in older:
                 if file != final:
                     file.unlink()
+
+    def in_words(self, iterations: int) -> str:
+        """Return the number of iterations on disk in words; empty if there is none."""
+        done = [file.stem.rpartition("-")[2] for file in self._files()[:1]]
+        return f"{self.folder} keeps {int(done[0])} of {iterations} iterations" if done else ""
 
     def _files(self) -> list[Path]:
         return sorted(self.folder.glob(f"{self.name}-*.npz"), reverse=True) if self.folder else []

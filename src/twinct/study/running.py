@@ -130,7 +130,7 @@ def run_study(
             rows.renumbered({one.key: one.trial.number for one in trials})
         total = len(design.seeds) * study.search.trials if study.search else len(trials)
         driver = Driver(design, folder, rows, pool, tell or (lambda _: None), total)
-        with _concluded(driver, observers):
+        with _concluded(driver):
             if study.search:
                 _search(design, checker, driver, retry)
             else:
@@ -149,7 +149,7 @@ def _remove_pickles(folder: StudyFolder, observers: Observers) -> None:
 
 
 @contextmanager
-def _concluded(driver: Driver, observers: Observers) -> Iterator[None]:
+def _concluded(driver: Driver) -> Iterator[None]:
     """Close the pool after the trials, and write the results, also of an interrupted study."""
     began, total, rows = time.monotonic(), driver.total, driver.rows
     try:
@@ -157,8 +157,8 @@ def _concluded(driver: Driver, observers: Observers) -> Iterator[None]:
     except BaseException as error:
         driver.pool.close()
         if isinstance(error, KeyboardInterrupt):
-            with audience_of(observers) as audience:
-                audience.say(f"interrupted: {len(rows.status)} of {total} trials are kept")
+            kept = f"{driver.folder.path} keeps {len(rows.status)} of {total} trials"
+            error.add_note(f"{kept}; --resume continues")
         raise
     else:
         driver.pool.close(clear=True)

@@ -56,6 +56,14 @@ class Journal:
         )
         self.generations = kept["generations"]
 
+    @property
+    def in_words(self) -> str:
+        """State of the search in words, and how it goes on."""
+        if self.within_reach is None:
+            return "nothing yet"
+        steps = len(self.state.worth) + len(self.generations)
+        return f"the candidates within reach and {steps} steps of the search; --resume continues"
+
     def found(self, within_reach: NDArray[np.intp]) -> None:
         """Write the candidates within reach."""
         self.within_reach = within_reach

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 from twinct.core.errors import InputError, TrajectoryError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import check_folder, storage_errors, write_json
+from twinct.core.interruption import keeping
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry
 from twinct.scan import SimulationBuilder
@@ -110,13 +112,14 @@ def plan_views(
     check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK, *TRIED})
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-    with storage_errors(out), sole_owner(out / LOCK):
+    with storage_errors(out), sole_owner(out / LOCK), ExitStack() as stack:
         seen = None
         if scout is not None:
             seen = scouted(scenario, scout, progress)
             overrides = [*overrides, *seen.overrides]
             scenario = load_scenario(source, overrides)
         journal = Journal(out / SEARCH, scenario, resume)
+        stack.enter_context(keeping(lambda: f"{out} keeps {journal.in_words}"))
         builder = SimulationBuilder(scenario)
         all_views = candidates_of(scenario)
         if journal.within_reach is None:

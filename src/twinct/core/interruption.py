@@ -1,0 +1,53 @@
+"""Ctrl-C and other signals that end work: the work says what it keeps."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import NoReturn
+
+
+class EndedBySignal(KeyboardInterrupt):
+    """A signal that ends work in the same way as Ctrl-C.
+
+    Attributes:
+        number: number of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        """Store the number."""
+        super().__init__()
+        self.number = number
+
+
+def end_like_ctrl_c(*numbers: signal.Signals) -> None:
+    """Let signals end work as Ctrl-C does, except those that this process ignores (``nohup``)."""
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        raise EndedBySignal(number)
+
+    for number in numbers:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, end)
+
+
+@contextmanager
+def keeping(words: Callable[[], str]) -> Iterator[None]:
+    """Add a note to an interruption of a block; ``words`` returns what the block keeps, or ""."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        if told := words():
+            stop.add_note(told)
+        raise
+
+
+def notes_of(stop: BaseException | None) -> list[str]:
+    """Return the notes of an interruption, and of those before that it cut short."""
+    found: list[str] = []
+    while stop is not None:
+        found += getattr(stop, "__notes__", [])
+        stop = stop.__context__
+    return list(dict.fromkeys(found))
