@@ -144,10 +144,13 @@ class ScanStore:
             raise ScanExistsError(f"{path} already holds a scan: choose another --out or --resume")
         draft = path.with_name(path.name + ".new")
         with storage_errors(path):
-            shutil.rmtree(draft, ignore_errors=True)
+            shutil.rmtree(draft, ignore_errors=True)  # of a killed process
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
-            draft.rename(path)
+            try:
+                write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
+                draft.rename(path)
+            finally:
+                shutil.rmtree(draft, ignore_errors=True)
         return cls(path)
 
     @classmethod

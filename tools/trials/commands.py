@@ -1,0 +1,181 @@
+"""Commands under trial, on tiny scenarios, and what each has to leave behind."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+HOOK = Path(__file__).parent / "hook"
+VIEWS = 12
+BALL = {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 4}
+TINY = {
+    "trajectory.views": VIEWS,
+    "detector": {"columns": 32, "rows": 24, "pixel_pitch_mm": 10},
+    "specimen.parts": [{"shape": BALL}],
+    "reconstruction.grid": {"voxels": 20, "voxel_mm": 8},
+    "reconstruction.iterations": 2,
+}
+TASK = {
+    "position_mm": [0, 0, 0], "radius_mm": 20, "views": 6, "candidates": 40,
+    "completeness": {"within_deg": 10},
+}  # fmt: skip
+AXES = [
+    {"key": "reconstruction.relaxation", "values": [0.2, 0.5]},
+    {"key": "trajectory.views", "values": [4, 8]},
+]
+SET = [word for key, value in TINY.items() for word in ("--set", f"{key}={json.dumps(value)}")]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command of twinct.
+
+    Attributes:
+        words: its words; OUT and MADE are the trial's output and the folder of prepared inputs.
+        results: patterns of result files whose bytes do not depend on the time.
+        again: further words that continue an interrupted command.
+        kept: patterns of files that a continued command must not write again.
+        of: name in the prepared inputs of what OUT is a copy of; empty: OUT is new.
+        over: the command may also run over its earlier results.
+        victims: processes of the command that a trial may kill or stop.
+        slow: it is not repeated after a fault, as it takes long and leaves nothing.
+    """
+
+    words: str
+    results: tuple[str, ...]
+    again: tuple[str, ...] = ()
+    kept: tuple[str, ...] = ()
+    of: str = ""
+    over: bool = False
+    victims: tuple[str, ...] = ()
+    slow: bool = False
+
+
+SCAN = ("scan.zarr/**/*", "volume.nii", "truth.nii")
+VIEW_FILES = ("scan.zarr/status/c.*",)
+COMMANDS = {
+    "run": Command(
+        "run MADE/gantry.yaml --out OUT --link local", SCAN, ("--resume",), VIEW_FILES
+    ),
+    "run of arms": Command(
+        "run MADE/arms.yaml --out OUT --link local", SCAN, ("--resume",), VIEW_FILES
+    ),
+    "run over ros2": Command(
+        "run MADE/arms.yaml --out OUT --link ros2", SCAN, ("--resume",), VIEW_FILES,
+        victims=("robots", "xray"),
+    ),
+    "study": Command(
+        "study MADE/study.yaml --out OUT --jobs 1", ("journal.jsonl", "trials/*"), ("--resume",),
+        ("trials/*",), victims=("worker",),
+    ),
+    "plan": Command(
+        "plan MADE/task.yaml --out OUT --jobs 1", ("views.csv", "plan.json", "search.json"),
+        ("--resume",),
+    ),
+    "reconstruct": Command(
+        "reconstruct OUT --set reconstruction.algorithm=sirt --as again",
+        (*SCAN, "reconstructions/again/volume.nii"), of="run",
+    ),
+    "calibrate": Command(
+        "calibrate self OUT", (*SCAN, "geometries/self.json"), of="run",
+    ),
+    "report": Command("report OUT", (*SCAN, "metrics.json", "report.html"), of="run"),
+    "reach": Command("reach MADE/arms.yaml --out OUT --directions 40", ("reach.*",), over=True),
+    "place": Command(
+        "place MADE/arms.yaml --save OUT/placed.yaml --samples 2", ("*",), over=True, slow=True
+    ),
+    "view": Command("view MADE/run --export OUT/page.html", ("*",), over=True),
+    "film": Command("view MADE/run --movie OUT/film.mp4", ("*",), over=True),
+    "import": Command("import MADE/run/scan.mcap --out OUT", ("scan.zarr/**/*", "scenario.yaml")),
+    "export": Command("export MADE/run --to rtk --out OUT/rtk", ("rtk/*",)),
+    "specimen": Command("specimen MADE/gantry.yaml --out OUT", ("*.stl", "truth.nii"), over=True),
+    "uncertainty": Command(
+        "uncertainty MADE/arms.yaml --draws 20 --out OUT", ("uncertainty.json",), over=True
+    ),
+    "compare": Command("compare MADE/run MADE/other --out OUT/page.html", ("*",), over=True),
+    "ctsimu render": Command(
+        "ctsimu render MADE/ctsimu/SCENARIO --out OUT --samples 1", ("*",), ("--resume",),
+        ("*_0*.tif",),
+    ),
+}  # fmt: skip
+"""All commands that work for longer than a second, by their names in the report."""
+
+
+def environment(changes):
+    """Return the environment of a command, with changes; None removes a variable."""
+    paths = [str(HOOK), os.environ.get("PYTHONPATH", "")]
+    own = {"PYTHONPATH": os.pathsep.join(filter(None, paths)), "TWINCT_THREADS": "1"}
+    changed = os.environ | {"MUJOCO_GL": "egl"} | own | changes
+    return {name: value for name, value in changed.items() if value is not None}
+
+
+def prepare(made):
+    """Make the inputs of all commands in a folder."""
+    write(made / "gantry.yaml", "circle_gantry", TINY)
+    write(made / "arms.yaml", "demo", TINY)
+    write(made / "task.yaml", "circle_gantry", TINY | {"task": TASK})
+    study = {"scenario": str(made / "gantry.yaml"), "axes": AXES, "keep": "volume"}
+    (made / "study.yaml").write_text(json.dumps(study))
+    do("run MADE/gantry.yaml --out MADE/run --link local --record", made)
+    shutil.copytree(made / "run", made / "other")
+    do("ctsimu export MADE/run --out MADE/ctsimu", made)
+
+
+def write(file, extends, keys):
+    """Write a scenario with other values of some dotted keys."""
+    told = {"extends": str(ROOT / "scenarios" / f"{extends}.yaml")}
+    for dotted, value in keys.items():
+        place = told
+        *sections, key = dotted.split(".")
+        for section in sections:
+            place = place.setdefault(section, {})
+        place[key] = value
+    file.write_text(json.dumps(told))
+
+
+def line(words, made, out):
+    """Return the command line of a command's words."""
+    scenario = next(
+        (p.name for p in (made / "ctsimu").glob("*.json") if "openCT" not in p.name), ""
+    )
+    places = {"MADE": str(made), "OUT": str(out), "SCENARIO": scenario}
+    found = []
+    for word in words.split():
+        parts = [places.get(part, part) for part in word.split("/")]
+        found.append("/".join(parts))
+    return [sys.executable, "-m", "twinct", *found]
+
+
+def do(words, made):
+    """Run a command that has to succeed."""
+    done = subprocess.run(
+        line(words, made, made), env=environment({}), capture_output=True, text=True
+    )
+    if done.returncode:
+        raise SystemExit(f"{words} ended with {done.returncode}:\n{done.stderr}")
+
+
+def begin(command, made, out):
+    """Make the output of a command that works in an existing folder."""
+    if command.of:
+        shutil.copytree(made / command.of, out)
+    else:
+        out.mkdir(parents=True)
+
+
+def contents(out, patterns):
+    """Return the contents of all complete files below a folder that fit one of some patterns."""
+    files = {path for pattern in patterns for path in out.glob(pattern) if path.is_file()}
+    return {str(p.relative_to(out)): content(p) for p in sorted(files) if "partial" not in p.name}
+
+
+def content(file):
+    """Return the bytes of a file; of a journal, the rows without their seconds."""
+    if file.suffix != ".jsonl":
+        return file.read_bytes()
+    rows = [json.loads(row) for row in file.read_text().splitlines()]
+    return sorted(json.dumps(row | {"seconds": {}}) for row in rows)

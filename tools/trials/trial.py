@@ -1,0 +1,229 @@
+"""One trial: a command meets a fault, and is continued or repeated."""
+
+import contextlib
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+
+from commands import COMMANDS, begin, contents, environment, line, prepare
+from faults import FAULTS
+from processes import (
+    MARK,
+    PATIENCE_S,
+    TO_END_S,
+    alive,
+    end_all,
+    may_mount,
+    mounted,
+    remount,
+    until,
+    with_shared_memory,
+)
+
+DRAFT = re.compile(r"partial|\.new$|lock$|lifeline")
+BUG = re.compile(r"Traceback|this is a bug in twinct")
+
+
+class Trials:
+    """A folder with the inputs of all trials, and with the results of undisturbed commands.
+
+    Attributes:
+        can_mount: disks can be mounted for a trial.
+    """
+
+    def __init__(self, folder):
+        """Prepare the inputs."""
+        self.folder, self.made = folder, folder / "made"
+        self.made.mkdir(parents=True)
+        self.can_mount = may_mount(folder)
+        self._whole = {}
+        prepare(self.made)
+
+    def whole(self, name):
+        """Return the results of an undisturbed command, and the moments of its processes."""
+        if name not in self._whole:
+            place = self.folder / "whole" / name
+            place.mkdir(parents=True)
+            out = place / "results"
+            begin(COMMANDS[name], self.made, out)
+            done = subprocess.run(
+                line(COMMANDS[name].words, self.made, out),
+                env=environment({"TWINCT_TRIAL": f"any|0|||{place}"}),
+                capture_output=True,
+                text=True,
+            )
+            if done.returncode:
+                raise SystemExit(f"{name} ended with {done.returncode}:\n{done.stderr}")
+            moments = {p.name: int(p.read_text()) for p in place.iterdir() if p.is_file()}
+            self._whole[name] = contents(out, COMMANDS[name].results), moments
+            shutil.rmtree(place)
+        return self._whole[name]
+
+    def trial(self, name, kind, seed):
+        """Do one trial; return whether its fault came in time, and all that went wrong."""
+        expected, moments = self.whole(name)
+        with contextlib.ExitStack() as stack:
+            one = Trial(self, name, kind, random.Random(seed), expected, stack)
+            return one.run(moments)
+
+
+class Trial:
+    """A trial in a folder of its own."""
+
+    def __init__(self, trials, name, kind, rng, expected, stack):
+        """Make the folder and its disks, which ``stack`` removes."""
+        self.trials, self.command, self.fault = trials, COMMANDS[name], FAULTS[kind]
+        self.rng, self.expected = rng, expected
+        self.place = trials.folder / "trial"
+        self.mark = f"{os.getpid()}-{rng.getrandbits(64):x}"
+        self.disk, self.shared = self.place / "disk", self.place / "shm"
+        self.temporary = self.place / "tmp"
+        stack.callback(shutil.rmtree, self.place, ignore_errors=True)
+        self.temporary.mkdir(parents=True)
+        if trials.can_mount:
+            stack.enter_context(mounted(self.shared, self.fault.shared_kib))
+        if self.fault.disk:
+            stack.enter_context(mounted(self.disk, 1024 * self.fault.disk))
+        stack.callback(end_all, self.mark)
+        self.out = self.disk / self.fault.name / "results"
+        begin(self.command, trials.made, self.out)
+        if self.command.over and rng.random() < 0.5:  # over earlier results
+            for file, data in expected.items():
+                (self.out / file).write_bytes(data)
+
+    def run(self, moments):
+        """Run the command with its fault, then to its end; see ``Trials.trial``."""
+        before, fault = self.results(), self.fault
+        moment = self.rng.randrange(1, 1 + moments.get(fault.victim, 1))
+        argument = fault.argument(self.rng, self.disk)
+        plan = f"{fault.victim}|{moment}|{fault.kind}|{argument}|{self.place}"
+        if fault.read_only:
+            remount(self.disk, "ro")
+        wrong = self.met({"TWINCT_TRIAL": plan} if fault.kind else {})
+        if fault.read_only:
+            remount(self.disk, "rw")
+        (self.disk / "filler").unlink(missing_ok=True)
+        now, command = self.results(), self.command
+        for file in before.keys() | (now.keys() if not command.again else set()):
+            if now.get(file) not in (before.get(file, b""), self.expected.get(file)):
+                wrong.append(f"{file} is neither as before nor complete")
+        if now != self.expected or command.again:
+            wrong += self.gone_on()
+        if self.trials.can_mount and (left := [p.name for p in self.shared.iterdir()]):
+            wrong.append(f"left in /dev/shm: {', '.join(left)}")
+        return self.fired, wrong
+
+    @property
+    def fired(self):
+        """True if the command met the fault before its end."""
+        return not self.fault.kind or (self.place / "fired").exists()
+
+    def results(self):
+        """Return the results at present."""
+        return contents(self.out, self.command.results)
+
+    def met(self, plan):
+        """Run the command with the fault; return what went wrong."""
+        fault, mark = self.fault, self.mark
+        processes = [self.start("first", plan | dict(fault.environment), disturbed=True)]
+        if fault.twice:
+            until(lambda: self.fired or processes[0].poll() is not None)
+            processes.append(self.start("second", {}))
+        if fault.stops:
+            until(lambda: self.fired or processes[0].poll() is not None)
+            until(
+                lambda: list(alive(mark)) == [processes[0].pid] or processes[0].poll() is not None
+            )
+            with contextlib.suppress(ProcessLookupError):
+                processes[0].send_signal(signal.SIGCONT)
+        wrong, codes, said = [], [], ""
+        for process, name in zip(processes, ("first", "second"), strict=False):
+            code, words = self.end(process, name)
+            codes.append(code)
+            said += words
+            if BUG.search(words):
+                wrong.append(f"it said {words}")
+        right = (0, *fault.codes) if self.fired else (0,)
+        if any(code not in right for code in codes) or (fault.twice and sorted(codes) != [0, 2]):
+            wrong.append(f"exit code {', '.join(map(str, codes))}: {said}")
+        if any(code > 0 for code in codes) and not re.search(fault.said, said):
+            wrong.append(f"it said nothing like {fault.said!r} but {said!r}")
+        if 0 in codes and not fault.twice and self.results() != self.expected:
+            wrong.append(f"it succeeded with {self.differing()}")
+        return wrong + (self.leftovers() if -signal.SIGKILL not in codes else self.running())
+
+    def gone_on(self):
+        """Continue or repeat the command without a fault; return what went wrong."""
+        if self.command.slow:
+            return []
+        before = {p: p.stat().st_mtime_ns for p in self.kept()}
+        code, said = self.end(self.start("again", {}, self.command.again), "again")
+        wrong = [] if code == 0 else [f"again, exit code {code}: {said}"]
+        after = {p: p.stat().st_mtime_ns for p in self.kept()}
+        wrong += [f"{p.name} was made again" for p in before if after.get(p) != before[p]]
+        if self.results() != self.expected:
+            wrong.append(f"again, it ended with {self.differing()}")
+        return wrong + self.leftovers()
+
+    def kept(self):
+        """Return the complete files that must not be made again."""
+        files = {p for pattern in self.command.kept for p in self.out.glob(pattern)}
+        return sorted(p for p in files if "partial" not in p.name)
+
+    def differing(self):
+        """Return the names of results that differ from those of an undisturbed command."""
+        now = self.results()
+        names = sorted(n for n in now.keys() | self.expected if now.get(n) != self.expected.get(n))
+        return f"{len(names)} other files: {', '.join(names[:4])}"
+
+    def start(self, name, changes, more=(), *, disturbed=False):
+        """Start the command with its words into files; ``disturbed`` by what is there all along."""
+        words = [*line(self.command.words, self.trials.made, self.out), *more]
+        if self.trials.can_mount:
+            words = with_shared_memory(self.shared, words)
+        own = {MARK: self.mark, "TMPDIR": str(self.temporary)}
+        unread = disturbed and self.fault.unread
+        with (self.place / f"{name}.err").open("wb") as told, contextlib.ExitStack() as stack:
+            out = stack.enter_context((self.place / f"{name}.out").open("wb"))
+            if unread:
+                read, write = os.pipe()
+                os.close(read)
+                out = stack.enter_context(os.fdopen(write, "wb"))
+            return subprocess.Popen(
+                words,
+                env=environment(changes | own),
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=told,
+                preexec_fn=(lambda: self.fault.limit(self.rng)) if disturbed else None,
+            )
+
+    def end(self, process, name):
+        """Wait for a process; return its exit code and its message."""
+        try:
+            code = process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return process.wait(), f"hung for {PATIENCE_S:.0f} s"
+        return code, (self.place / f"{name}.err").read_text(errors="replace")
+
+    def running(self):
+        """Return the processes that outlive the command by too long."""
+        until(lambda: not alive(self.mark), TO_END_S)
+        return [f"left running: {words}" for words in alive(self.mark).values()]
+
+    def leftovers(self):
+        """Return what is left of a command that had the time to clean up."""
+        drafts = [str(p.relative_to(self.out)) for p in self.out.rglob("*") if DRAFT.search(p.name)]
+        beside = [p.name for p in self.out.parent.iterdir() if p != self.out]
+        temporary = [p.name for p in self.temporary.iterdir()] if not self.killed else []
+        left = [*drafts, *beside, *temporary]
+        return self.running() + ([f"left behind: {', '.join(left)}"] if left else [])
+
+    @property
+    def killed(self):
+        """True if processes were killed, whose temporary files nobody can remove."""
+        return self.fault.kind == "signals" and self.fault.codes in ((-9,), (1,), (0,))
