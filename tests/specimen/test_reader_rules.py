@@ -130,13 +130,13 @@ def test_a_tilted_gantry_must_be_stated(tmp_path: Path) -> None:
 
 def test_devices_and_pipes_are_named(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.nii")
-    assert refusal(tmp_path / "pipe.nii") == "it is a FIFO, not a regular file"
-    assert refusal(Path("/dev/zero")) == "it is a device, not a regular file"
+    assert refusal(tmp_path / "pipe.nii") == "it is a named pipe (FIFO), not a file or folder"
+    assert refusal(Path("/dev/zero")) == "it is a device, not a file or folder"
     (tmp_path / "zero.inv3").symlink_to("/dev/zero")
-    assert refusal(tmp_path / "zero.inv3") == "it is a device, not a regular file"
+    assert refusal(tmp_path / "zero.inv3") == "it is a device, not a file or folder"
     save(tmp_path / "series", slices(placed()))
     os.mkfifo(tmp_path / "series" / "010")
-    assert refusal(tmp_path / "series") == "it: 010 is a FIFO, not a regular file"
+    assert refusal(tmp_path / "series") == "it: 010 is a named pipe (FIFO), not a file"
     (tmp_path / "series" / "010").unlink()
     (tmp_path / "series" / "010").symlink_to("gone")
     assert refusal(tmp_path / "series") == "it: 010 does not exist"
