@@ -136,7 +136,7 @@ def test_devices_and_pipes_are_named(tmp_path: Path) -> None:
     assert refusal(tmp_path / "zero.inv3") == "it is a device, not a file or folder"
     save(tmp_path / "series", slices(placed()))
     os.mkfifo(tmp_path / "series" / "010")
-    assert refusal(tmp_path / "series") == "it: 010 is a named pipe (FIFO), not a file"
+    assert refusal(tmp_path / "series") == "it: 010 is a named pipe (FIFO), not a file or folder"
     (tmp_path / "series" / "010").unlink()
     (tmp_path / "series" / "010").symlink_to("gone")
     assert refusal(tmp_path / "series") == "it: 010 does not exist"
