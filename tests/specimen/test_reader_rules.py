@@ -91,6 +91,8 @@ def test_a_part_states_the_line(tmp_path: Path) -> None:
     stated = CtVolume.model_validate({**keys, "path": tmp_path / "raw.nii", "hu": line})
     found = shape_surface(stated, "x").volume
     assert found == pytest.approx(shape_surface(body, "x").volume, rel=1e-6)
+    mask = CtVolume.model_validate({**keys, "path": tmp_path / "raw.nii", "hu": {}})
+    assert mask.hu == HuLine(slope=1, intercept=0)
     with pytest.raises(ValidationError, match="must not be 0"):
         CtVolume.model_validate({**keys, "path": tmp_path / "raw.nii", "hu": {"slope": 0}})
 

@@ -170,8 +170,8 @@ def _stack(planes: list[_Plane], where: str) -> tuple[list[_Plane], Floats]:
     affine = np.eye(4)
     affine[:3, 0] = axes[0] * spacing[1]
     affine[:3, 1] = axes[1] * spacing[0]
-    affine[:3, 2] = step
-    affine[:3, 3] = first
+    affine[:3, 2] = (positions[-1] - positions[0]) / (len(planes) - 1)
+    affine[:3, 3] = positions[0]
     return planes, affine
 
 
