@@ -166,3 +166,23 @@ def test_processes_import_nothing_from_the_current_folder(
     draft.mkdir()
     kernel_cache._compiled(draft, tmp_path / "kernels")
     assert asked and all("-P" in command[1:2] for command in [*asked, NODE_COMMAND])
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("command", [["view", "nothing"], ["check", "nothing"]], ids=" ".join)
+def test_commands_run_no_module_of_the_current_folder(command: list[str], tmp_path: Path) -> None:
+    """Also those that only ask which libraries there are: GLFW starts a Python to find itself."""
+    mark = tmp_path / "mark"
+    code = f"import os\nos.makedirs({str(mark)!r}, exist_ok=True)\nraise ImportError('planted')\n"
+    for name in ("ctypes", "glfw", "json", "mujoco", "numpy", "re", "twinct"):
+        (tmp_path / f"{name}.py").write_text(code)
+    own = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}
+    result = subprocess.run(
+        [sys.executable, "-P", "-m", "twinct", *command],
+        cwd=tmp_path,
+        env=own | {"PYTHONPATH": str(SOURCES.parent)},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 2 and "nothing" in result.stderr
+    assert not mark.exists()

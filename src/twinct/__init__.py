@@ -6,6 +6,7 @@ Public names are imported from their modules; the first ones that a notebook nee
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -48,10 +49,15 @@ def __getattr__(name: str) -> Any:
 
 renamed.install(__name__)
 
-# numba also reads these two from .numba_config.yaml in the working directory, which may be a
+# Libraries read these variables when they are first imported; values of the user are kept.
+# numba also reads its two from .numba_config.yaml in the working directory, which may be a
 # stranger's: the first names a folder of compiled code, the second a class. Variables come first.
 for _name in ("NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES"):
     os.environ.setdefault(_name, "")
+# MuJoCo's other choice, GLFW, looks for code in the working directory, needs a display, and cannot
+# share a process with gVXR's context.
+if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL", "").strip():
+    os.environ["MUJOCO_GL"] = "egl"
 
 
 def __dir__() -> list[str]:

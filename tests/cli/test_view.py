@@ -5,10 +5,14 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
+from waiting import HANG_S
 
 from twinct.cli import run_command
+from twinct.cli.view import serving
+from twinct.viewer.server import address
 
 DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")
 
@@ -39,6 +43,21 @@ def test_bad_input_is_one_message(
     told = capsys.readouterr().err.strip()
     assert message in told
     assert len(told.splitlines()) == 1
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_the_printed_address_opens_the_page(
+    network: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with serving("0.0.0.0" if network else "127.0.0.1", 0, network) as server:
+        told = "".join(capsys.readouterr())
+        page = told.split("page: ")[1].split()[0]
+        assert page == address(server)
+        with urlopen(page, timeout=HANG_S) as opened:
+            assert opened.status == 200
+    assert ("--allow-network: whoever knows this address" in told) == network
+    assert ("unencrypted" in told) == network
+    assert ("ssh -N -L" in told) != network
 
 
 def test_a_run_is_not_begun_where_its_page_has_no_port(
