@@ -142,7 +142,16 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
     """All that needs no second node, on one Ray: it takes long to start."""
     monkeypatch.setenv("TWINCT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv(MARK, str(tmp_path))
+    ran = tmp_path / "ran"
+    strangers = tmp_path / "strangers"  # Ray's workers would import from the current folder
+    strangers.mkdir()
+    for name in ("numpy", "twinct", "pool_jobs"):
+        (strangers / f"{name}.py").write_text(
+            f"import os\nos.makedirs({str(ran)!r}, exist_ok=True)"
+        )
+    monkeypatch.chdir(strangers)
     with RayPool(None, name="study", workers=4, memory_bytes=8 * GIB) as pool:
+        assert Path.cwd() == strangers
         assert (pool.slots, pool.most_memory_bytes) == (4, 8 * GIB)
         assert _loopback_only(tmp_path)
 
@@ -151,7 +160,7 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
             for e in map_over(None, [Work("who", jobs.who, 0)], pool=pool)
             if isinstance(e, Done)
         ]
-        assert said["main"] and said["threads"] == (1, "1", "1")
+        assert said["main"] and said["threads"] == (1, "1", "1") and not ran.exists()
         assert said["folder"].parent == tmp_path / "cache" / "study"
 
         with jobs.gate_at(tmp_path / "gate") as gate:

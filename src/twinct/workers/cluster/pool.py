@@ -307,7 +307,7 @@ def _connect(address: str) -> str:
     ray = node.ray_module()
     handler = signal.getsignal(signal.SIGTERM)
     try:
-        with _quiet():
+        with _quiet(), _in_own_folder():
             context = ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except (ray.exceptions.RayError, ConnectionError, RuntimeError, ValueError) as error:
         problem = f"{address}: cannot connect to the Ray there: {_line(error)}"
@@ -315,6 +315,17 @@ def _connect(address: str) -> str:
     finally:
         signal.signal(signal.SIGTERM, handler)  # Ray installs its own handler
     return context.address_info["gcs_address"]
+
+
+@contextlib.contextmanager
+def _in_own_folder() -> Iterator[None]:
+    """Go to the first folder from which this process imports modules, such as its script's.
+
+    Ray lets its workers import modules from the current folder, which may be a stranger's.
+    """
+    first = next((path for path in sys.path if not path or os.path.isdir(path)), "")
+    with contextlib.chdir(first or "."):
+        yield
 
 
 @contextlib.contextmanager
