@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import math
+import warnings
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -47,10 +51,16 @@ def read_image(
     if isinstance(file, RawImage):
         path, image = file.path, _raw(file, shape or (file.rows, file.columns))
     else:
-        path, image = file, _picture(file, what)
-    if shape is not None and image.shape != shape:
-        raise InputError(f"{path}: the image of {what} has {image.shape} pixels, expected {shape}")
+        path, image = file, _picture(file, what, shape)
+    _require_shape(path, what, image.shape, shape)
     return image
+
+
+def _require_shape(
+    path: Path, what: str, found: tuple[int, ...], shape: tuple[int, int] | None
+) -> None:
+    if shape is not None and found != shape:
+        raise InputError(f"{path}: the image of {what} has {found} pixels, expected {shape}")
 
 
 def _raw(file: RawImage, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -66,7 +76,7 @@ def _raw(file: RawImage, shape: tuple[int, int]) -> NDArray[np.float64]:
     return np.frombuffer(data, dtype=file.kind).reshape(shape).astype(np.float64)
 
 
-def _picture(path: Path, what: str) -> NDArray[np.float64]:
+def _picture(path: Path, what: str, shape: tuple[int, int] | None) -> NDArray[np.float64]:
     where = f"{path}: cannot be read as the image of {what}: it"
     file_bytes(path, where)
     try:
@@ -75,8 +85,11 @@ def _picture(path: Path, what: str) -> NDArray[np.float64]:
         else:
             from skimage import io
 
-            require_memory(where, 40.0 * _pixels(path))
-            image = io.imread(path, as_gray=True)
+            stated = _stated_shape(path, where)
+            _require_shape(path, what, stated, shape)
+            require_memory(where, 40.0 * math.prod(stated))
+            with _quiet():
+                image = io.imread(path, as_gray=True)
         if image.dtype.kind not in "biuf":
             raise ValueError
         return np.asarray(image, dtype=float)
@@ -90,17 +103,41 @@ def _picture(path: Path, what: str) -> NDArray[np.float64]:
         raise InputError(f"{path}: cannot be read as the image of {what}: {cause}") from None
 
 
-def _pixels(path: Path) -> int:
-    """Return the number of pixels that the header of a picture states."""
+def _stated_shape(path: Path, where: str) -> tuple[int, int]:
+    """Return rows and columns that the header of a picture states.
+
+    Raises:
+        InputError: the file holds several pictures, or one too large to be read.
+    """
     if path.suffix.lower() in (".tif", ".tiff"):
         import tifffile
 
-        with tifffile.TiffFile(path) as file:
-            return sum(math.prod(series.shape) for series in file.series)
-    from PIL import Image
+        with _quiet(), tifffile.TiffFile(path) as file:
+            (number, first) = len(file.pages), file.pages[0]
+            shape = first.imagelength, first.imagewidth
+    else:
+        from PIL import Image
 
-    with Image.open(path, formats=PICTURES) as picture:
-        return math.prod(picture.size)
+        try:
+            with _quiet(), Image.open(path, formats=PICTURES) as picture:
+                number, shape = getattr(picture, "n_frames", 1), picture.size[::-1]
+        except Image.DecompressionBombError:
+            raise InputError(f"{where} states more pixels than a picture may have") from None
+    if number != 1:
+        raise InputError(f"{where} holds {number} pictures; expected one")
+    return shape
+
+
+@contextlib.contextmanager
+def _quiet() -> Generator[None, None, None]:
+    """Keep libraries from telling what the caller tells."""
+    log = logging.getLogger("tifffile")
+    before, log.disabled = log.disabled, True
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    finally:
+        log.disabled = before
 
 
 def write_tiff(path: Path, pixels: NDArray[np.generic]) -> None:
