@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+
 import numpy as np
 import pytest
 
@@ -423,3 +425,26 @@ def test_file_that_is_no_text_is_named(tmp_path):
     (tmp_path / "latin.json").write_bytes('{"name": "Röhre"}'.encode("latin-1"))
     with pytest.raises(ScenarioError, match=r"latin.json: the scenario cannot be read: not UTF-8"):
         load_ctsimu(tmp_path / "latin.json")
+
+
+def test_thousands_of_wrong_keys_are_counted_with_little_work(data, write, monkeypatch) -> None:
+    looked_up: list[str] = []
+    near = difflib.get_close_matches
+
+    def counted(key: str, *given, **keys) -> list[str]:
+        looked_up.append(key)
+        return near(key, *given, **keys)
+
+    monkeypatch.setattr(difflib, "get_close_matches", counted)
+    data |= {f"k{i}": 1 for i in range(3000)}
+    data["detector"]["columns"] |= {f"k{i}": 1 for i in range(3000)}
+    with pytest.raises(ScenarioError) as caught:
+        load_ctsimu(write(data))
+    assert len(caught.value.problems) == 6000 and len(looked_up) < 500
+    assert str(caught.value).endswith("\nand 5990 more problems")
+    text = ", ".join(f'"k{i % 2000}": 1' for i in range(4000))
+    path = write(data)
+    path.write_text(f"{{{text}}}")
+    with pytest.raises(ScenarioError, match="k0: is given twice") as caught:
+        load_ctsimu(path)
+    assert len(caught.value.problems) == 2000

@@ -4,6 +4,7 @@ import os
 
 import pytest
 
+from twinct.core.files import plain_json
 from twinct.core.files.plain_json import json_of, read_json
 
 
@@ -11,6 +12,13 @@ from twinct.core.files.plain_json import json_of, read_json
 def test_what_is_no_json_is_told_so(text):
     with pytest.raises(ValueError):
         json_of(text)
+
+
+def test_a_file_is_no_larger_than_the_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(plain_json, "LARGEST_BYTES", 5)
+    (tmp_path / "large").write_text("[1, 2]")
+    with pytest.raises(ValueError, match="large has 6 bytes; the limit is 5"):
+        read_json(tmp_path / "large")
 
 
 def test_only_a_file_is_read(tmp_path):
