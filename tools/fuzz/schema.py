@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import functools
 import random
-from typing import Any, TypeVar
+from typing import Any
 
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mutations import NASTY_VALUES
-
-T = TypeVar("T")
 
 MOST_BYTES = 4096
 """Size of the random bytes from which a value is drawn; larger values are cut off by hypothesis."""
@@ -132,18 +130,19 @@ def _numbers(part: dict[str, Any], kind: Any) -> st.SearchStrategy[Any]:
 
 
 @functools.cache
-def _drawer(strategy: st.SearchStrategy[T]) -> tuple[Any, list[T]]:
-    found: list[T] = []
+def _drawer(strategy: st.SearchStrategy[Any]) -> tuple[Any, list[Any]]:
+    found: list[Any] = []
 
-    @settings(database=None, deadline=None, suppress_health_check=list(HealthCheck))
+    @settings(database=None, deadline=None)
     @given(strategy)
-    def take(value: T) -> None:
+    def take(value: Any) -> None:
         found.append(value)
 
-    return take.hypothesis.fuzz_one_input, found
+    test: Any = take
+    return test.hypothesis.fuzz_one_input, found
 
 
-def drawn(rng: random.Random, strategy: st.SearchStrategy[T]) -> T:
+def drawn(rng: random.Random, strategy: st.SearchStrategy[Any]) -> Any:
     """Return a value of a strategy, determined by ``rng`` alone."""
     draw, found = _drawer(strategy)
     found.clear()

@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,19 +114,19 @@ def _stated_shape(path: Path, where: str) -> tuple[int, int]:
         import tifffile
 
         with _quiet(), tifffile.TiffFile(path) as file:
-            (number, first) = len(file.pages), file.pages[0]
-            shape = first.imagelength, first.imagewidth
+            number, first = len(file.pages), cast(Any, file.pages[0])
+            rows, columns = int(first.imagelength), int(first.imagewidth)
     else:
         from PIL import Image
 
         try:
             with _quiet(), Image.open(path, formats=PICTURES) as picture:
-                number, shape = getattr(picture, "n_frames", 1), picture.size[::-1]
+                number, (columns, rows) = getattr(picture, "n_frames", 1), picture.size
         except Image.DecompressionBombError:
             raise InputError(f"{where} states more pixels than a picture may have") from None
     if number != 1:
         raise InputError(f"{where} holds {number} pictures; expected one")
-    return shape
+    return rows, columns
 
 
 @contextlib.contextmanager
