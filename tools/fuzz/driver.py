@@ -176,7 +176,7 @@ def _kept(told: dict[str, Any], seed: int, number: int, folder: Path, place: Pat
     words = [f"{told['word']}: {told['told']}", told["trace"].strip().rpartition("\n")[2]]
     (kept / "failure.txt").write_text(f"{words[0]}\n\n{told['trace']}", encoding="utf-8")
     return f"{place.name} --seed {seed} --only {number}: " + " | ".join(
-        word for word in words if word
+        word[:300] for word in words if word
     )
 
 

@@ -59,10 +59,10 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _repeated(value: Any, place: str, skipped: str) -> Iterator[str]:
     if isinstance(value, _Object):
         dot = f"{place}." if place else ""
-        yield from (f"{dot}{key}" for key in value.repeated)
+        yield from (f"{dot}{shortened(key, 60)}" for key in value.repeated)
         for key, inner in value.items():
             if place or key != skipped:
-                yield from _repeated(inner, f"{dot}{key}", skipped)
+                yield from _repeated(inner, f"{dot}{shortened(key, 60)}", skipped)
     elif isinstance(value, list):
         for index, inner in enumerate(value):
             yield from _repeated(inner, f"{place}[{index}]", skipped)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.files.boundary import ABSENT, no_file
+from twinct.core.foreign_text import shortened
 from twinct.ctsimu.drifts import as_float, drift_values, interpolated, short
 from twinct.ctsimu.ranges import ANY, Range
 
@@ -227,7 +228,7 @@ class JsonSection:
             inner.finish()
 
     def _place_of(self, key: str) -> str:
-        return ".".join(part for part in (self.place, key) if part)
+        return ".".join(part for part in (self.place, shortened(key, 80)) if part)
 
     def _below(self, key: str, data: Mapping[str, Any], *, quiet: bool = False) -> JsonSection:
         place, problems = self._place_of(key), {} if quiet else self.problems

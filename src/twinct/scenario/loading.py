@@ -87,13 +87,18 @@ class Template:
 def _checked(draft: Draft) -> Scenario:
     scenario = _validate(draft)
     problems = [
-        place(draft, key_of(key)) + (f"no file at {file}" if why == ABSENT else f"{file} {why}")
+        place(draft, key_of(key)) + _absent(file, why)
         for key, file in scenario.files().items()
         if (why := no_file(file, folder=True))
     ]
     if problems:
         raise ScenarioError(problems)
     return scenario
+
+
+def _absent(file: Path, why: str) -> str:
+    name = shortened(str(file), 300)
+    return f"no file at {name}" if why == ABSENT else f"{name} {why}"
 
 
 def write_scenario(

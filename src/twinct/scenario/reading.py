@@ -193,8 +193,8 @@ def _extended(own: Draft, folder: Path, chain: tuple[Path, ...]) -> Draft:
     if not isinstance(parent, str):
         raise ScenarioError(f"{place}{quoted(parent)} is not a file name")
     if why := no_file(folder / parent):
-        none = f"no file at {folder / parent}"
-        raise ScenarioError(f"{place}{none if why == ABSENT else f'{parent} {why}'}")
+        name = shortened(str(folder / parent), 300)
+        raise ScenarioError(place + (f"no file at {name}" if why == ABSENT else f"{name} {why}"))
     base = _read(folder / parent, chain)
     _merge(base, own.data, own.origins, ())
     return base
