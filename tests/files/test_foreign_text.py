@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 
 import pytest
@@ -104,3 +105,11 @@ def test_a_file_that_is_not_there_has_a_short_message(name: str) -> None:
     with pytest.raises(ScenarioError, match="extends") as caught:
         load_scenario({"extends": name})
     assert all(len(problem) < 2000 for problem in caught.value.problems)
+
+
+def test_no_module_asks_whether_characters_are_digits() -> None:
+    """They may be digits that ``int`` refuses; see ``whole_number``."""
+    source = Path(__file__).parents[2] / "src"
+    asking = re.compile(r"\.is(?:digit|decimal|numeric)\(")
+    found = [file.name for file in source.rglob("*.py") if asking.search(file.read_text("utf-8"))]
+    assert not found
