@@ -8,6 +8,8 @@ PYTEST_ARGS ?=
 LOCK_ARGS ?=
 # Of each kind of broken input.
 MINUTES ?= 10
+# Of tools/trials.
+TRIALS ?= 400
 SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
@@ -26,7 +28,7 @@ endef
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz qualify docs lock clean
+.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -74,6 +76,9 @@ bench: setup ## Time the parts of the simulation (benchmarks/)
 
 fuzz: setup ## Try broken inputs of all kinds, each for MINUTES=10; SEED=1 tries others
 	@$(VENV)/python tools/fuzz all --minutes $(MINUTES) --seed $(SEED)
+
+trials: setup ## Let faults meet the commands while they work: TRIALS=400; SEED=1 draws others
+	@$(VENV)/python tools/trials --trials $(TRIALS) --seed $(SEED)
 
 qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; 20 minutes)
 	@$(VENV)/twinct ctsimu qualify --out out/qualify

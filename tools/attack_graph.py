@@ -28,7 +28,6 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from kill_trials import contents
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -36,6 +35,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
+from store_damages import contents
 
 from twinct.core.errors import TwinctError
 from twinct.geometry.wire import Instant, Reached, Target

@@ -546,6 +546,13 @@ def test_a_closed_pipe_ends_a_command_quietly(closed: str, told: str) -> None:
         assert said[1].startswith("work: 1 of 1") and len(said[1].splitlines()) == 1
 
 
+@pytest.mark.process
+def test_a_command_without_streams_does_its_work() -> None:
+    words = [sys.executable, "-c", TELLING.format("print('x', flush=True)")]
+    shell = ["sh", "-c", 'exec "$@" <&- >&- 2>&-', "sh"]
+    assert subprocess.run([*shell, *words], timeout=HANG_S).returncode == 0
+
+
 IGNORING = """
 import signal
 for number in (signal.SIGINT, signal.SIGHUP):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,6 +72,23 @@ def test_interrupted_rendering_goes_on_to_the_same_bytes(data, write, tmp_path):
     assert contents(out) == whole and len(steps) == 3
     with pytest.raises(ScanExistsError, match="other options"):
         render(scenario, out, Options(samples=1, seed=1), resume=True)
+
+
+def test_a_rendering_is_known_after_a_resumption_that_was_cut_short(
+    data, write, tmp_path, monkeypatch
+):
+    scenario, out = load_ctsimu(write(data)), tmp_path / "out"
+    render(scenario, out, QUICK)
+    whole = contents(out)
+
+    def cut_short(path, text, **_):
+        path.write_bytes(text[:3].encode())
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Path, "write_text", cut_short)
+        render(scenario, out, QUICK, resume=True)
+    assert contents(out) == whole
 
 
 def test_frame_does_not_depend_on_the_frames_before(data, write):

@@ -72,6 +72,24 @@ def test_what_was_cut_off_is_resumed(take, taken, tmp_path):
     assert_same(taken.folder / "scan.zarr", tmp_path / "both" / "scan.zarr")
 
 
+def test_an_import_that_is_cut_short_leaves_nothing_and_can_be_repeated(
+    taken, tmp_path, monkeypatch
+):
+    out, write = tmp_path / "out", ScanStore.write
+
+    def interrupted(store, index, view):
+        if index == 2:
+            raise KeyboardInterrupt
+        write(store, index, view)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(ScanStore, "write", interrupted)
+        import_scan([taken.folder / "scan.mcap"], out)
+    assert not list(out.iterdir())
+    import_scan([taken.folder / "scan.mcap"], out)
+    assert_same(taken.folder / "scan.zarr", out / "scan.zarr")
+
+
 def test_a_damaged_part_costs_its_views_only(taken, tmp_path):
     bag = tmp_path / "scan.mcap"
     data = bytearray((taken.folder / "scan.mcap").read_bytes())

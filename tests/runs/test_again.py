@@ -252,3 +252,18 @@ def test_each_algorithm_gives_the_volume_of_a_fresh_run(
         grid = fresh.reconstruction.grid.volume_grid
         assert made.grid.shape == grid.shape
         np.testing.assert_allclose(made.grid.affine, grid.affine, atol=AFFINE_MM)
+
+
+def test_a_reconstruction_that_cannot_be_written_leaves_no_draft(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = reconstruct_again(folder, ["reconstruction.iterations=1"], name="whole")
+
+    def fail(*_: object) -> None:
+        raise OSError("no space")
+
+    monkeypatch.setattr("twinct.runs.reconstruction_folder.write_json", fail)
+    before = sorted(made.path.parent.iterdir())
+    with pytest.raises(OSError, match="no space"):
+        replace(made, path=made.path.with_name("next")).keep(made.volume)
+    assert sorted(made.path.parent.iterdir()) == before

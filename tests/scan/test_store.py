@@ -186,6 +186,19 @@ def test_an_existing_scan_is_never_touched(tmp_path, scenario, commanded) -> Non
         ScanStore(path).read()
 
 
+def test_a_store_that_cannot_be_made_leaves_no_draft(
+    tmp_path, scenario, commanded, monkeypatch
+) -> None:
+    def fill_up(draft: Path, *_: object) -> None:
+        draft.mkdir()
+        raise OSError(errno.ENOSPC, "no space")
+
+    monkeypatch.setattr("twinct.scan.store.write_frame", fill_up)
+    with pytest.raises(StorageError, match="disk is full"):
+        ScanStore.create(tmp_path / "s.zarr", scenario, commanded, NAMES, 9)
+    assert not list(tmp_path.iterdir())
+
+
 def spoilt(good: View, name: str, values: np.ndarray) -> View:
     if name == "transmission":
         return replace(good, transmission=values)

@@ -11,20 +11,25 @@ right exit code and message, without a traceback; no result may be damaged, no p
 memory or draft may be left. Then the command is continued with --resume, or repeated: it must make
 nothing again that is there already, and end with the bytes of an undisturbed command. The exit code
 is 1 otherwise, and the words that repeat a failed trial are printed. Conditions that need the right
-to mount disks are skipped without it, and so is the view into /dev/shm.
+to mount disks are skipped without it, and so is the look into /dev/shm. A study on a cluster, by
+Ray, is tried only if it is named.
 """
 
 import argparse
 import random
+import shlex
 import sys
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, defaultdict
+from contextlib import ExitStack
 from pathlib import Path
 
 from commands import COMMANDS
 from faults import FAULTS, suits
 from trial import Trials
+
+LOCAL = [name for name, command in COMMANDS.items() if not command.of_cluster]
 
 
 def pairs_of(options, can_mount):
@@ -46,34 +51,40 @@ def main():
     )
     parser.add_argument("--trials", type=int, default=400)
     parser.add_argument("--seed", type=int, default=0, help="seed of the pairs and the moments")
-    parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=list(COMMANDS))
+    parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=LOCAL)
     parser.add_argument("--faults", nargs="+", choices=FAULTS, default=list(FAULTS))
     parser.add_argument("--minutes", type=float, help="begin no trial after so long")
     parser.add_argument("--only", type=int, metavar="N", help="number of the only trial to do")
     options = parser.parse_args()
     done, wrong, late, begun = Counter(), Counter(), 0, time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="twinct-trials-") as name:
-        trials = Trials(Path(name) / "all")
+    slowest = defaultdict(float)
+    with (
+        tempfile.TemporaryDirectory(prefix="twinct-trials-") as name,
+        ExitStack() as stack,
+    ):
+        trials = Trials(Path(name) / "all", options.commands, stack)
         pairs = pairs_of(options, trials.can_mount)
         for number in range(options.trials) if options.only is None else [options.only]:
             if options.minutes and time.monotonic() - begun > 60 * options.minutes:
                 break
             command, kind = pairs[number % len(pairs)]
-            fired, found = trials.trial(command, kind, f"{options.seed} {number}")
+            fired, found, gone_s = trials.trial(command, kind, f"{options.seed} {number}")
+            slowest[kind] = max(slowest[kind], gone_s or 0.0)
             done[kind] += 1
             wrong[kind] += bool(found)
             late += not fired
             words = "WRONG" if found else "passed" if fired else "passed, the fault came too late"
-            print(f"{number:4}  {command:14}  {kind:18}  {words}", flush=True)
+            print(f"{number:4}  {command:18}  {kind:28}  {words}", flush=True)
             for one in found:
                 print(f"      {one}", flush=True)
             if found:
-                again = [*sys.argv[1:], "--only", str(number)]
-                print("      again: python tools/trials", *map(repr, again), flush=True)
+                again = shlex.join([*sys.argv[1:], "--only", str(number)])
+                print(f"      again: python tools/trials {again}", flush=True)
     skipped = [kind for kind in options.faults if FAULTS[kind].mounts and not trials.can_mount]
-    print(f"\n{'fault':18}  trials  passed")
+    print(f"\n{'fault':28}  trials  passed  no process left after, at most")
     for kind, count in sorted(done.items()):
-        print(f"{kind:18}  {count:6}  {count - wrong[kind]:6}")
+        after = f"  {slowest[kind]:.1f} s" if FAULTS[kind].kind else ""
+        print(f"{kind:28}  {count:6}  {count - wrong[kind]:6}{after}")
     print(f"{done.total() - wrong.total()} of {done.total()} passed; in {late} the fault came late")
     if skipped:
         print(f"skipped, as this process may not mount disks: {', '.join(skipped)}; /dev/shm")

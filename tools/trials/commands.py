@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -54,6 +55,11 @@ class Command:
     victims: tuple[str, ...] = ()
     slow: bool = False
 
+    @property
+    def of_cluster(self):
+        """True if the command needs a cluster."""
+        return "ADDRESS" in self.words
+
 
 SCAN = ("scan.zarr/**/*", "volume.nii", "truth.nii")
 VIEW_FILES = ("scan.zarr/status/c.*",)
@@ -71,6 +77,10 @@ COMMANDS = {
     "study": Command(
         "study MADE/study.yaml --out OUT --jobs 1", ("journal.jsonl", "trials/*"), ("--resume",),
         ("trials/*",), victims=("worker",),
+    ),
+    "study on a cluster": Command(
+        "study MADE/study.yaml --out OUT --address ADDRESS", ("journal.jsonl", "trials/*"),
+        ("--resume",), ("trials/*",),
     ),
     "plan": Command(
         "plan MADE/task.yaml --out OUT --jobs 1", ("views.csv", "plan.json", "search.json"),
@@ -98,7 +108,7 @@ COMMANDS = {
     ),
     "compare": Command("compare MADE/run MADE/other --out OUT/page.html", ("*",), over=True),
     "ctsimu render": Command(
-        "ctsimu render MADE/ctsimu/SCENARIO --out OUT --samples 1", ("*",), ("--resume",),
+        "ctsimu render MADE/ctsimu/SCENARIO --out OUT --samples 1", ("*.tif",), ("--resume",),
         ("*_0*.tif",),
     ),
 }  # fmt: skip
@@ -113,16 +123,18 @@ def environment(changes):
     return {name: value for name, value in changed.items() if value is not None}
 
 
-def prepare(made):
-    """Make the inputs of all commands in a folder."""
+def prepare(made, names):
+    """Make the inputs of some commands in a folder."""
     write(made / "gantry.yaml", "circle_gantry", TINY)
     write(made / "arms.yaml", "demo", TINY)
     write(made / "task.yaml", "circle_gantry", TINY | {"task": TASK})
     study = {"scenario": str(made / "gantry.yaml"), "axes": AXES, "keep": "volume"}
     (made / "study.yaml").write_text(json.dumps(study))
-    do("run MADE/gantry.yaml --out MADE/run --link local --record", made)
-    shutil.copytree(made / "run", made / "other")
-    do("ctsimu export MADE/run --out MADE/ctsimu", made)
+    if any(COMMANDS[n].of or re.search("MADE/(run|ctsimu)", COMMANDS[n].words) for n in names):
+        do("run MADE/gantry.yaml --out MADE/run --link local --record", made)
+        shutil.copytree(made / "run", made / "other")
+    if "ctsimu render" in names:
+        do("ctsimu export MADE/run --out MADE/ctsimu", made)
 
 
 def write(file, extends, keys):
@@ -137,12 +149,12 @@ def write(file, extends, keys):
     file.write_text(json.dumps(told))
 
 
-def line(words, made, out):
+def line(words, made, out, address=""):
     """Return the command line of a command's words."""
     scenario = next(
         (p.name for p in (made / "ctsimu").glob("*.json") if "openCT" not in p.name), ""
     )
-    places = {"MADE": str(made), "OUT": str(out), "SCENARIO": scenario}
+    places = {"MADE": str(made), "OUT": str(out), "SCENARIO": scenario, "ADDRESS": address}
     found = []
     for word in words.split():
         parts = [places.get(part, part) for part in word.split("/")]
@@ -177,5 +189,5 @@ def content(file):
     """Return the bytes of a file; of a journal, the rows without their seconds."""
     if file.suffix != ".jsonl":
         return file.read_bytes()
-    rows = [json.loads(row) for row in file.read_text().splitlines()]
+    rows = [json.loads(row) for row in file.read_text().splitlines(True) if row.endswith("\n")]
     return sorted(json.dumps(row | {"seconds": {}}) for row in rows)

@@ -5,6 +5,8 @@ import resource
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from simulated_cluster import SimulatedCluster
+
 ODD_NAME = 'a b\'s "c"\n\u00fc \u6f22'
 
 
@@ -27,6 +29,8 @@ class Fault:
         shared_kib: size of /dev/shm.
         unread: nobody reads the command's output.
         twice: the command starts a second time at the drawn moment.
+        outside: called with a cluster, a generator, and a function that returns True when the
+            command has ended, at the drawn moment.
     """
 
     codes: tuple[int, ...]
@@ -42,6 +46,7 @@ class Fault:
     shared_kib: int = 64 * 1024
     unread: bool = False
     twice: bool = False
+    outside: Callable | None = None
 
     @property
     def mounts(self):
@@ -108,6 +113,8 @@ FAULTS = {
     "xray stopped": sent("19", (1,), HUNG, "xray"),
     "scan stopped": sent("19", (1,), "was silent"),
     "worker killed": sent("9", (0,), "", "worker"),
+    "a worker of a cluster killed": Fault((0,), "", "none", outside=SimulatedCluster.kill_worker),
+    "a node of a cluster killed": Fault((0,), "", "none", outside=SimulatedCluster.lose_node),
     "two at once": Fault((0, 2), "is using this folder|already holds", "none", twice=True),
 }
 
@@ -118,4 +125,6 @@ def suits(fault, command):
         return fault.victim in command.victims
     if fault.stops:
         return "robots" in command.victims
+    if fault.outside:
+        return command.of_cluster
     return not fault.twice or bool(command.again)

@@ -13,8 +13,8 @@ PATIENCE_S = 600.0
 TO_END_S = 15.0
 
 
-def alive(mark):
-    """Return the command lines, by pid, of all processes with a trial's mark, but zombies."""
+def alive(mark, variable=MARK):
+    """Return the command lines, by pid, of all processes with a mark in a variable, no zombies."""
     found = {}
     for folder in Path("/proc").glob("[0-9]*"):
         try:
@@ -22,7 +22,7 @@ def alive(mark):
             words = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip()
         except OSError:
             continue
-        if words and f"{MARK}={mark}".encode() in environment:
+        if words and f"{variable}={mark}".encode() in environment:
             found[int(folder.name)] = words
     return found
 

@@ -7,6 +7,7 @@ import re
 import shutil
 import signal
 import subprocess
+import time
 
 from commands import COMMANDS, begin, contents, environment, line, prepare
 from faults import FAULTS
@@ -22,8 +23,11 @@ from processes import (
     until,
     with_shared_memory,
 )
+from simulated_cluster import SimulatedCluster
 
 DRAFT = re.compile(r"partial|\.new$|lock$|lifeline")
+RESUMED = 0.25
+"""Share of two commands at once that resume a killed one."""
 BUG = re.compile(r"Traceback|this is a bug in twinct")
 
 
@@ -34,13 +38,17 @@ class Trials:
         can_mount: disks can be mounted for a trial.
     """
 
-    def __init__(self, folder):
-        """Prepare the inputs."""
+    def __init__(self, folder, names, stack):
+        """Prepare the inputs of some commands; ``stack`` ends what they need."""
         self.folder, self.made = folder, folder / "made"
         self.made.mkdir(parents=True)
         self.can_mount = may_mount(folder)
         self._whole = {}
-        prepare(self.made)
+        self.cluster = None
+        if any(COMMANDS[name].of_cluster for name in names):
+            self.cluster = SimulatedCluster(folder / "nodes")
+            stack.callback(self.cluster.close)
+        prepare(self.made, names)
 
     def whole(self, name):
         """Return the results of an undisturbed command, and the moments of its processes."""
@@ -50,20 +58,29 @@ class Trials:
             out = place / "results"
             begin(COMMANDS[name], self.made, out)
             done = subprocess.run(
-                line(COMMANDS[name].words, self.made, out),
+                self.line(COMMANDS[name], out),
                 env=environment({"TWINCT_TRIAL": f"any|0|||{place}"}),
                 capture_output=True,
                 text=True,
             )
             if done.returncode:
                 raise SystemExit(f"{name} ended with {done.returncode}:\n{done.stderr}")
-            moments = {p.name: int(p.read_text()) for p in place.iterdir() if p.is_file()}
+            moments = {p.name: int(p.read_text()) for p in place.glob("[!.]*") if p.is_file()}
             self._whole[name] = contents(out, COMMANDS[name].results), moments
             shutil.rmtree(place)
         return self._whole[name]
 
+    def line(self, command, out):
+        """Return the command line of a command."""
+        return line(command.words, self.made, out, self.cluster.address if self.cluster else "")
+
     def trial(self, name, kind, seed):
-        """Do one trial; return whether its fault came in time, and all that went wrong."""
+        """Do one trial.
+
+        Returns:
+            Whether its fault came in time; all that went wrong; seconds from the fault until no
+            process was left, or None.
+        """
         expected, moments = self.whole(name)
         with contextlib.ExitStack() as stack:
             one = Trial(self, name, kind, random.Random(seed), expected, stack)
@@ -80,7 +97,7 @@ class Trial:
         self.place = trials.folder / "trial"
         self.mark = f"{os.getpid()}-{rng.getrandbits(64):x}"
         self.disk, self.shared = self.place / "disk", self.place / "shm"
-        self.temporary = self.place / "tmp"
+        self.temporary, self.gone_s = self.place / "tmp", None
         stack.callback(shutil.rmtree, self.place, ignore_errors=True)
         self.temporary.mkdir(parents=True)
         if trials.can_mount:
@@ -108,13 +125,13 @@ class Trial:
         (self.disk / "filler").unlink(missing_ok=True)
         now, command = self.results(), self.command
         for file in before.keys() | (now.keys() if not command.again else set()):
-            if now.get(file) not in (before.get(file, b""), self.expected.get(file)):
+            if now.get(file) not in (before.get(file), self.expected.get(file)):
                 wrong.append(f"{file} is neither as before nor complete")
         if now != self.expected or command.again:
             wrong += self.gone_on()
         if self.trials.can_mount and (left := [p.name for p in self.shared.iterdir()]):
             wrong.append(f"left in /dev/shm: {', '.join(left)}")
-        return self.fired, wrong
+        return self.fired, wrong, self.gone_s
 
     @property
     def fired(self):
@@ -127,18 +144,26 @@ class Trial:
 
     def met(self, plan):
         """Run the command with the fault; return what went wrong."""
-        fault, mark = self.fault, self.mark
-        processes = [self.start("first", plan | dict(fault.environment), disturbed=True)]
+        fault, more = self.fault, ()
+        if fault.twice and self.rng.random() < RESUMED:
+            self.killed_before(plan)
+            more = self.command.again
+        changes = plan | dict(fault.environment)
+        processes = [self.start("first", changes, more, disturbed=True)]
+        first = processes[0]
+
+        def over():
+            return first.poll() is not None
+
+        if fault.twice or fault.stops or fault.outside:
+            until(lambda: self.fired or over())
         if fault.twice:
-            until(lambda: self.fired or processes[0].poll() is not None)
-            processes.append(self.start("second", {}))
+            processes.append(self.start("second", {}, more))
         if fault.stops:
-            until(lambda: self.fired or processes[0].poll() is not None)
-            until(
-                lambda: list(alive(mark)) == [processes[0].pid] or processes[0].poll() is not None
-            )
-            with contextlib.suppress(ProcessLookupError):
-                processes[0].send_signal(signal.SIGCONT)
+            until(lambda: [*alive(self.mark)] == [first.pid] or over())
+            first.send_signal(signal.SIGCONT)
+        if fault.outside:
+            fault.outside(self.trials.cluster, self.rng, over)
         wrong, codes, said = [], [], ""
         for process, name in zip(processes, ("first", "second"), strict=False):
             code, words = self.end(process, name)
@@ -147,13 +172,22 @@ class Trial:
             if BUG.search(words):
                 wrong.append(f"it said {words}")
         right = (0, *fault.codes) if self.fired else (0,)
-        if any(code not in right for code in codes) or (fault.twice and sorted(codes) != [0, 2]):
+        if any(code not in right for code in codes) or (
+            fault.twice and not more and sorted(codes) != [0, 2]
+        ):
             wrong.append(f"exit code {', '.join(map(str, codes))}: {said}")
         if any(code > 0 for code in codes) and not re.search(fault.said, said):
             wrong.append(f"it said nothing like {fault.said!r} but {said!r}")
         if 0 in codes and not fault.twice and self.results() != self.expected:
             wrong.append(f"it succeeded with {self.differing()}")
         return wrong + (self.leftovers() if -signal.SIGKILL not in codes else self.running())
+
+    def killed_before(self, plan):
+        """Kill the command at the drawn moment, so that the next one resumes it."""
+        plan = plan["TWINCT_TRIAL"].replace("|none|", "|signals|9")
+        self.end(self.start("killed", {"TWINCT_TRIAL": plan}), "killed")
+        (self.place / "fired").unlink(missing_ok=True)
+        self.running()
 
     def gone_on(self):
         """Continue or repeat the command without a fault; return what went wrong."""
@@ -181,7 +215,7 @@ class Trial:
 
     def start(self, name, changes, more=(), *, disturbed=False):
         """Start the command with its words into files; ``disturbed`` by what is there all along."""
-        words = [*line(self.command.words, self.trials.made, self.out), *more]
+        words = [*self.trials.line(self.command, self.out), *more]
         if self.trials.can_mount:
             words = with_shared_memory(self.shared, words)
         own = {MARK: self.mark, "TMPDIR": str(self.temporary)}
@@ -212,8 +246,15 @@ class Trial:
 
     def running(self):
         """Return the processes that outlive the command by too long."""
-        until(lambda: not alive(self.mark), TO_END_S)
-        return [f"left running: {words}" for words in alive(self.mark).values()]
+        cluster = self.trials.cluster
+
+        def there():
+            return alive(self.mark) | (cluster.workers() if cluster else {})
+
+        until(lambda: not there(), TO_END_S)
+        if self.fault.kind and self.fired and self.gone_s is None:
+            self.gone_s = time.time() - (self.place / "fired").stat().st_mtime
+        return [f"left running: {words}" for words in there().values()]
 
     def leftovers(self):
         """Return what is left of a command that had the time to clean up."""

@@ -38,6 +38,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         SIGHUP (129), or because nobody reads the output any more (141). 1: anything else.
     """
     end_like_ctrl_c(signal.SIGTERM, signal.SIGHUP)
+    _open_closed_streams()
     try:
         code = _code_of(sys.argv[1:] if argv is None else list(argv))
         sys.stdout.flush()
@@ -95,6 +96,16 @@ def _code_of(arguments: list[str]) -> int:
 def _say(message: str) -> None:
     sys.stderr.write(message + "\n")
     sys.stderr.flush()
+
+
+def _open_closed_streams() -> None:
+    """Discard what is written to streams that were closed, as by ``>&-``.
+
+    Otherwise files that are opened get their numbers, and output of libraries goes there.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - until the end
 
 
 def _unread() -> list[int]:

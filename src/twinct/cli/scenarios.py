@@ -149,7 +149,7 @@ def specimen(
     Args:
         out: Folder for PART.stl, truth.nii and specimen.png.
     """
-    from twinct.core.files.writing import check_folder, storage_errors
+    from twinct.core.files.writing import check_folder, complete, storage_errors
     from twinct.recon.volume import Volume
     from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
@@ -166,7 +166,8 @@ def specimen(
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         for index, part in enumerate(built.parts):
-            part.mesh.export(out / f"{index}-{part.name}.stl")
+            with complete(out / f"{index}-{part.name}.stl") as draft:
+                part.mesh.export(draft)
             material, mesh = part.material, part.mesh
             figures = f"{material.mu_per_mm(energy):.5f}", f"{len(mesh.faces)}"
             table.add_row(part.name, material.name, *figures, f"{mesh.volume / 1000:.1f}")

@@ -13,7 +13,7 @@ from rich.table import Table
 from twinct.cli.progress import on_terminal
 from twinct.cli.reach import explained
 from twinct.core.extras import require
-from twinct.core.files.writing import check_folder, storage_errors, write_text
+from twinct.core.files.writing import check_folder, complete, storage_errors, write_text
 from twinct.core.progress import Progress
 from twinct.report.errors import errors_picture
 from twinct.runs.propagating import errors_of, figures, summary, told_errors
@@ -59,7 +59,8 @@ def uncertainty_command(
         out.mkdir(parents=True, exist_ok=True)
         write_text(out / "uncertainty.json", json.dumps(told) + "\n")
         if drawn is not None:
-            (out / "uncertainty.png").write_bytes(drawn.content)
+            with complete(out / "uncertainty.png") as draft:
+                draft.write_bytes(drawn.content)
     Console().print(f"wrote {out}", highlight=False)
 
 

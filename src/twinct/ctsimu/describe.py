@@ -10,6 +10,7 @@ import numpy as np
 from twinct import scenario as sections
 from twinct.core.errors import InputError
 from twinct.core.files.tables import read_columns
+from twinct.core.files.writing import write_text
 from twinct.ctsimu.camera import MM2_AT_1M_PER_SR
 from twinct.ctsimu.writing import Json, as_material, quantity
 from twinct.geometry import Floats
@@ -165,5 +166,5 @@ def _substance(of: str | sections.Composition) -> Material:
 def _table(path: Path, first: Floats, second: Floats) -> Json:
     """Write two columns to a file, and return a reference to the file."""
     lines = [f"{a:.12g}\t{b:.12g}\n" for a, b in zip(first, second, strict=True)]
-    path.write_text("".join(lines), encoding="utf-8")
+    write_text(path, "".join(lines))
     return {"value": path.name}

@@ -22,7 +22,7 @@ from twinct.core.draws import view_rng
 from twinct.core.errors import ScanExistsError, ScenarioError
 from twinct.core.files.images import RawImage, write_tiff
 from twinct.core.files.plain_json import read_json
-from twinct.core.files.writing import storage_errors
+from twinct.core.files.writing import storage_errors, write_text
 from twinct.ctsimu.camera import Camera
 from twinct.ctsimu.digitiser import Digitiser, Image
 from twinct.ctsimu.outputs import Files, Options, write_metadata
@@ -183,7 +183,7 @@ def _claim(files: Files, identity: str, resume: bool) -> None:
     elif images and not claimed:
         problem = f"holds images of {name} from elsewhere: {other}"
     else:
-        files.key.write_text(json.dumps({"digest": identity}) + "\n")
+        write_text(files.key, json.dumps({"digest": identity}) + "\n")
         return
     raise ScanExistsError(f"{files.folder} {problem}")
 

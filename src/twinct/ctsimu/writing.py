@@ -12,6 +12,7 @@ from trimesh import Trimesh
 
 from twinct.core.errors import StorageError
 from twinct.core.files.reading import reason
+from twinct.core.files.writing import complete
 from twinct.ctsimu.acquisition import FORMAT
 from twinct.geometry import Floats
 from twinct.specimen import Material
@@ -46,7 +47,8 @@ def write_mesh(mesh: Trimesh, file: Path) -> Floats:
     """Write a mesh with its middle at the origin, and return the original middle, (3,), mm."""
     middle = np.asarray(mesh.bounds).mean(axis=0)
     # The single floats of STL would open the seams.
-    mesh.copy().apply_translation(-middle).export(file, digits=12)
+    with complete(file) as draft:
+        mesh.copy().apply_translation(-middle).export(draft, digits=12)
     return middle
 
 

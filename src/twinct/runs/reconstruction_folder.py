@@ -76,22 +76,25 @@ class Reconstruction:
         """
         draft = self.path.with_name(f".{self.path.name}.partial")
         shutil.rmtree(draft, ignore_errors=True)
-        draft.mkdir(parents=True)
-        volume.write(draft / "volume.nii", f"twinct {self.digest[:32]}")
-        arrays = {
-            f"{plane}.{name}": getattr(section, name)
-            for plane, section in self.slices.items()
-            for name in _ARRAYS
-        }
-        np.savez_compressed(draft / "sections.npz", **arrays)
-        kept = {"format": FORMAT, **_plain(self)}
-        kept["slices"] = {
-            plane: (section.extent_mm, section.axes, section.position)
-            for plane, section in self.slices.items()
-        }
-        kept["files"] = {name: _digest(draft / name) for name in _FILES}
-        write_json(draft / "reconstruction.json", kept)
-        draft.rename(self.path)
+        try:
+            draft.mkdir(parents=True)
+            volume.write(draft / "volume.nii", f"twinct {self.digest[:32]}")
+            arrays = {
+                f"{plane}.{name}": getattr(section, name)
+                for plane, section in self.slices.items()
+                for name in _ARRAYS
+            }
+            np.savez_compressed(draft / "sections.npz", **arrays)
+            kept = {"format": FORMAT, **_plain(self)}
+            kept["slices"] = {
+                plane: (section.extent_mm, section.axes, section.position)
+                for plane, section in self.slices.items()
+            }
+            kept["files"] = {name: _digest(draft / name) for name in _FILES}
+            write_json(draft / "reconstruction.json", kept)
+            draft.rename(self.path)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
 
     def write_figures(self, figures: ImageFigures) -> None:
         """Replace the figures in the folder."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.files.writing import complete
 from twinct.specimen import _kernels
 from twinct.specimen.build import BuiltSpecimen
 
@@ -96,7 +97,8 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
     )
     figure.suptitle(f"{title}\n" if title else "")
     figure.text(0.5, 0.02, f"{parts}; x, y, z: {size} mm", ha="center")
-    figure.savefig(path_png, dpi=110)
+    with complete(path_png) as draft:
+        figure.savefig(draft, dpi=110)
 
 
 def _as_tall(picture: NDArray[np.float32], rows: int) -> NDArray[np.float32]:

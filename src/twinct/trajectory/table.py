@@ -14,6 +14,7 @@ from pydantic import Field
 
 from twinct.core.errors import TrajectoryError
 from twinct.core.files.boundary import read_text
+from twinct.core.files.writing import complete
 from twinct.core.foreign_text import number as number_of
 from twinct.core.foreign_text import quoted, shortened
 from twinct.geometry import Floats, Panel, ScanGeometry
@@ -86,7 +87,7 @@ def write_rows(path: Path, rows: Floats) -> None:
         rows: (views, 6, 7, 12 or 13), as ``rows_of_views`` returns them.
     """
     columns = _COLUMNS[: rows.shape[1] // 6 * 6] + [_MAS] * (rows.shape[1] % 6)
-    with path.open("w", newline="", encoding="utf-8") as stream:
+    with complete(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         writer.writerow(columns)
         writer.writerows([[repr(float(x)) for x in row] for row in rows])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twinct.core.files.writing import complete
 from twinct.geometry import Floats
 
 LOOKS: dict[str, dict[str, Any]] = {
@@ -69,4 +70,5 @@ def draw_view_plan(
     bars.set_ylabel("relative to evenly spread views")
     bars.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8)
     figure.suptitle(f"{title}: planned views")
-    figure.savefig(path, dpi=110)
+    with complete(path) as draft:
+        figure.savefig(draft, dpi=110)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.files.writing import complete
 from twinct.geometry import Floats
 
 MARGIN = 3.0
@@ -69,4 +70,5 @@ def draw_tried(
         column[0].set_title(name, fontsize=10)
     figure.colorbar(every[0, 0].images[0], ax=every, label="attenuation, 1/mm", shrink=0.6)
     figure.suptitle(title)
-    figure.savefig(path, dpi=110)
+    with complete(path) as draft:
+        figure.savefig(draft, dpi=110)

@@ -19,8 +19,10 @@ VICTIMS = {
     "xray": ["-m", "twinct.link", "xray"],
     "worker": ["-m", "twinct.workers.worker"],
 }
+BEGIN = "twinct.cli.commands"
 MOMENTS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "subprocess.Popen"}
 TICK_S = 0.05
+WATCH = "watch of a trial"
 WRITING = os.O_WRONLY | os.O_RDWR
 
 
@@ -31,16 +33,18 @@ class Fault:
         """Store what to do, and when."""
         self.moment, self.kind, self.argument = int(moment), kind, argument
         self.folder, self.count, self.victim = Path(folder), 0, victim
+        self.begun = victim != "main"  # Python's own start is not the command's
 
     def hear(self, event, arguments):
         """Count an audit event if it is a moment."""
         if event == "import":
             counts = str(arguments[0]).startswith("twinct.")
+            self.begun |= arguments[0] == BEGIN
         elif event == "open":
             counts = isinstance(arguments[2], int) and bool(arguments[2] & WRITING)
         else:
             counts = event in MOMENTS
-        if counts:
+        if counts and self.begun and threading.current_thread().name != WATCH:
             self.tick()
 
     def tick(self):
@@ -74,9 +78,12 @@ class Fault:
         """Count twentieths of a second, also while nothing else happens."""
         while True:
             time.sleep(TICK_S)
-            self.tick()
+            if self.begun:
+                self.tick()
             if not self.moment:
-                (self.folder / self.victim).write_text(str(self.count))
+                draft = self.folder / f".{os.getpid()}"  # the process may be killed while it writes
+                draft.write_text(str(self.count))
+                draft.rename(self.folder / self.victim)
 
 
 def begin():
@@ -88,7 +95,7 @@ def begin():
     own = next((name for name, line in VICTIMS.items() if words[: len(line)] == line), None)
     if own is not None and victim in (own, "any"):
         told = Fault(own, *fault)
-        threading.Thread(target=told.watch, name="trial", daemon=True).start()
+        threading.Thread(target=told.watch, name=WATCH, daemon=True).start()
         sys.addaudithook(told.hear)
 
 

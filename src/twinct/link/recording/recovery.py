@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -62,7 +61,7 @@ class Recorded:
         return f"view {words}" if len(self.missing) == 1 else f"views {words}"
 
     def rebuild(self, path: Path, whole: Callable[[int, View], View]) -> ScanStore:
-        """Create the scan store, completely or not at all.
+        """Create the scan store; after an error, it is not complete.
 
         Args:
             path: path of the store.
@@ -90,7 +89,6 @@ class Recorded:
                 index = self.views[stamp]
                 store.write(index, whole(index, View(pixels, self.reached[stamp])))
         except (InputError, ValueError) as error:
-            shutil.rmtree(path)
             raise InputError(f"{self.contents.names}: {error}") from None
         return store
 

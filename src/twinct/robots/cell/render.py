@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, StorageError
+from twinct.core.files.writing import complete
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
@@ -124,7 +125,8 @@ def render_cell(
     moment = Moment(at, marks or Marks())
     pixels = next(room_pictures(cell_model, [moment], width, height))
     try:
-        Image.fromarray(pixels).save(path_png, format="PNG")
+        with complete(path_png) as draft:
+            Image.fromarray(pixels).save(draft, format="PNG")
     except OSError as error:
         raise StorageError(f"{path_png}: {error.strerror or error}") from error
 

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from twinct.core.files.writing import storage_errors
+from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import ARMS, COLLISION_GROUP, CellModel
@@ -167,7 +167,8 @@ def _mesh_file(model: Any, mesh: int, folder: Path) -> Path:
     )
     with storage_errors(file):
         folder.mkdir(parents=True, exist_ok=True)
-        trimesh.Trimesh(corners, faces, process=False).export(file)
+        with complete(file) as draft:
+            trimesh.Trimesh(corners, faces, process=False).export(draft)
     return file
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twinct.core.files.writing import write_json
+from twinct.core.files.writing import complete, write_json
 from twinct.geometry import Floats
 from twinct.robots.cell import CellModel, Marks, render_cell
 from twinct.robots.reach.sphere import Reach
@@ -52,7 +52,10 @@ def write_tables(reach: Reach, folder: Path) -> None:
     )
     longitude, latitude = longitude_latitude_deg(reach.directions)
     names = ["source", "detector", "both"] + ["connected"] * (reach.connected is not None)
-    with (folder / "reach.csv").open("w", newline="", encoding="utf-8") as stream:
+    with (
+        complete(folder / "reach.csv") as draft,
+        draft.open("w", newline="", encoding="utf-8") as stream,
+    ):
         table = csv.writer(stream)
         head = ["sod_mm", "longitude_deg", "latitude_deg", "x", "y", "z", *names]
         table.writerow([*head, "clearance_mm", "margin_deg"])
@@ -127,7 +130,8 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
                 axes.legend(loc="lower right", fontsize=7, bbox_to_anchor=(1.08, 0))
         _label_globe(axes, text)
     figure.suptitle(f"{title}: SOD {reach.sod_mm[radius]:g} mm, ODD {reach.odd_mm:g} mm")
-    figure.savefig(path, dpi=110)
+    with complete(path) as draft:
+        figure.savefig(draft, dpi=110)
 
 
 def _label_globe(axes: Any, title: str) -> None:
@@ -172,7 +176,8 @@ def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0, title:
     axes.set_title(f"{told}\ncoloured: both arms can hold the view; grey: they cannot", fontsize=10)
     colours_of = ScalarMappable(scale, MAP)
     figure.colorbar(colours_of, ax=axes, label="clearance, mm", shrink=0.8)
-    figure.savefig(path, dpi=130)
+    with complete(path) as draft:
+        figure.savefig(draft, dpi=130)
 
 
 def _most(clearance_mm: Floats) -> float:

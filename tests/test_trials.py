@@ -1,0 +1,79 @@
+"""tools/trials: what a fault leaves behind is found; commands of twinct leave nothing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOL = Path(__file__).parents[1] / "tools" / "trials"
+
+FAKE = """
+import os, pathlib, sys
+import twinct.cli.commands
+careful = {careful}
+to_come = not os.environ.get("TWINCT_TRIAL", "any").startswith("any")
+out = pathlib.Path(sys.argv[sys.argv.index("--out") + 1])
+draft, results = out / ".reach.json.partial", out / "reach.json"
+try:
+    for _ in range(50):
+        draft.write_text("some numbers")
+    while to_come:
+        draft.write_text("some numbers")
+    draft.rename(results)
+except KeyboardInterrupt:
+    if not careful:
+        results.write_text("some")
+        sys.exit(1)
+    draft.unlink(missing_ok=True)
+    sys.stderr.write("interrupted: nothing is kept\\n")
+    sys.exit(130)
+"""
+"""A program in the place of twinct, which makes one file, and is careful when it is interrupted."""
+
+
+def trials(*words: str, path: Path | None = None) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | ({"PYTHONPATH": str(path)} if path else {})
+    command = [sys.executable, str(TOOL), *words]
+    return subprocess.run(command, capture_output=True, text=True, env=environment)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("careful", [True, False])
+def test_what_a_fault_leaves_behind_is_found(tmp_path: Path, careful: bool) -> None:
+    program = tmp_path / "twinct" / "__main__.py"
+    program.parent.mkdir()
+    program.write_text(FAKE.format(careful=careful))
+    (program.parent / "cli").mkdir()
+    for module in ("__init__.py", "cli/__init__.py", "cli/commands.py"):
+        (program.parent / module).touch()
+    words = ("--trials", "1", "--commands", "reach", "--faults", "Ctrl-C", "--seed", "1")
+    done = trials(*words, path=tmp_path)
+    assert done.returncode == (0 if careful else 1), done.stdout + done.stderr
+    told = ["exit code 1", "neither as before nor complete", "left behind: .reach.json.partial"]
+    for wrong in (*told, "again: python tools/trials"):
+        assert (wrong in done.stdout) is not careful, done.stdout
+    assert f"{int(careful)} of 1 passed; in 0 the fault came late" in done.stdout
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_a_run_withstands_some_faults() -> None:
+    """Many more of them: make trials."""
+    faults = ("SIGKILL", "Ctrl-C", "64 descriptors")
+    done = trials("--trials", "3", "--commands", "run", "--seed", "3", "--faults", *faults)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "3 of 3 passed" in done.stdout
+
+
+@pytest.mark.cluster
+@pytest.mark.process
+def test_a_study_withstands_the_death_of_any_of_its_processes() -> None:
+    faults = ("SIGKILL", "a worker of a cluster killed", "a node of a cluster killed")
+    words = ("--trials", "3", "--seed", "1", "--commands", "study on a cluster", "--faults")
+    done = trials(*words, *faults)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "3 of 3 passed" in done.stdout
