@@ -18,6 +18,7 @@ Ray, is tried only if it is named.
 import argparse
 import random
 import shlex
+import signal
 import sys
 import tempfile
 import time
@@ -56,6 +57,8 @@ def main():
     parser.add_argument("--minutes", type=float, help="begin no trial after so long")
     parser.add_argument("--only", type=int, metavar="N", help="number of the only trial to do")
     options = parser.parse_args()
+    for number in (signal.SIGINT, signal.SIGTERM):  # a job in the background would ignore Ctrl-C,
+        signal.signal(number, signal.default_int_handler)  # and so would the commands
     done, wrong, late, begun = Counter(), Counter(), 0, time.monotonic()
     slowest = defaultdict(float)
     with (
@@ -68,13 +71,13 @@ def main():
             if options.minutes and time.monotonic() - begun > 60 * options.minutes:
                 break
             command, kind = pairs[number % len(pairs)]
-            fired, found, gone_s = trials.trial(command, kind, f"{options.seed} {number}")
+            fired, codes, found, gone_s = trials.trial(command, kind, f"{options.seed} {number}")
             slowest[kind] = max(slowest[kind], gone_s or 0.0)
             done[kind] += 1
             wrong[kind] += bool(found)
             late += not fired
             words = "WRONG" if found else "passed" if fired else "passed, the fault came too late"
-            print(f"{number:4}  {command:18}  {kind:28}  {words}", flush=True)
+            print(f"{number:4}  {command:18}  {kind:28}  exit code {codes}: {words}", flush=True)
             for one in found:
                 print(f"      {one}", flush=True)
             if found:

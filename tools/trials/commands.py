@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).parents[2]
 HOOK = Path(__file__).parent / "hook"
@@ -139,7 +140,7 @@ def prepare(made, names):
 
 def write(file, extends, keys):
     """Write a scenario with other values of some dotted keys."""
-    told = {"extends": str(ROOT / "scenarios" / f"{extends}.yaml")}
+    told: dict[str, Any] = {"extends": str(ROOT / "scenarios" / f"{extends}.yaml")}
     for dotted, value in keys.items():
         place = told
         *sections, key = dotted.split(".")

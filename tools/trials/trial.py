@@ -78,8 +78,8 @@ class Trials:
         """Do one trial.
 
         Returns:
-            Whether its fault came in time; all that went wrong; seconds from the fault until no
-            process was left, or None.
+            Whether its fault came in time; the exit codes; all that went wrong; seconds from the
+            fault until no process was left, or None.
         """
         expected, moments = self.whole(name)
         with contextlib.ExitStack() as stack:
@@ -131,7 +131,7 @@ class Trial:
             wrong += self.gone_on()
         if self.trials.can_mount and (left := [p.name for p in self.shared.iterdir()]):
             wrong.append(f"left in /dev/shm: {', '.join(left)}")
-        return self.fired, wrong, self.gone_s
+        return self.fired, self.codes, wrong, self.gone_s
 
     @property
     def fired(self):
@@ -165,6 +165,7 @@ class Trial:
         if fault.outside:
             fault.outside(self.trials.cluster, self.rng, over)
         wrong, codes, said = [], [], ""
+        self.codes = codes
         for process, name in zip(processes, ("first", "second"), strict=False):
             code, words = self.end(process, name)
             codes.append(code)

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterable
 from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -163,7 +163,7 @@ def run(
             make_rig = stack.enter_context(rigs)
         warnings = _prepare(builder, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))
-        stack.enter_context(keeping(lambda: _kept(folder, len(builder.targets))))
+        stack.enter_context(keeping(partial(_kept, folder, len(builder.targets))))
         folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
         stack.enter_context(logged_to(folder.log))

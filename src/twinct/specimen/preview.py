@@ -97,7 +97,7 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
     )
     figure.suptitle(f"{title}\n" if title else "")
     figure.text(0.5, 0.02, f"{parts}; x, y, z: {size} mm", ha="center")
-    with complete(path_png) as draft:
+    with complete(Path(path_png)) as draft:
         figure.savefig(draft, dpi=110)
 
 

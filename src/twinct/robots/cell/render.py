@@ -125,7 +125,7 @@ def render_cell(
     moment = Moment(at, marks or Marks())
     pixels = next(room_pictures(cell_model, [moment], width, height))
     try:
-        with complete(path_png) as draft:
+        with complete(Path(path_png)) as draft:
             Image.fromarray(pixels).save(draft, format="PNG")
     except OSError as error:
         raise StorageError(f"{path_png}: {error.strerror or error}") from error
