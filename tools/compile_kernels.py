@@ -40,6 +40,7 @@ def compile_rest() -> None:
     _reconstruct("plain")
     _voxelise()
     _cast_shadows()
+    _cross()
     _expose()
 
 
@@ -95,6 +96,19 @@ def _cast_shadows() -> None:
     body = Body(mesh.vertices, mesh.faces)
     for slopes in (False, True):
         rays.shadow(body, Pose.identity(), 0, slopes=slopes)
+
+
+def _cross() -> None:
+    from twinct.geometry import Panel
+    from twinct.xray.engine import SceneBody, SceneView
+    from twinct.xray.mesh import MeshEngine
+
+    mesh, panel, (x, y, z) = _specimen().parts[0].mesh, Panel(8, 9, 10.0, 10.0), np.eye(3)
+    engine, image = MeshEngine(), np.empty(panel.shape, np.float32)
+    engine.acquire([SceneBody(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.05)], panel)
+    view = SceneView(200 * x, -200 * x, y, z)
+    engine.expose(view, image)
+    engine.path_lengths(view, 0, image)
 
 
 def _expose() -> None:

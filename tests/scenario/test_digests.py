@@ -61,6 +61,7 @@ def changed(one: dict[str, str], other: dict[str, str]) -> set[str]:
         ("detector.lag=0.1", IMAGED),
         ("xray.engine=gvxr", set()),
         ("xray.engine=another", IMAGED),
+        ("xray.engine=mesh", IMAGED),
         ("seed=5", {"believed", "volume"}),
         ("uncertainty.seed=5", {"believed", "volume"}),
         ("uncertainty.source.sigma_mm=0.05", {"believed", "volume"}),

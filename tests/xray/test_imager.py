@@ -218,7 +218,7 @@ def test_silent_from_import_to_exit():
 
 def test_without_gvxr_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "gvxrPython3", None)
-    with pytest.raises(MissingExtraError, match=r"twinct\[xray\]"):
+    with pytest.raises(MissingExtraError, match=r"twinct\[xray\].*--set xray\.engine=mesh"):
         GvxrEngine().acquire([], DETECTOR.panel)
 
 
@@ -231,7 +231,9 @@ def test_a_missing_system_library_is_named_with_the_remedy(monkeypatch, tmp_path
     monkeypatch.syspath_prepend(tmp_path)
     for name in [name for name in sys.modules if name.partition(".")[0] == "gvxrPython3"]:
         monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(InputError, match=r"libxcb-res.*make setup.*libxcb-res0"):
+    with pytest.raises(
+        InputError, match=r"libxcb-res.*make setup.*libxcb-res0.*--set xray\.engine=mesh"
+    ):
         GvxrEngine().acquire([], DETECTOR.panel)
 
 

@@ -42,10 +42,12 @@ _CALLED = {
 }
 """Names of modules in pip, where they differ."""
 
-_WAY_OUT = {
+WAY_OUT = {
     "ros": "or use the link local (--link local)",
     "rtk": "or use reconstruction.algorithm: sart",
+    "xray": "or scan with the engine mesh (--set xray.engine=mesh)",
 }
+"""Alternatives to an extra."""
 
 
 def require(*extras: str) -> None:
@@ -73,12 +75,12 @@ def require(*extras: str) -> None:
                 broken.append(
                     f"{name} is installed but cannot be imported ({problem}): install it again "
                     f"with python -m pip install --force-reinstall 'twinct[{extra}]'"
-                    + (f", {_WAY_OUT[extra]}" if extra in _WAY_OUT else "")
+                    + (f", {WAY_OUT[extra]}" if extra in WAY_OUT else "")
                 )
                 break  # what depends on it fails, too
             missing.setdefault(extra, []).append(name)
     if missing:
-        advice = "; ".join(_WAY_OUT[extra] for extra in missing if extra in _WAY_OUT)
+        advice = "; ".join(WAY_OUT[extra] for extra in missing if extra in WAY_OUT)
         names = [name for of_extra in missing.values() for name in of_extra]
         gone = MissingExtraError(names, [*missing], advice)
         if not broken:

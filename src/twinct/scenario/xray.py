@@ -10,6 +10,7 @@ class Xray(Section):
 
     engine: str = setting(
         "gvxr",
-        "Engine that renders the images: gvxr, or one of another package, see docs/physics.md.",
+        "Engine that renders the images: gvxr, mesh (our own rays), or one of another package, see "
+        "docs/physics.md.",
         source="the paper",
     )

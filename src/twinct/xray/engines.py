@@ -11,9 +11,10 @@ from twinct.core.extensions import Offers, offers
 from twinct.core.foreign_text import quoted
 from twinct.xray.engine import EngineChoice
 from twinct.xray.gvxr import GVXR
+from twinct.xray.mesh import MESH
 
 DEFAULT_ENGINE = GVXR.name
-BUILT_IN = {GVXR.name: GVXR}
+BUILT_IN = {choice.name: choice for choice in (GVXR, MESH)}
 
 
 @cache

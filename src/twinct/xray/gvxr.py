@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, MissingExtraError, TwinctError
+from twinct.core.extras import WAY_OUT
 from twinct.geometry import Panel
 from twinct.xray.engine import EngineChoice, SceneBody, SceneView
 
@@ -52,7 +53,7 @@ MEMORY_BYTES = 2500 * 2**20
 ADVICE = (
     "Install the system libraries with 'make setup' (on Debian: apt-get install libegl1 libgl1 "
     "libgl1-mesa-dri libx11-6 libxcb-composite0 libxcb-ewmh2 libxcb-icccm4 libxcb-keysyms1 "
-    "libxcb-res0 libxcb-xinerama0)"
+    f"libxcb-res0 libxcb-xinerama0), {WAY_OUT['xray']}"
 )
 
 _PRIMER = SceneBody(
@@ -210,7 +211,7 @@ def _import_gvxr() -> Any:
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "gvxrPython3":
             raise
-        raise MissingExtraError("gvxr", "xray") from error
+        raise MissingExtraError("gvxr", "xray", WAY_OUT["xray"]) from error
     except ImportError as error:
         raise InputError(f"gVXR cannot be loaded: {error}. {ADVICE}") from error
     return gvxr
