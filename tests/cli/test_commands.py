@@ -31,6 +31,7 @@ STAGES = {
 
 TINY = [
     "--set", "trajectory.views=10",
+    "--set", "xray.engine=mesh",
     "--set", "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
     "--set", "specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]",
     "--set", "reconstruction.grid={voxels: 20, voxel_mm: 8}",

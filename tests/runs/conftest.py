@@ -18,6 +18,7 @@ def tiny_keys() -> list[str]:
     """What makes a scenario of seconds of the demo."""
     return [
         "trajectory.views=10",
+        "xray.engine=mesh",
         "detector={columns: 32, rows: 24, pixel_pitch_mm: 10}",
         "specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 4}}]",
         "reconstruction.grid={voxels: 20, voxel_mm: 8}",

@@ -20,6 +20,7 @@ from .conftest import no_report
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 KEYS = [
+    "xray.engine=mesh",
     "cell={kind: gantry}",
     "motion.scheme=reactive",
     "trajectory.views=2",

@@ -22,6 +22,7 @@ from .conftest import no_report
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 KEYS = [
+    "xray.engine=mesh",
     "detector={columns: 160, rows: 120, pixel_pitch_mm: 2.0, pixel_samples: 4}",
     "reconstruction.grid={voxels: 20, voxel_mm: 8}",
     "motion.trigger=settled",

@@ -26,6 +26,7 @@ def gantry() -> Scenario:
         GANTRY,
         {
             "trajectory.views": 6,
+            "xray.engine": "mesh",
             "detector": {"columns": 16, "rows": 12, "pixel_pitch_mm": 20},
             "reconstruction": {"grid": {"voxels": 10, "voxel_mm": 16}, "iterations": 1},
         },

@@ -25,6 +25,7 @@ GANTRY = Path(__file__).parents[2] / "scenarios" / "circle_gantry.yaml"
 def scan() -> Scan:
     """Of a mesh, with motion blur, lag, bad pixels and tube loads: all that a view can carry."""
     keys = {
+        "xray.engine": "mesh",
         "detector": {"columns": 16, "rows": 12, "pixel_pitch_mm": 20, "lag": 0.1},
         "detector.bad_pixels": {"kind": "random", "share": 0.05},
         "source.motion_samples": 2,

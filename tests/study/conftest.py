@@ -14,6 +14,7 @@ from twinct.workers.artifact import remove
 
 SCENARIO: dict[str, Any] = {
     "cell": {"kind": "gantry"},
+    "xray": {"engine": "mesh"},
     "trajectory": {"kind": "circle", "views": 4},
     "detector": {"columns": 24, "rows": 18, "pixel_pitch_mm": 13},
     "specimen": {
