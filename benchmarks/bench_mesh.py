@@ -52,7 +52,7 @@ def main() -> None:
     print(f"gvxr {gvxr:.3f}, mesh {mesh:.3f}: {mesh / gvxr:.2f} x", end=" ")
     print(f"(single views {ratios.min():.2f} to {ratios.max():.2f} x)")
     error = np.abs(images[0] - images[1])
-    print(f"transmission: mean difference {error.mean():.1e}, largest {error.max():.1e}", end=" ")
+    print(f"transmission: mean difference {error.mean():.1e}, largest {error.max():.1e},", end=" ")
     print(f"above 1e-3 in {(error > 1e-3).mean():.1e} of the pixels")
     chosen = np.linspace(0, len(geometry) - 1, min(REFEREED, len(geometry))).astype(int)
     truth = np.array([refereed(geometry, bodies, int(view)) for view in chosen])

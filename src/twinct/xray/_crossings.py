@@ -176,8 +176,26 @@ def _settle(a, b, c, xs, ys, first, last, weight, total):
 
 
 @njit(**OPTIONS)
-def _walk_all(a, b, c, first, last, weight, total):
-    """Test every pixel for a triangle that reaches beside or behind the source."""
+def _reached(a, b, c, row, sign, columns):
+    """Return the columns of a row among which all sides may have a sign."""
+    start, stop = 0.0, columns - 1.0
+    for one, other in ((b, c), (c, a), (a, b)):
+        slope = sign * (one[1] * other[2] - one[2] * other[1])
+        across, back = one[2] * other[0], one[0] * other[2]
+        along, down = one[0] * other[1], one[1] * other[0]
+        size = row * (abs(across) + abs(back)) + abs(along) + abs(down)
+        if abs(slope) > 1e-9 * size:  # else rounding moves the end by more than a pixel
+            end = -sign * (row * (across - back) + along - down) / slope
+            if slope > 0:
+                start = max(start, end - 1.0)
+            else:
+                stop = min(stop, end + 1.0)
+    return start, stop
+
+
+@njit(**OPTIONS)
+def _add_beside(a, b, c, first, last, weight, total):
+    """Add a triangle that reaches beside or behind the source to a band."""
     if a[2] <= 0 and b[2] <= 0 and c[2] <= 0:
         return
     columns = total.shape[1]
@@ -192,7 +210,13 @@ def _walk_all(a, b, c, first, last, weight, total):
     if left and right:
         return
     for row in range(first, last):
-        for column in range(columns):
+        start, stop = _reached(a, b, c, float(row), 1.0, columns)
+        other_start, other_stop = _reached(a, b, c, float(row), -1.0, columns)
+        if start > stop:
+            start, stop = other_start, other_stop
+        elif other_start <= other_stop:
+            start, stop = min(start, other_start), max(stop, other_stop)
+        for column in range(int(math.ceil(start)), int(math.floor(stop)) + 1):
             total[row, column] += weight * crossing(a, b, c, float(column), float(row))
 
 
@@ -216,7 +240,7 @@ def _walk(vertices, faces, frame, places, first, last, weight, total):
             ys = places[i, 1], places[j, 1], places[k, 1]
             _settle(a, b, c, xs, ys, first, last, weight, total)
         else:
-            _walk_all(a, b, c, first, last, weight, total)
+            _add_beside(a, b, c, first, last, weight, total)
 
 
 @njit(parallel=True, **OPTIONS)
