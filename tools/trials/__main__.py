@@ -86,7 +86,7 @@ def main():
     skipped = [kind for kind in options.faults if FAULTS[kind].mounts and not trials.can_mount]
     print(f"\n{'fault':28}  trials  passed  no process left after, at most")
     for kind, count in sorted(done.items()):
-        after = f"  {slowest[kind]:.1f} s" if FAULTS[kind].kind else ""
+        after = f"  {slowest[kind]:.1f} s" if FAULTS[kind].ends else ""
         print(f"{kind:28}  {count:6}  {count - wrong[kind]:6}{after}")
     print(f"{done.total() - wrong.total()} of {done.total()} passed; in {late} the fault came late")
     if skipped:

@@ -54,6 +54,11 @@ class Fault:
         return self.disk > 0 or self.shared_kib < 64 * 1024
 
     @property
+    def ends(self):
+        """True if the fault ends the command at a drawn moment."""
+        return bool(self.kind) and 0 not in self.codes
+
+    @property
     def stops(self):
         """True if the command itself is stopped, until its nodes have ended."""
         return self is FAULTS["scan stopped"]
