@@ -104,3 +104,9 @@ def test_parts_of_a_reconstruction_are_files(special: tuple[Path, str], name: st
     special[0].rename(folder / name)
     with pytest.raises(InputError, match=re.escape(f"{name} {what}")):
         Reconstruction.read(folder)
+
+
+@pytest.mark.parametrize("reader", ["run", "scan", "verified", "exported", "compared"])
+def test_a_name_that_no_file_can_have_is_refused(reader: str) -> None:
+    with pytest.raises(InputError, match="File name too long"):
+        READERS[reader](Path("x" * 70_000))

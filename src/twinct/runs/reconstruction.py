@@ -48,10 +48,9 @@ def load_scan(path: str | Path) -> Scan:
         InputError: there is no scan, or it is damaged.
         ScanExistsError: some views are not acquired yet.
     """
-    path = Path(path)
-    if (path / "zarr.json").is_file():
-        return ScanStore(path).read()
-    folder = Folder(path)
+    folder = Folder(Path(path))
+    if (folder.path / "zarr.json").is_file():
+        return ScanStore(folder.path).read()
     return Run(_scenario_of(folder), folder).scan
 
 

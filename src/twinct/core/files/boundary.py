@@ -48,7 +48,7 @@ def no_file(path: Path, *, folder: bool = False) -> str:
     """Return why a path is no regular file, nor a folder if allowed; empty if it is one."""
     try:
         mode = path.stat().st_mode
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):  # the latter below a file
         return ABSENT
     except (OSError, ValueError) as error:
         return f"cannot be read: {shortened(reason(error))}"
