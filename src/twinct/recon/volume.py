@@ -17,7 +17,6 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
-from twinct.core.files.nifti import read_nifti
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import Floats, Pose, VolumeGrid
@@ -218,6 +217,8 @@ class Volume(NDArrayOperatorsMixin):
         Raises:
             InputError: the file is not readable as NIfTI, or has no voxel grid.
         """
+        from twinct.core.files.nifti import read_nifti
+
         voxels, image = read_nifti(Path(path), f"{path}: the NIfTI volume")
         try:
             note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")

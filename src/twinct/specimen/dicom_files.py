@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import no_file, open_regular, read_bytes, require_memory
+from twinct.core.foreign_text import whole_number
 
 DICOM_SUFFIXES = (".dcm", ".ima", ".dicom")
 """Suffixes of DICOM files; such a file without DICOM content is damaged."""
@@ -167,7 +168,7 @@ def _start(path: Path, place: str) -> bytes:
 def _ending(name: str) -> str:
     """Return the suffix of a name; numbers, as those of identifiers and of slices, are none."""
     suffix = Path(name).suffix.lower()
-    return "" if suffix[1:].isdigit() else suffix
+    return "" if whole_number(suffix[1:]) is not None else suffix
 
 
 def _is_text(start: bytes) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -15,6 +16,8 @@ from twinct.core.files.packed import open_packed, read_to_end, require_unpacked
 
 DENSEST = 1100
 """Largest number of bytes per byte of gzip: 1032 (RFC 1951), and some for the last block."""
+
+_LONGER = "longer than its header states: its sizes are wrong or damaged"
 
 
 def read_nifti(
@@ -34,16 +37,21 @@ def nifti_values(
 ) -> NDArray[np.float32]:
     """Return the scaled numbers of an image in its order of axes.
 
-    They are converted slice by slice, since scaling passes through double precision.
+    They are mapped from the file if it has them as they are. Otherwise they are converted slice by
+    slice, since scaling passes through double precision.
 
     Raises:
         InputError: of this ``kind``; the numbers cannot be converted.
     """
+    stored = image.dataobj
+    if stored.dtype == np.float32 and (stored.slope, stored.inter) == (1, 0):
+        with library_errors(where, kind):
+            return np.asarray(stored)
     values = np.empty(header.shape, dtype=np.float32, order="F")
     with library_errors(where, kind), np.errstate(over="ignore"):
         for k in range(header.shape[header.last]):
             part = (*[slice(None)] * header.last, slice(k, k + 1))
-            values[part] = image.dataobj[part]
+            values[part] = stored[part]
     return values
 
 
@@ -76,10 +84,13 @@ def open_nifti(
         slice_bytes = (header.item + 16) * header.voxels / header.shape[header.last]
         require_memory(where, header.end + 4 * header.voxels + slice_bytes, kind)
         stream.seek(0)
-        content = _whole(stream, header.end, where, kind)
+        file = {"fileobj": BytesIO(_whole(stream, header.end, where, kind))} if packed else {}
+        if not packed and size > header.end:
+            raise kind(f"{where} is {_LONGER}")
     with library_errors(where, kind), np.errstate(invalid="ignore"):  # such an affine is refused
         made: Any = nibabel.Nifti1Image if header.version == 1 else nibabel.Nifti2Image
-        return header, made.from_bytes(content)
+        holder = nibabel.FileHolder(filename=str(path), **file)
+        return header, made.from_file_map({"image": holder})
 
 
 def _whole(stream: BinaryIO, size: int, where: str, kind: type[InputError]) -> bytes:
@@ -88,5 +99,5 @@ def _whole(stream: BinaryIO, size: int, where: str, kind: type[InputError]) -> b
     if len(content) < size:
         raise kind(f"{where} is cut off: {size - len(content)} bytes of its voxels are missing")
     if read_to_end(stream, 0):
-        raise kind(f"{where} is longer than its header states: its sizes are wrong or damaged")
+        raise kind(f"{where} is {_LONGER}")
     return content
