@@ -84,12 +84,12 @@ def open_nifti(
         slice_bytes = (header.item + 16) * header.voxels / header.shape[header.last]
         require_memory(where, header.end + 4 * header.voxels + slice_bytes, kind)
         stream.seek(0)
-        file = {"fileobj": BytesIO(_whole(stream, header.end, where, kind))} if packed else {}
+        unpacked = BytesIO(_whole(stream, header.end, where, kind)) if packed else None
         if not packed and size > header.end:
             raise kind(f"{where} is {_LONGER}")
     with library_errors(where, kind), np.errstate(invalid="ignore"):  # such an affine is refused
         made: Any = nibabel.Nifti1Image if header.version == 1 else nibabel.Nifti2Image
-        holder = nibabel.FileHolder(filename=str(path), **file)
+        holder = nibabel.FileHolder(str(path), unpacked)
         return header, made.from_file_map({"image": holder})
 
 
