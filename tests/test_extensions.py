@@ -114,6 +114,7 @@ def scenario(tmp_path: Path) -> Path:
         f"extends: {HERE}/same_bytes/small.yaml\n"
         "trajectory: {kind: zigzag, views: 3}\n"
         "reconstruction: {algorithm: landweber, path: start.npy}\n"
+        "xray: {engine: mesh}\n"
     )
     return file
 

@@ -73,9 +73,9 @@ def test_a_run_withstands_some_faults() -> None:
 
 @pytest.mark.cluster
 @pytest.mark.process
-def test_a_study_withstands_the_death_of_any_of_its_processes() -> None:
-    faults = ("SIGKILL", "a worker of a cluster killed", "a node of a cluster killed")
-    words = ("--trials", "3", "--seed", "1", "--commands", "study on a cluster", "--faults")
-    done = trials(*words, *faults)
+def test_a_study_withstands_the_death_of_a_node() -> None:
+    """Workers and drivers die in ``cluster`` and ``study``."""
+    words = ("--trials", "1", "--seed", "1", "--commands", "study on a cluster", "--faults")
+    done = trials(*words, "a node of a cluster killed")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "3 of 3 passed" in done.stdout
+    assert "1 of 1 passed" in done.stdout

@@ -243,7 +243,7 @@ def test_each_algorithm_gives_the_volume_of_a_fresh_run(
         if name == "prior_tv":
             section += f", prior: {{path: {asked.paths.volume}}}"
         more = [f"reconstruction={{{section}}}"]
-        fresh = load_scenario(DEMO, [*tiny_keys[:3], *circle, *more])
+        fresh = load_scenario(DEMO, [*tiny_keys[:4], *circle, *more])
         out = tmp_path / name
         shutil.copytree(asked.paths.scan, out / "scan.zarr")
         wanted = run(fresh, out, link="local", resume=True).volume

@@ -126,7 +126,7 @@ def environment(changes):
 
 def prepare(made, names):
     """Make the inputs of some commands in a folder."""
-    write(made / "gantry.yaml", "circle_gantry", TINY)
+    write(made / "gantry.yaml", "circle_gantry", TINY | {"xray.engine": "mesh"})
     write(made / "arms.yaml", "demo", TINY)
     write(made / "task.yaml", "circle_gantry", TINY | {"task": TASK})
     study = {"scenario": str(made / "gantry.yaml"), "axes": AXES, "keep": "volume"}
