@@ -14,13 +14,16 @@ SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
 LONG := browser or cluster or tutorial or package
-# Tests that watch real time run alone, after the others, and from these files only; PYTEST_ARGS may
-# leave none of either.
+# Of the files, only those that may hold such tests are loaded.
+LONG_FILES = $(shell grep -rlE --include='test_*.py' 'mark\.(browser|cluster|tutorial|package)' tests)
+# Tests that watch real time run alone, after the others; PYTEST_ARGS may leave none of either.
 CLOCK_FILES = $(shell grep -rl --include='test_*.py' 'mark\.clock' tests)
+# Each source is compiled once, not in each process.
+PYTEST = env -u PYTHONDONTWRITEBYTECODE $(VENV)/python -m pytest -q
 define run_tests
-@$(VENV)/python -m pytest -q -n $(JOBS) --dist loadfile -m "($(1)) and not clock" $(PYTEST_ARGS) \
+@$(PYTEST) -n $(JOBS) --dist loadfile -m "($(1)) and not clock" $(or $(PYTEST_ARGS),$(2)) \
 	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
-@$(VENV)/python -m pytest -q -n 0 -m "($(1)) and clock" $(or $(PYTEST_ARGS),$(CLOCK_FILES)) \
+@$(PYTEST) -n 0 -m "($(1)) and clock" $(or $(PYTEST_ARGS),$(CLOCK_FILES)) \
 	|| $(if $(PYTEST_ARGS),[ $$? = 5 ],false)
 endef
 
@@ -53,7 +56,7 @@ quick: setup
 
 test-all: test ## The same, then what takes long: a browser, a cluster, tutorials, the built package
 	@tools/system-libraries browser
-	$(call run_tests,$(LONG))
+	$(call run_tests,$(LONG),$(LONG_FILES))
 
 lint: style types ## Check style, formatting, types and layers only
 

@@ -8,7 +8,9 @@ import pytest
 from twinct.geometry import VolumeGrid
 from twinct.scenario import Specimen
 from twinct.specimen import build_specimen
+from twinct.specimen.build import HULL_DIRECTIONS, _sphere_directions
 from twinct.specimen.preview import preview_specimen, shaded
+from twinct.specimen.surface import enclosed_volume, surface
 
 SPECIMEN = Specimen.model_validate({"parts": [{"shape": {"kind": "skull"}}]})
 STEP = 0.5
@@ -218,3 +220,20 @@ def test_hull_is_small_and_holds_the_skull(skull):
     some = skull.parts[0].mesh.vertices[::37]
     out = max((block @ normals.T - offsets).max() for block in np.array_split(some, 20))
     assert out < 0.4, "mm by which a point may stick out"
+
+
+def test_the_hull_touches_the_skull_in_each_of_its_directions(skull):
+    directions = np.array_split(_sphere_directions(HULL_DIRECTIONS)[::7], 20)
+    points = skull.parts[0].mesh.vertices
+    reach, of_hull = (
+        np.concatenate([(block @ corners.T).max(axis=1) for block in directions])
+        for corners in (points, skull.hull.vertices)
+    )
+    assert of_hull == pytest.approx(reach, abs=1e-9)
+
+
+def test_the_enclosed_volume_is_that_of_trimesh_and_negative_inside_out(skull):
+    mesh = skull.parts[0].mesh
+    assert skull.parts[0].volume_mm3 == pytest.approx(mesh.volume, rel=1e-12)
+    turned = surface(mesh.vertices, mesh.faces[:, ::-1])
+    assert enclosed_volume(turned) == pytest.approx(-mesh.volume, rel=1e-12)

@@ -32,6 +32,16 @@ def surface(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.asarray(vertices, dtype=np.float64), np.asarray(faces), process=False)
 
 
+def enclosed_volume(mesh: trimesh.Trimesh) -> float:
+    """Return the volume within a closed surface, mm^3; negative if it is inside out.
+
+    It is the sum of the signed tetrahedra from the middle of the bounds to each triangle. trimesh
+    computes all moments of inertia with it, which takes ten times longer.
+    """
+    a, b, c = (mesh.vertices[corner] - mesh.bounds.mean(axis=0) for corner in mesh.faces.T)
+    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
+
+
 def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) -> trimesh.Trimesh:
     """Return the closed surface around the region where a lattice exceeds a level.
 
@@ -54,7 +64,7 @@ def isosurface(values: NDArray[np.floating], level: float, affine: ArrayLike) ->
     affine = np.asarray(affine, dtype=np.float64)
     vertices = (vertices.astype(np.float64) - 1.0) @ affine[:3, :3].T + affine[:3, 3]
     mesh = surface(vertices, faces)
-    if mesh.volume < 0:
+    if enclosed_volume(mesh) < 0:
         mesh = surface(vertices, faces[:, ::-1])
     if mesh.is_watertight:
         return mesh
