@@ -10,6 +10,7 @@ LOCK_ARGS ?=
 MINUTES ?= 10
 # Of tools/trials.
 TRIALS ?= 400
+TRIALS_JOBS ?= 1
 SEED ?= 0
 VENV := .venv/bin
 # Markers of what test-all runs beside test.
@@ -80,8 +81,8 @@ bench: setup ## Time the parts of the simulation (benchmarks/)
 fuzz: setup ## Try broken inputs of all kinds, each for MINUTES=10; SEED=1 tries others
 	@$(VENV)/python tools/fuzz all --minutes $(MINUTES) --seed $(SEED)
 
-trials: setup ## Let faults meet the commands while they work: TRIALS=400; SEED=1 draws others
-	@$(VENV)/python tools/trials --trials $(TRIALS) --seed $(SEED)
+trials: setup ## Let faults meet the commands while they work: TRIALS=400, TRIALS_JOBS=1 at a time; SEED=1 draws others
+	@$(VENV)/python tools/trials --trials $(TRIALS) --jobs $(TRIALS_JOBS) --seed $(SEED)
 
 qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; 20 minutes)
 	@$(VENV)/twinct ctsimu qualify --out out/qualify

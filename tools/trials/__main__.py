@@ -10,12 +10,14 @@ that holds all along (few descriptors, little memory, no HOME, ...). The command
 right exit code and message, without a traceback; no result may be damaged, no process, shared
 memory or draft may be left. Then the command is continued with --resume, or repeated: it must make
 nothing again that is there already, and end with the bytes of an undisturbed command. The exit code
-is 1 otherwise, and the words that repeat a failed trial are printed. Conditions that need the right
-to mount disks are skipped without it, and so is the look into /dev/shm. A study on a cluster, by
-Ray, is tried only if it is named.
+is 1 otherwise, and the words that repeat a failed trial are printed. A trial whose fault comes too
+late to disturb the command is drawn again; if that does not help, it does not count. Conditions
+that need the right to mount disks are skipped without it, and so is the look into /dev/shm. A study
+on a cluster, by Ray, is tried only if it is named, and has no other trial beside it.
 """
 
 import argparse
+import multiprocessing
 import random
 import shlex
 import signal
@@ -23,6 +25,7 @@ import sys
 import tempfile
 import time
 from collections import Counter, defaultdict
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -31,6 +34,9 @@ from faults import FAULTS, suits
 from trial import Trials
 
 LOCAL = [name for name, command in COMMANDS.items() if not command.of_cluster]
+
+WORK = []
+"""Calls of ``in_processes``; its processes inherit them."""
 
 
 def pairs_of(options, can_mount):
@@ -45,6 +51,62 @@ def pairs_of(options, can_mount):
     return pairs
 
 
+def in_processes(jobs, function, all_arguments):
+    """Yield the results of a function for some arguments, as they come, from forks of this one."""
+    WORK[:] = [(function, arguments) for arguments in all_arguments]
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("fork")) as pool:
+        try:
+            for done in as_completed([pool.submit(work, index) for index in range(len(WORK))]):
+                yield done.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def work(index):
+    """Do one call of ``in_processes``."""
+    function, arguments = WORK[index]
+    return function(*arguments)
+
+
+class Report:
+    """The report of all trials."""
+
+    def __init__(self):
+        """Begin with no trials."""
+        self.done, self.wrong, self.late, self.again = Counter(), Counter(), 0, 0
+        self.slowest = defaultdict(float)
+
+    def add(self, number, command, kind, in_time, codes, found, gone_s, draws):
+        """Print a trial, and count it unless its fault came too late."""
+        counts = in_time or found
+        self.again += draws - 1
+        self.late += not counts
+        self.done[kind] += bool(counts)
+        self.wrong[kind] += bool(found)
+        self.slowest[kind] = max(self.slowest[kind], gone_s or 0.0)
+        words = "WRONG" if found else "passed" if in_time else "the fault came too late"
+        print(f"{number:4}  {command:18}  {kind:28}  exit code {codes}: {words}", flush=True)
+        for one in found:
+            print(f"      {one}", flush=True)
+        if found:
+            again = shlex.join([*sys.argv[1:], "--only", str(number)])
+            print(f"      again: python tools/trials {again}", flush=True)
+
+    def conclude(self, skipped):
+        """Print the sums; ``skipped`` are faults that need disks."""
+        print(f"\n{'fault':28}  trials  passed  no process left after, at most")
+        for kind, count in sorted(self.done.items()):
+            after = f"  {self.slowest[kind]:.1f} s" if FAULTS[kind].ends else ""
+            print(f"{kind:28}  {count:6}  {count - self.wrong[kind]:6}{after}")
+        total, wrong = self.done.total(), self.wrong.total()
+        print(
+            f"{total - wrong} of {total} passed; {self.again} were drawn again, and in {self.late} "
+            "others the fault came too late"
+        )
+        if skipped:
+            print(f"skipped, as this process may not mount disks: {', '.join(skipped)}; /dev/shm")
+
+
 def main():
     """Do the trials and print a report."""
     parser = argparse.ArgumentParser(
@@ -55,43 +117,34 @@ def main():
     parser.add_argument("--commands", nargs="+", choices=COMMANDS, default=LOCAL)
     parser.add_argument("--faults", nargs="+", choices=FAULTS, default=list(FAULTS))
     parser.add_argument("--minutes", type=float, help="begin no trial after so long")
+    parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first")
     parser.add_argument("--only", type=int, metavar="N", help="number of the only trial to do")
     options = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):  # a job in the background would ignore Ctrl-C,
         signal.signal(number, signal.default_int_handler)  # and so would the commands
-    done, wrong, late, begun = Counter(), Counter(), 0, time.monotonic()
-    slowest = defaultdict(float)
+    begun, report = time.monotonic(), Report()
     with (
         tempfile.TemporaryDirectory(prefix="twinct-trials-") as name,
         ExitStack() as stack,
     ):
         trials = Trials(Path(name) / "all", options.commands, stack)
-        pairs = pairs_of(options, trials.can_mount)
-        for number in range(options.trials) if options.only is None else [options.only]:
+        pairs, jobs = pairs_of(options, trials.can_mount), 1 if trials.cluster else options.jobs
+        numbers = [options.only] if options.only is not None else range(options.trials)
+        chosen = [(n, *pairs[n % len(pairs)]) for n in numbers if n >= options.first]
+        used = dict.fromkeys((command,) for _, command, _ in chosen)
+        trials.whole = dict(in_processes(jobs, trials.undisturbed, used))
+
+        def one(number, command, kind):
             if options.minutes and time.monotonic() - begun > 60 * options.minutes:
-                break
-            command, kind = pairs[number % len(pairs)]
-            fired, codes, found, gone_s = trials.trial(command, kind, f"{options.seed} {number}")
-            slowest[kind] = max(slowest[kind], gone_s or 0.0)
-            done[kind] += 1
-            wrong[kind] += bool(found)
-            late += not fired
-            words = "WRONG" if found else "passed" if fired else "passed, the fault came too late"
-            print(f"{number:4}  {command:18}  {kind:28}  exit code {codes}: {words}", flush=True)
-            for one in found:
-                print(f"      {one}", flush=True)
-            if found:
-                again = shlex.join([*sys.argv[1:], "--only", str(number)])
-                print(f"      again: python tools/trials {again}", flush=True)
-    skipped = [kind for kind in options.faults if FAULTS[kind].mounts and not trials.can_mount]
-    print(f"\n{'fault':28}  trials  passed  no process left after, at most")
-    for kind, count in sorted(done.items()):
-        after = f"  {slowest[kind]:.1f} s" if FAULTS[kind].ends else ""
-        print(f"{kind:28}  {count:6}  {count - wrong[kind]:6}{after}")
-    print(f"{done.total() - wrong.total()} of {done.total()} passed; in {late} the fault came late")
-    if skipped:
-        print(f"skipped, as this process may not mount disks: {', '.join(skipped)}; /dev/shm")
-    return 1 if wrong.total() else 0
+                return None
+            return number, command, kind, *trials.trial(command, kind, f"{options.seed} {number}")
+
+        for told in in_processes(jobs, one, chosen):
+            if told:
+                report.add(*told)
+    report.conclude([k for k in options.faults if FAULTS[k].mounts and not trials.can_mount])
+    return 1 if report.wrong.total() else 0
 
 
 if __name__ == "__main__":

@@ -12,22 +12,23 @@ from typing import Any
 
 ROOT = Path(__file__).parents[2]
 HOOK = Path(__file__).parent / "hook"
-VIEWS = 12
-BALL = {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 4}
+VIEWS = 6
+BALL = {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 10}
 TINY = {
     "trajectory.views": VIEWS,
-    "detector": {"columns": 32, "rows": 24, "pixel_pitch_mm": 10},
+    "detector": {"columns": 24, "rows": 16, "pixel_pitch_mm": 14},
+    "xray.engine": "mesh",
     "specimen.parts": [{"shape": BALL}],
-    "reconstruction.grid": {"voxels": 20, "voxel_mm": 8},
+    "reconstruction.grid": {"voxels": 12, "voxel_mm": 13},
     "reconstruction.iterations": 2,
 }
 TASK = {
-    "position_mm": [0, 0, 0], "radius_mm": 20, "views": 6, "candidates": 40,
+    "position_mm": [0, 0, 0], "radius_mm": 20, "views": 4, "candidates": 20,
     "completeness": {"within_deg": 10},
 }  # fmt: skip
 AXES = [
     {"key": "reconstruction.relaxation", "values": [0.2, 0.5]},
-    {"key": "trajectory.views", "values": [4, 8]},
+    {"key": "trajectory.views", "values": [3, 4]},
 ]
 SET = [word for key, value in TINY.items() for word in ("--set", f"{key}={json.dumps(value)}")]
 
@@ -44,7 +45,6 @@ class Command:
         of: name in the prepared inputs of what OUT is a copy of; empty: OUT is new.
         over: the command may also run over its earlier results.
         victims: processes of the command that a trial may kill or stop.
-        slow: it is not repeated after a fault, as it takes long and leaves nothing.
     """
 
     words: str
@@ -54,7 +54,6 @@ class Command:
     of: str = ""
     over: bool = False
     victims: tuple[str, ...] = ()
-    slow: bool = False
 
     @property
     def of_cluster(self):
@@ -95,9 +94,10 @@ COMMANDS = {
         "calibrate self OUT", (*SCAN, "geometries/self.json"), of="run",
     ),
     "report": Command("report OUT", (*SCAN, "metrics.json", "report.html"), of="run"),
-    "reach": Command("reach MADE/arms.yaml --out OUT --directions 40", ("reach.*",), over=True),
+    "reach": Command("reach MADE/arms.yaml --out OUT --directions 12", ("reach.*",), over=True),
     "place": Command(
-        "place MADE/arms.yaml --save OUT/placed.yaml --samples 2", ("*",), over=True, slow=True
+        "place MADE/arms.yaml --save OUT/placed.yaml --samples 1 --z 0 0 --standoff 150 150",
+        ("*",), over=True,
     ),
     "view": Command("view MADE/run --export OUT/page.html", ("*",), over=True),
     "film": Command("view MADE/run --movie OUT/film.mp4", ("*",), over=True),
@@ -126,7 +126,7 @@ def environment(changes):
 
 def prepare(made, names):
     """Make the inputs of some commands in a folder."""
-    write(made / "gantry.yaml", "circle_gantry", TINY | {"xray.engine": "mesh"})
+    write(made / "gantry.yaml", "circle_gantry", TINY)
     write(made / "arms.yaml", "demo", TINY)
     write(made / "task.yaml", "circle_gantry", TINY | {"task": TASK})
     study = {"scenario": str(made / "gantry.yaml"), "axes": AXES, "keep": "volume"}

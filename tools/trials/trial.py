@@ -1,6 +1,8 @@
 """One trial: a command meets a fault, and is continued or repeated."""
 
+import bisect
 import contextlib
+import json
 import os
 import random
 import re
@@ -26,6 +28,8 @@ from processes import (
 from simulated_cluster import SimulatedCluster
 
 DRAFT = re.compile(r"partial|\.new$|lock$|lifeline")
+DRAWS = 5
+"""A trial is drawn at most so often."""
 RESUMED = 0.25
 """Share of two commands at once that resume a killed one."""
 TRACER = "lttng-ust-wait"
@@ -34,10 +38,12 @@ BUG = re.compile(r"Traceback|this is a bug in twinct")
 
 
 class Trials:
-    """A folder with the inputs of all trials, and with the results of undisturbed commands.
+    """A folder with the inputs of all trials, and the results of undisturbed commands.
 
     Attributes:
         can_mount: disks can be mounted for a trial.
+        whole: of each command, the results when nothing disturbs it, and the times of the moments
+            of its processes.
     """
 
     def __init__(self, folder, names, stack):
@@ -45,48 +51,64 @@ class Trials:
         self.folder, self.made = folder, folder / "made"
         self.made.mkdir(parents=True)
         self.can_mount = may_mount(folder)
-        self._whole = {}
+        self.whole = {}
         self.cluster = None
         if any(COMMANDS[name].of_cluster for name in names):
             self.cluster = SimulatedCluster(folder / "nodes")
             stack.callback(self.cluster.close)
         prepare(self.made, names)
 
-    def whole(self, name):
-        """Return the results of an undisturbed command, and the moments of its processes."""
-        if name not in self._whole:
-            place = self.folder / "whole" / name
-            place.mkdir(parents=True)
-            out = place / "results"
-            begin(COMMANDS[name], self.made, out)
-            done = subprocess.run(
-                self.line(COMMANDS[name], out),
-                env=environment({"TWINCT_TRIAL": f"any|0|||{place}"}),
-                capture_output=True,
-                text=True,
-            )
-            if done.returncode:
-                raise SystemExit(f"{name} ended with {done.returncode}:\n{done.stderr}")
-            moments = {p.name: int(p.read_text()) for p in place.glob("[!.]*") if p.is_file()}
-            self._whole[name] = contents(out, COMMANDS[name].results), moments
-            shutil.rmtree(place)
-        return self._whole[name]
+    def undisturbed(self, name):
+        """Return the name of a command, and what ``whole`` holds of it."""
+        place = self.folder / "whole" / name
+        place.mkdir(parents=True)
+        out = place / "results"
+        begin(COMMANDS[name], self.made, out)
+        done = subprocess.run(
+            self.line(COMMANDS[name], out),
+            env=environment({"TWINCT_TRIAL": f"any|0|0|||{place}"}),
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode:
+            raise SystemExit(f"{name} ended with {done.returncode}:\n{done.stderr}")
+        times = {p.stem: json.loads(p.read_text()) for p in place.glob("[!.]*.json")}
+        results = contents(out, COMMANDS[name].results)
+        shutil.rmtree(place)
+        return name, (results, times)
 
     def line(self, command, out):
         """Return the command line of a command."""
         return line(command.words, self.made, out, self.cluster.address if self.cluster else "")
 
     def trial(self, name, kind, seed):
-        """Do one trial.
+        """Do one trial; draw it again while its fault comes too late and nothing goes wrong.
 
         Returns:
             Whether its fault came in time; the exit codes; all that went wrong; seconds from the
-            fault until no process was left, or None.
+            fault until no process was left, or None; the number of draws.
         """
-        expected, moments = self.whole(name)
-        with contextlib.ExitStack() as stack:
-            one = Trial(self, name, kind, random.Random(seed), expected, stack)
-            return one.run(moments)
+        expected, times = self.whole[name]
+        for draw in range(1, DRAWS + 1):
+            with contextlib.ExitStack() as stack:
+                one = Trial(self, name, kind, random.Random(f"{seed} {draw}"), expected, stack)
+                *found, wrong, gone_s = one.run(times)
+                if one.in_time or wrong:
+                    break
+        return *found, wrong, gone_s, draw
+
+
+def drawn_moment(rng, times):
+    """Return the number of a moment, and a while after it, s; half of them by time, half by moment.
+
+    ``times`` has the times of all moments, and of the end.
+    """
+    number = rng.randrange(1, len(times))
+    if rng.random() < 0.5:
+        return number, 0.0
+    time_s = rng.uniform(times[0], times[-1])
+    number = max(bisect.bisect_right(times[:-1], time_s), 1)
+    return number, time_s - times[number - 1]
 
 
 class Trial:
@@ -96,7 +118,7 @@ class Trial:
         """Make the folder and its disks, which ``stack`` removes."""
         self.trials, self.command, self.fault = trials, COMMANDS[name], FAULTS[kind]
         self.rng, self.expected = rng, expected
-        self.place = trials.folder / "trial"
+        self.place = trials.folder / f"trial {os.getpid()}"
         self.mark = f"{os.getpid()}-{rng.getrandbits(64):x}"
         self.disk, self.shared = self.place / "disk", self.place / "shm"
         self.temporary, self.gone_s = self.place / "tmp", None
@@ -113,12 +135,12 @@ class Trial:
             for file, data in expected.items():
                 (self.out / file).write_bytes(data)
 
-    def run(self, moments):
+    def run(self, times):
         """Run the command with its fault, then to its end; see ``Trials.trial``."""
         before, fault = self.results(), self.fault
-        moment = self.rng.randrange(1, 1 + moments.get(fault.victim, 1))
+        moment, wait_s = drawn_moment(self.rng, times.get(fault.victim, [0, 0]))
         argument = fault.argument(self.rng, self.disk)
-        plan = f"{fault.victim}|{moment}|{fault.kind}|{argument}|{self.place}"
+        plan = f"{fault.victim}|{moment}|{wait_s:.3f}|{fault.kind}|{argument}|{self.place}"
         if fault.read_only:
             remount(self.disk, "ro")
         wrong = self.met({"TWINCT_TRIAL": plan} if fault.kind else {})
@@ -134,12 +156,18 @@ class Trial:
         there = [p.name for p in self.shared.glob("*")]
         if left := [name for name in there if not name.startswith(TRACER)]:
             wrong.append(f"left in /dev/shm: {', '.join(left)}")
-        return self.fired, self.codes, wrong, self.gone_s
+        return self.in_time, self.codes, wrong, self.gone_s
 
     @property
     def fired(self):
         """True if the command met the fault before its end."""
         return not self.fault.kind or (self.place / "fired").exists()
+
+    @property
+    def in_time(self):
+        """True if the fault met the command while it had something to lose."""
+        ended = self.fault.codes and 0 not in self.fault.codes and self.fault.kind
+        return self.fired and not (ended and 0 in self.codes)
 
     def results(self):
         """Return the results at present."""
@@ -195,8 +223,6 @@ class Trial:
 
     def gone_on(self):
         """Continue or repeat the command without a fault; return what went wrong."""
-        if self.command.slow:
-            return []
         before = {p: p.stat().st_mtime_ns for p in self.kept()}
         code, said = self.end(self.start("again", {}, self.command.again), "again")
         wrong = [] if code == 0 else [f"again, exit code {code}: {said}"]

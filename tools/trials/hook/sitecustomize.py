@@ -1,12 +1,16 @@
 """Do one fault inside a process of twinct, at a moment that is counted from its start.
 
 Python imports this file at the start of every process of a trial. A moment is a file opened for
-writing, renamed or removed, a folder made, a process started, a module of twinct imported, or a
-twentieth of a second. ``TWINCT_TRIAL`` holds the victim, the moment, the fault, its argument, and a
-folder. There, ``fired`` says that the fault has been done, so that it is done once. At moment 0, no
-fault is done, and the number of moments of each victim is written there.
+writing, renamed or removed, a folder made, a process started, or a module of twinct imported. A
+fault is done at a moment, or a while after it, and then at the next moment at the latest: so it
+also meets long computations, and hardly ever comes too late. ``TWINCT_TRIAL`` holds the victim, the
+moment, the while in seconds, the fault, its argument, and a folder. There, ``fired`` says that the
+fault has been done, so that it is done once. At moment 0, no fault is done, and the times of all
+moments of each victim, and of its end, are written there.
 """
 
+import atexit
+import json
 import os
 import sys
 import threading
@@ -21,7 +25,8 @@ VICTIMS = {
 }
 BEGIN = "twinct.cli.commands"
 MOMENTS = {"os.rename", "os.remove", "os.mkdir", "os.rmdir", "subprocess.Popen"}
-TICK_S = 0.05
+BETWEEN_S = 0.05
+NOTE_S = 0.2
 WATCH = "watch of a trial"
 WRITING = os.O_WRONLY | os.O_RDWR
 
@@ -29,11 +34,13 @@ WRITING = os.O_WRONLY | os.O_RDWR
 class Fault:
     """The fault, and the moments until then."""
 
-    def __init__(self, victim, moment, kind, argument, folder):
+    def __init__(self, victim, moment, wait_s, kind, argument, folder):
         """Store what to do, and when."""
-        self.moment, self.kind, self.argument = int(moment), kind, argument
-        self.folder, self.count, self.victim = Path(folder), 0, victim
+        self.moment, self.wait_s = int(moment), float(wait_s)
+        self.kind, self.argument = kind, argument
+        self.folder, self.victim, self.times = Path(folder), victim, []
         self.begun = victim != "main"  # Python's own start is not the command's
+        self.met = threading.Event()
 
     def hear(self, event, arguments):
         """Count an audit event if it is a moment."""
@@ -45,25 +52,28 @@ class Fault:
         else:
             counts = event in MOMENTS
         if counts and self.begun and threading.current_thread().name != WATCH:
-            self.tick()
+            self.times.append(time.monotonic())
+            passed = len(self.times) - self.moment
+            if passed == 0:
+                self.met.set()
+            if self.moment and passed == (1 if self.wait_s else 0):
+                self.strike()
 
-    def tick(self):
-        """Count a moment; do the fault if it is its turn."""
-        self.count += 1
-        if self.count == self.moment:
-            try:
-                os.close(os.open(self.folder / "fired", os.O_CREAT | os.O_EXCL))
-            except FileExistsError:
-                return
-            self.do()
+    def strike(self):
+        """Do the fault, unless it was done before."""
+        try:
+            os.close(os.open(self.folder / "fired", os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return
+        self.do()
 
     def do(self):
         """Send the signals, fill the disk, or move the clock."""
         if self.kind == "signals":
             first, *later = map(int, self.argument.split(","))
-            os.kill(os.getpid(), first)
             for number in later:
-                threading.Timer(TICK_S, os.kill, (os.getpid(), number)).start()
+                threading.Timer(BETWEEN_S, os.kill, (os.getpid(), number)).start()
+            os.kill(os.getpid(), first)
         elif self.kind == "fill":
             place = os.open(self.argument, os.O_CREAT | os.O_WRONLY)
             free = os.fstatvfs(place)
@@ -75,15 +85,22 @@ class Fault:
             time.time_ns = lambda: before_ns() + int(offset * 1e9)
 
     def watch(self):
-        """Count twentieths of a second, also while nothing else happens."""
-        while True:
-            time.sleep(TICK_S)
-            if self.begun:
-                self.tick()
-            if not self.moment:
-                draft = self.folder / f".{os.getpid()}"  # the process may be killed while it writes
-                draft.write_text(str(self.count))
-                draft.rename(self.folder / self.victim)
+        """Do the fault a while after its moment; without one, note the moments now and then."""
+        if self.moment:
+            self.met.wait()
+            time.sleep(self.wait_s)
+            self.strike()
+        while not self.moment:
+            time.sleep(NOTE_S)
+            self.note()
+
+    def note(self):
+        """Write the times of all moments, and the present one as that of the end."""
+        draft = (
+            self.folder / f".{os.getpid()}.{threading.get_ident()}"
+        )  # it may die while it writes
+        draft.write_text(json.dumps([*self.times, time.monotonic()]))
+        draft.rename(self.folder / f"{self.victim}.json")
 
 
 def begin():
@@ -96,6 +113,8 @@ def begin():
     if own is not None and victim in (own, "any"):
         told = Fault(own, *fault)
         threading.Thread(target=told.watch, name=WATCH, daemon=True).start()
+        if not told.moment:
+            atexit.register(told.note)  # it runs last
         sys.addaudithook(told.hear)
 
 
