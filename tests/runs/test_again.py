@@ -62,6 +62,26 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
         reconstruct_again(folder, geometry="executed", name="cgls-executed")
 
 
+def test_a_report_that_was_interrupted_is_completed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    keys = ["reconstruction.algorithm=cgls"]
+    with monkeypatch.context() as patch:
+        patch.setattr("twinct.runs.reconstruction.report_again", interrupted)
+        with pytest.raises(KeyboardInterrupt) as stop:
+            reconstruct_again(folder, keys)
+    (told,) = stop.value.__notes__
+    assert told == f"{folder}/reconstructions/cgls is kept; the same command completes the report"
+    made = (folder / "reconstructions/cgls/volume.nii").stat().st_mtime_ns
+    reconstruct_again(folder, keys)
+    assert json.loads((folder / "metrics.json").read_text())["reconstructions"]["cgls"]
+    assert "<b>cgls</b>" in (folder / "report.html").read_text()
+    assert (folder / "reconstructions/cgls/volume.nii").stat().st_mtime_ns == made
+
+
 STOPPING = ["reconstruction.stop=auto", "reconstruction.iterations=20"]
 
 

@@ -16,11 +16,12 @@ from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import storage_errors
 from twinct.core.foreign_text import quoted
+from twinct.core.interruption import keeping
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
 from twinct.report import cross_sections, found_of
 from twinct.runs.checks import check_corrections
-from twinct.runs.folder import Folder, refuse_other_keys
+from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
 from twinct.runs.job import Run, finished_run, report_again
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction_folder import Reconstruction, kept_reconstructions
@@ -104,7 +105,8 @@ def reconstruct_again(
 ) -> Reconstruction:
     """Add a reconstruction to a finished run, and update the run's figures and report.
 
-    An identical reconstruction is not computed again: the existing one is returned.
+    An identical reconstruction is not computed again: the existing one is returned, and shown in
+    the report if an interruption had prevented that.
 
     Args:
         path: folder of a run.
@@ -137,19 +139,28 @@ def reconstruct_again(
             if name not in (None, there.name):
                 raise ScanExistsError(f"{there.path} already holds this reconstruction; omit --as")
             audience.say(f"{there.path} already holds this reconstruction")
-            return there
-        name = checked_name(name) if name else _free_name(scan.scenario, which, kept)
-        if name in kept:
-            raise ScanExistsError(
-                f"{kept[name].path} is another reconstruction; choose another --as"
-            )
-        stack.enter_context(logged_to(folder.log))
-        log.info("reconstruction %s: %s", name, scan.scenario.reconstruction.in_words)
-        found, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
-        found.keep(volume)
-        shutil.rmtree(folder.checkpoints, ignore_errors=True)
-    report_again(folder.path, observers)
-    return found
+            if _is_reported(folder, there):
+                return there
+        else:
+            name = checked_name(name) if name else _free_name(scan.scenario, which, kept)
+            if name in kept:
+                raise ScanExistsError(
+                    f"{kept[name].path} is another reconstruction; choose another --as"
+                )
+            stack.enter_context(logged_to(folder.log))
+            log.info("reconstruction %s: %s", name, scan.scenario.reconstruction.in_words)
+            there, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
+            there.keep(volume)
+            shutil.rmtree(folder.checkpoints, ignore_errors=True)
+    with keeping(lambda: f"{there.path} is kept; the same command completes the report"):
+        report_again(folder.path, observers)
+    return there
+
+
+def _is_reported(folder: Folder, there: Reconstruction) -> bool:
+    """Return True if the run's figures, which are written last, name a reconstruction."""
+    told = read_metrics(folder.metrics).get("reconstructions", {}).get(there.name, {})
+    return told.get("digest") == there.digest
 
 
 def _made(
