@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 from waiting import HANG_S
 
-from twinct.core.errors import FolderInUseError
+from twinct.core.errors import FolderInUseError, StorageError
 from twinct.core.files.lock import sole_owner
 
 pytestmark = pytest.mark.process
@@ -31,7 +32,7 @@ print("done")
 TAKE_TURNS = """
 import os, sys
 from pathlib import Path
-from twinct.core.errors import FolderInUseError
+from twinct.core.errors import FolderInUseError, StorageError
 from twinct.core.files.lock import sole_owner
 lock, turns = Path(sys.argv[1]), 0
 while turns < 200:
@@ -92,3 +93,17 @@ def test_no_two_hold_it_while_it_goes_from_hand_to_hand(tmp_path: Path) -> None:
     with started(TAKE_TURNS, tmp_path / "twinct.lock", 3) as racers:
         ends = [racer.communicate(timeout=HANG_S) for racer in racers]
     assert ends == 3 * [("", "")] and not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with (
+        pytest.raises(StorageError, match=rf"^{tmp_path}: the disk is full"),
+        sole_owner(tmp_path / "lock"),
+    ):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(StorageError, match=r"file: cannot be written"),
+        sole_owner(tmp_path / "file" / "lock"),
+    ):
+        pass

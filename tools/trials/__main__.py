@@ -26,7 +26,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 from commands import COMMANDS
@@ -121,8 +121,9 @@ def main():
     parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first")
     parser.add_argument("--only", type=int, metavar="N", help="number of the only trial to do")
     options = parser.parse_args()
-    for number in (signal.SIGINT, signal.SIGTERM):  # a job in the background would ignore Ctrl-C,
-        signal.signal(number, signal.default_int_handler)  # and so would the commands
+    for number in (signal.SIGINT, signal.SIGTERM):  # a job in the background ignores Ctrl-C, one of
+        signal.signal(number, signal.default_int_handler)  # nohup the end of its terminal, and so
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # would the commands
     begun, report = time.monotonic(), Report()
     with (
         tempfile.TemporaryDirectory(prefix="twinct-trials-") as name,
@@ -140,9 +141,10 @@ def main():
                 return None
             return number, command, kind, *trials.trial(command, kind, f"{options.seed} {number}")
 
-        for told in in_processes(jobs, one, chosen):
-            if told:
-                report.add(*told)
+        with suppress(KeyboardInterrupt):
+            for told in in_processes(jobs, one, chosen):
+                if told:
+                    report.add(*told)
     report.conclude([k for k in options.faults if FAULTS[k].mounts and not trials.can_mount])
     return 1 if report.wrong.total() else 0
 

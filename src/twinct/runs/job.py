@@ -236,7 +236,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
     asked_anew = scenario.evaluation != made.scenario.evaluation
     if asked_anew:
         check_places(builder)
-    with storage_errors(folder.path), sole_owner(folder.lock), audience_of(observers) as audience:
+    with sole_owner(folder.lock), audience_of(observers) as audience:
         before = read_metrics(folder.metrics)
         truth = truth_of(now.scan, builder, audience)
         truth.write(folder.truth)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from twinct.core.errors import DamagedError
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import storage_errors
 from twinct.runs.folder import Folder
 from twinct.scan import ScanStore, SimulationBuilder, write_frame
 from twinct.scan.damage import make_way, root_digest
@@ -30,7 +29,7 @@ def resumable(folder: Folder, scenario: Scenario) -> ScanStore:
     try:
         return ScanStore(folder.scan)
     except DamagedError as error:
-        with storage_errors(folder.path), sole_owner(folder.lock):
+        with sole_owner(folder.lock):
             mend_frame(folder.scan, SimulationBuilder(scenario), error)
     return ScanStore(folder.scan)
 

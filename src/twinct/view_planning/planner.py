@@ -112,7 +112,7 @@ def plan_views(
     check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK, *TRIED})
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-    with storage_errors(out), sole_owner(out / LOCK), ExitStack() as stack:
+    with sole_owner(out / LOCK), ExitStack() as stack:
         seen = None
         if scout is not None:
             seen = scouted(scenario, scout, progress)

@@ -11,27 +11,30 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from twinct.core.errors import FolderInUseError
+from twinct.core.files.writing import storage_errors
 
 
 @contextlib.contextmanager
 def sole_owner(path: Path) -> Iterator[None]:
-    """Hold a lock file while the block runs, and remove it afterwards.
+    """Hold a lock file while the block writes into its folder, and remove it afterwards.
 
     The lock is the kernel's (``flock``), so that the lock of a dead owner is free at once. Its text
     only names the owner. Its folder must exist.
 
     Raises:
         FolderInUseError: another process holds the lock; the message states its number and host.
+        StorageError: the folder cannot be written, or its disk filled up.
     """
-    descriptor = _locked(path)
-    try:
-        os.ftruncate(descriptor, 0)
-        owner = {"process": os.getpid(), "host": socket.gethostname()}
-        os.write(descriptor, json.dumps(owner).encode())
-        yield
-    finally:
-        path.unlink(missing_ok=True)  # while locked: a waiting process checks the name again
-        os.close(descriptor)
+    with storage_errors(path.parent):
+        descriptor = _locked(path)
+        try:
+            os.ftruncate(descriptor, 0)
+            owner = {"process": os.getpid(), "host": socket.gethostname()}
+            os.write(descriptor, json.dumps(owner).encode())
+            yield
+        finally:
+            path.unlink(missing_ok=True)  # while locked: a waiting process checks the name again
+            os.close(descriptor)
 
 
 def _locked(path: Path) -> int:
