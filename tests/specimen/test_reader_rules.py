@@ -277,6 +277,6 @@ def test_the_checksum_and_the_length_of_a_packed_project_count(tmp_path: Path, a
     assert "do not match their checksum or length" in refusal(path)
 
 
-def test_metaimage_is_refused_with_a_way(tmp_path: Path) -> None:
-    (tmp_path / "head.mha").write_bytes(b"ObjectType = Image\n")
-    assert "convert others, such as MetaImage, to NIfTI" in refusal(tmp_path / "head.mha")
+def test_another_format_is_refused_with_a_way(tmp_path: Path) -> None:
+    (tmp_path / "head.nrrd").write_bytes(b"NRRD0005\n")
+    assert "convert others, such as NRRD, to NIfTI" in refusal(tmp_path / "head.nrrd")

@@ -143,7 +143,7 @@ class CtVolume(Section):
 
     kind: Literal["ct"]
     path: Path = Field(
-        description="NIfTI file, folder of one DICOM series, or InVesalius .inv3 file."
+        description="NIfTI or MetaImage file, folder of one DICOM series, or InVesalius .inv3 file."
     )
     hu: HuLine | None = setting(
         None,

@@ -16,6 +16,9 @@ from twinct.geometry import Floats
 
 AIR_HU = -1000.0
 
+RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""Change from the axes of DICOM and ITK: left, posterior, superior."""
+
 HIGHEST_FLOOR_HU = -100.0
 """Highest HU that may be the lowest one of a number type; fat and air lie below."""
 

@@ -17,12 +17,9 @@ from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import library_errors, require_memory
 from twinct.geometry import Floats
-from twinct.specimen.ct_image import STATE_HU, CtImage
+from twinct.specimen.ct_image import RAS_FROM_LPS, STATE_HU, CtImage
 from twinct.specimen.dicom_files import DicomImage, dicom_images, silent_library
 from twinct.specimen.dicom_values import require_grey, require_hu, values_hu
-
-RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Change from DICOM's axes: left, posterior, superior."""
 
 GAP_TOLERANCE = 0.02
 """Maximum relative deviation of evenly spaced slices: headers are rounded."""

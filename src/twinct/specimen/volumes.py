@@ -16,6 +16,7 @@ from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import no_file
 from twinct.specimen.ct_image import CtImage
+from twinct.specimen.ct_metaimage import read_ct_metaimage
 from twinct.specimen.ct_nifti import read_ct_nifti
 from twinct.specimen.dicom_series import read_dicom_series
 from twinct.specimen.invesalius import read_invesalius
@@ -63,7 +64,7 @@ def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
 
 
 def read_ct(path: Path, where: str, line: scenario.HuLine | None = None) -> CtImage:
-    """Read a NIfTI file, the folder of one DICOM series, or an InVesalius project.
+    """Read a NIfTI or MetaImage file, the folder of one DICOM series, or an InVesalius project.
 
     The line is what the part states of the file's values; None if they are HU.
 
@@ -78,13 +79,15 @@ def read_ct(path: Path, where: str, line: scenario.HuLine | None = None) -> CtIm
         image = read_dicom_series(path, where, line)
     elif name.endswith((".nii", ".nii.gz")):
         image = read_ct_nifti(path, where, line)
+    elif name.endswith((".mha", ".mhd")):
+        image = read_ct_metaimage(path, where, line)
     elif name.endswith(".inv3"):
         image = read_invesalius(path, where, line)
     else:
         raise SpecimenError(
-            f"{where} has an unknown format; expected a NIfTI file (.nii, .nii.gz), an InVesalius "
-            "project (.inv3) or the folder of one DICOM series; convert others, such as MetaImage, "
-            "to NIfTI"
+            f"{where} has an unknown format; expected a NIfTI file (.nii, .nii.gz), a MetaImage "
+            "file (.mha, .mhd), an InVesalius project (.inv3) or the folder of one DICOM series; "
+            "convert others, such as NRRD, to NIfTI"
         )
     if min(image.values.shape) < 2:
         raise SpecimenError(

@@ -1,0 +1,238 @@
+"""External MetaImage files: a header of text, then the numbers, in the same or another file.
+
+Format: https://itk.org/Wiki/ITK/MetaIO/Documentation. Readers differ in what they do without some
+keys, and in what some keys do to the values: here such files are refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.files.boundary import file_bytes, open_regular, require_memory
+from twinct.core.files.packed import require_unpacked
+from twinct.core.foreign_text import number, quoted, whole_number
+
+LONGEST_HEADER = 2**16
+"""Largest size of a header, bytes; ITK writes less than 1 KiB."""
+
+NUMBERS = {
+    **{"MET_CHAR": "i1", "MET_UCHAR": "u1", "MET_SHORT": "i2", "MET_USHORT": "u2"},
+    **{"MET_INT": "i4", "MET_UINT": "u4", "MET_LONG_LONG": "i8", "MET_ULONG_LONG": "u8"},
+    **{"MET_FLOAT": "f4", "MET_DOUBLE": "f8"},
+}
+"""Types of one real number per voxel; MET_LONG has 4 or 8 bytes, by the machine that wrote it."""
+
+LAST_KEY, LOCAL = "ElementDataFile", "LOCAL"
+_SYNONYMS = {
+    **{"Orientation": "TransformMatrix", "Rotation": "TransformMatrix"},
+    **{"Origin": "Offset", "Position": "Offset", "ElementByteOrderMSB": "BinaryDataByteOrderMSB"},
+}
+_TRUTHS = {"true": True, "t": True, "1": True, "false": False, "f": False, "0": False}
+
+
+@dataclass(frozen=True, eq=False)
+class MetaImageHeader:
+    """Header of a MetaImage file of three axes.
+
+    Attributes:
+        told: values by key, as texts, without those of ``ElementDataFile``.
+        shape: number of voxels along the axes, the fastest first.
+        dtype: type of the numbers as they are stored.
+        packed_bytes: size of the compressed numbers; None if they are stored as they are.
+        data: file of the numbers.
+        start: position of the numbers in it.
+        where: beginning of messages.
+    """
+
+    told: Mapping[str, str]
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    packed_bytes: int | None
+    data: Path
+    start: int
+    where: str
+
+    @property
+    def item_bytes(self) -> int:
+        """Size of all numbers, bytes."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def numbers(self, key: str, count: int, kind: type[InputError] = InputError) -> list[float]:
+        """Return the finite numbers of a key that the file has to state.
+
+        Raises:
+            InputError: of this ``kind``; the key is missing, or does not state so many numbers.
+        """
+        words = _required(self.told, key, self.where, kind).split()
+        with contextlib.suppress(ValueError):
+            found = [number(word) for word in words]
+            if len(found) == count and all(map(math.isfinite, found)):
+                return found
+        raise kind(f"{self.where}: {key} is {quoted(self.told[key])}; expected {count} numbers")
+
+
+def read_metaimage(
+    path: Path, where: str, kind: type[InputError] = InputError
+) -> tuple[MetaImageHeader, NDArray[np.generic]]:
+    """Read a MetaImage file, ``.mha`` or ``.mhd``, of one real number per voxel.
+
+    Returns:
+        The header, and the numbers as they are stored, with the axes in the order of the file.
+
+    Raises:
+        InputError: of this ``kind``; a file is missing, damaged, shorter or longer than stated, is
+            too large for the memory, or the header leaves open how to read it.
+    """
+    header = metaimage_header(path, where, kind)
+    whose = where if header.data == path else f"{where}: its {header.data.name}"
+    size = file_bytes(header.data, whose, kind=kind) - header.start
+    stored = header.item_bytes if header.packed_bytes is None else header.packed_bytes
+    if size != stored:
+        other = "is cut off" if size < stored else "is longer than its header states"
+        raise kind(f"{whose} {other}: the header states {stored} bytes of voxels, there are {size}")
+    require_unpacked(stored, header.item_bytes, where, kind)
+    require_memory(where, header.item_bytes + stored + 4 * math.prod(header.shape), kind)
+    with open_regular(header.data, whose, kind) as stream:
+        stream.seek(header.start)
+        data = stream.read(stored)
+    if len(data) < stored:
+        raise kind(f"{whose} became shorter while it was read")
+    if header.packed_bytes is not None:
+        data = _unpacked(data, header.item_bytes, whose, kind)
+    return header, np.frombuffer(data, header.dtype).reshape(header.shape, order="F")
+
+
+def _unpacked(data: bytes, size: int, whose: str, kind: type[InputError]) -> bytes:
+    """Return compressed numbers in their own form; zlib checks their checksum."""
+    stream = zlib.decompressobj()
+    try:
+        found = stream.decompress(data, size + 1)
+        # A full buffer hides the end of the stream, where its checksum is.
+        found += stream.decompress(stream.unconsumed_tail, 1) if len(found) == size else b""
+    except zlib.error:
+        raise kind(
+            f"{whose} is damaged: its compressed voxels do not match their checksum"
+        ) from None
+    if len(found) != size or not stream.eof or stream.unused_data:
+        raise kind(f"{whose} is damaged: its compressed voxels are not {size} bytes, as stated")
+    return found
+
+
+def metaimage_header(
+    path: Path, where: str, kind: type[InputError] = InputError
+) -> MetaImageHeader:
+    """Read the header of a MetaImage file.
+
+    Raises:
+        InputError: of this ``kind``; see ``read_metaimage``.
+    """
+    file_bytes(path, where, kind=kind)
+    with open_regular(path, where, kind) as stream:
+        told, end = _told(stream, where, kind)
+    if told.get("ObjectType", "Image") != "Image" or told.get("ObjectSubType"):
+        raise kind(f"{where} holds no image (ObjectType {quoted(told.get('ObjectType'))})")
+    axes = _required(told, "NDims", where, kind)
+    shape = tuple(
+        whole_number(word) or 0 for word in _required(told, "DimSize", where, kind).split()
+    )
+    if axes != "3" or len(shape) != 3:
+        raise kind(f"{where} has {quoted(axes)} axes (NDims); expected one volume with three axes")
+    if min(shape) < 1:
+        raise kind(f"{where} states impossible sizes of its axes: {quoted(told['DimSize'])}")
+    _require_plain(told, where, kind)
+    dtype = _dtype(told, where, kind)
+    packed_bytes = _packed_bytes(told, where, kind)
+    name = told[LAST_KEY]
+    if name == LOCAL:
+        return MetaImageHeader(told, shape, dtype, packed_bytes, path, end, where)
+    one_file = re.fullmatch(r"[^\s/%]+", name) and name not in ("LIST", ".", "..")
+    if not one_file:
+        raise kind(
+            f"{where}: its voxels are in {quoted(name)}; expected LOCAL or one file without blanks "
+            "in the same folder"
+        )
+    return MetaImageHeader(told, shape, dtype, packed_bytes, path.with_name(name), 0, where)
+
+
+def _told(stream: BinaryIO, where: str, kind: type[InputError]) -> tuple[dict[str, str], int]:
+    """Return the values by key, and the position after the last line of the header."""
+    block, told, end = stream.read(LONGEST_HEADER), dict[str, str](), 0
+    while LAST_KEY not in told:
+        line, newline, _ = block[end:].partition(b"\n")
+        end += len(line) + 1
+        if not newline or not line.isascii() or b"\0" in line:
+            raise kind(
+                f"{where} is not a MetaImage file: no line '{LAST_KEY} = ...' ends its header of "
+                f"text in the first {LONGEST_HEADER} bytes"
+            )
+        key, equals, value = line.decode("ascii").partition("=")
+        key = _SYNONYMS.get(key.strip(), key.strip())
+        if not equals:
+            if line.strip():
+                raise kind(f"{where}: its header has the line {quoted(line.decode())}; expected =")
+            continue
+        if key in told:
+            raise kind(f"{where} states {quoted(key)} twice, or by two names")
+        told[key] = value.strip()
+    return told, end
+
+
+def _required(told: Mapping[str, str], key: str, where: str, kind: type[InputError]) -> str:
+    if key not in told:
+        raise kind(f"{where} does not state {key}")
+    return told[key]
+
+
+def _truth(told: Mapping[str, str], key: str, where: str, kind: type[InputError]) -> bool:
+    value = _required(told, key, where, kind)
+    if (found := _TRUTHS.get(value.lower())) is None:
+        raise kind(f"{where}: {key} is {quoted(value)}; expected True or False")
+    return found
+
+
+def _require_plain(told: Mapping[str, str], where: str, kind: type[InputError]) -> None:
+    """Check that the numbers are binary, one for each voxel, and mean what they are."""
+    if not _truth(told, "BinaryData", where, kind):
+        raise kind(f"{where} holds its voxels as text (BinaryData); expected binary ones")
+    plain = {
+        "ElementNumberOfChannels": 1.0,
+        "ElementToIntensityFunctionSlope": 1.0,
+        "ElementToIntensityFunctionOffset": 0.0,
+        "HeaderSize": 0.0,
+    }
+    for key, expected in plain.items():
+        with contextlib.suppress(ValueError):
+            if number(told.get(key, str(expected))) == expected:
+                continue
+        raise kind(f"{where}: {key} is {quoted(told[key])}; expected {expected:g}")
+
+
+def _dtype(told: Mapping[str, str], where: str, kind: type[InputError]) -> np.dtype:
+    name = _required(told, "ElementType", where, kind)
+    if name not in NUMBERS:
+        raise kind(f"{where} has voxels of {quoted(name)}; expected one of {', '.join(NUMBERS)}")
+    if np.dtype(NUMBERS[name]).itemsize == 1 and "BinaryDataByteOrderMSB" not in told:
+        return np.dtype(NUMBERS[name])
+    big = _truth(told, "BinaryDataByteOrderMSB", where, kind)
+    return np.dtype((">" if big else "<") + NUMBERS[name])
+
+
+def _packed_bytes(told: Mapping[str, str], where: str, kind: type[InputError]) -> int | None:
+    if "CompressedData" not in told or not _truth(told, "CompressedData", where, kind):
+        return None
+    size = whole_number(_required(told, "CompressedDataSize", where, kind))
+    if size is None:
+        told_size = quoted(told["CompressedDataSize"])
+        raise kind(f"{where}: CompressedDataSize is {told_size}; expected a number of bytes")
+    return size
