@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from listener import recorded
 
+from twinct.core.errors import StorageError
 from twinct.observers import Audience
 from twinct.runs import Run
 from twinct.scan import SimulationBuilder
@@ -98,3 +99,53 @@ def test_a_film_has_a_picture_of_each_view(
     assert np.abs(first - last)[:, :860].mean() > 2  # the arms have moved
     assert np.abs(first - last)[:360, 870:].mean() > 2  # and the image is another
     assert sorted(p.name for p in tmp_path.iterdir()) == ["film.mp4"]
+
+
+FFMPEG = """#!/bin/sh
+for path; do :; done
+head -c {taken} > "${{path#file:}}"
+echo '{said}' >&2
+exit {code}
+"""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("taken", "said", "code", "told"),
+    [
+        (
+            10**9,
+            "Error writing trailer: No space left on device",
+            228,
+            "film.mp4: the disk is full",
+        ),
+        (9, "Error opening output: No space left on device", 228, "film.mp4: the disk is full"),
+        (9, "no such encoder", 1, "film.mp4: the film could not be written: no such encoder"),
+        (10**9, "", 3, "film.mp4: the film could not be written: ffmpeg ended with 3"),
+        (9, "", 0, "film.mp4: the film could not be written: ffmpeg ended with 0"),
+    ],
+)
+def test_a_film_that_ffmpeg_does_not_complete_is_told(
+    finished: Run,
+    builder: SimulationBuilder,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    taken: int,
+    said: str,
+    code: int,
+    told: str,
+) -> None:
+    program, path = tmp_path / "ffmpeg", tmp_path / "film" / "film.mp4"
+    program.write_text(FFMPEG.format(taken=taken, said=said, code=code))
+    program.chmod(0o755)
+    path.parent.mkdir()
+    path.write_bytes(b"an earlier film")
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: str(program))
+    monkeypatch.setattr("imageio_ffmpeg._io.get_ffmpeg_exe", lambda: str(program))
+    frame = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    monkeypatch.setattr(movie, "frames", lambda *_: iter([frame] * 3))
+    with pytest.raises(StorageError, match=told):
+        write_movie(RunFolder(finished.paths.path).look(), builder, path, Audience())
+    assert {p.name: p.read_bytes() for p in path.parent.iterdir()} == {
+        "film.mp4": b"an earlier film"
+    }

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import subprocess
+import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from twinct.core.errors import StorageError
 from twinct.core.files.writing import complete, storage_errors
+from twinct.core.foreign_text import shortened
 from twinct.core.progress import Progress
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import Marks, Moment, build_cell, build_gantry, room_pictures
@@ -26,6 +33,8 @@ from twinct.viewer.slices import Plane
 from twinct.viewer.stage import COLOURS, slice_picture
 
 WIDTH, HEIGHT, ROOM_WIDTH = 1280, 720, 860
+CRF = 15
+"""Quality of the film, by the scale of x264: 0 is lossless, 51 the worst."""
 PAPER, INK = (255, 255, 255), (31, 41, 51)
 PATH_RADIUS_MM = 4.0
 
@@ -37,24 +46,60 @@ def write_movie(show: Show, builder: SimulationBuilder, path: Path, progress: Pr
         InputError: the scenario's room cannot be built, or MuJoCo cannot draw here.
         StorageError: the file cannot be written.
     """
-    import imageio_ffmpeg
-
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with complete(path) as draft, progress.stage("film", len(show)) as step:
-            writer = imageio_ffmpeg.write_frames(
-                str(draft), (WIDTH, HEIGHT), fps=VIEWS_A_SECOND, codec="libx264", quality=7,
-                macro_block_size=2, ffmpeg_log_level="error",
-            )  # fmt: skip
-            try:
-                writer.send(None)
-                for frame in frames(show, builder):
-                    writer.send(np.ascontiguousarray(frame))
-                    step()
-            except BrokenPipeError as error:
-                raise StorageError(f"{path}: the film could not be written") from error
-            finally:
-                writer.close()
+        with (
+            complete(path) as draft,
+            progress.stage("film", len(show)) as step,
+            _encoder(draft, path) as pipe,
+        ):
+            for frame in frames(show, builder):
+                pipe.write(np.ascontiguousarray(frame).data)
+                step()
+
+
+@contextmanager
+def _encoder(draft: Path, path: Path) -> Iterator[IO[bytes]]:
+    """Yield a pipe that takes frames to ffmpeg, and wait until it has written all of them.
+
+    ``imageio_ffmpeg.write_frames`` does not tell when ffmpeg fails at the end.
+
+    Raises:
+        OSError: the disk is full.
+        StorageError: ffmpeg failed for another reason.
+    """
+    import imageio_ffmpeg
+
+    words = [
+        imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24",
+        "-s", f"{WIDTH}x{HEIGHT}", "-r", str(VIEWS_A_SECOND), "-i", "-", "-vcodec", "libx264",
+        "-pix_fmt", "yuv420p", "-crf", str(CRF), f"file:{draft}",
+    ]  # fmt: skip
+    whole = False
+    with tempfile.TemporaryFile() as told:
+        encoder = subprocess.Popen(
+            words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=told, process_group=0
+        )
+        assert encoder.stdin is not None
+        try:
+            with suppress(BrokenPipeError):  # its exit code and message follow
+                yield encoder.stdin
+                encoder.stdin.close()
+                whole = True
+            code = encoder.wait()
+        finally:
+            encoder.kill()  # unless it has ended
+            encoder.wait()
+            with suppress(BrokenPipeError):
+                encoder.stdin.close()
+        if whole and code == 0:
+            return
+        told.seek(0)
+        why = told.read().decode(errors="replace")
+    if os.strerror(errno.ENOSPC) in why:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    ending = shortened(why) or f"ffmpeg ended with {code}"
+    raise StorageError(f"{path}: the film could not be written: {ending}")
 
 
 def frames(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]]:
