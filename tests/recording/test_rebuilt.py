@@ -86,8 +86,11 @@ def test_an_import_that_is_cut_short_leaves_nothing_and_can_be_repeated(
         patch.setattr(ScanStore, "write", interrupted)
         import_scan([taken.folder / "scan.mcap"], out)
     assert not list(out.iterdir())
+    for killed in ("", ".new"):  # what a kill leaves, before and after the store has its frame
+        (out / f".scan.zarr.partial.zarr{killed}" / "images").mkdir(parents=True)
     import_scan([taken.folder / "scan.mcap"], out)
     assert_same(taken.folder / "scan.zarr", out / "scan.zarr")
+    assert not [path for path in out.iterdir() if path.name.startswith(".")]
 
 
 def test_a_damaged_part_costs_its_views_only(taken, tmp_path):

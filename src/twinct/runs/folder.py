@@ -124,9 +124,11 @@ class Folder:
     def refuse_others(self) -> None:
         """Raise if the folder holds anything that is not part of a run."""
         own = names_below(Folder)
-        drafts = [draft_of(self.path / name).name for name in (*own, "scan.zarr.new")]
+        drafts = [draft_of(self.path / name).name for name in own]
+        # The store makes a draft of its own, also while an import makes it under a draft's name.
+        stores = [f"{self.scan.name}.new", f"{draft_of(self.scan).name}.new"]
         recorded = (path.name for path in recordings(self.path))
-        check_folder(self.path, {*own, "scan.zarr.new", *drafts, *recorded})
+        check_folder(self.path, {*own, *drafts, *stores, *recorded})
 
     def refuse_if_taken(self) -> None:
         """Raise if the folder already holds results or recordings of a run."""
