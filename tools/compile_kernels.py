@@ -42,6 +42,7 @@ def compile_rest() -> None:
     _cast_shadows()
     _cross()
     _expose()
+    _judge()
 
 
 def _reconstruct(engine: str) -> None:
@@ -122,6 +123,22 @@ def _expose() -> None:
         paths = np.ones((len(names), 4, 5), np.float32)
         signal = Signal(photons, [material(name) for name in names], PhotonResponse.counting())
         signal(paths, np.ones(paths.shape[1:], np.float32))
+
+
+def _judge() -> None:
+    from twinct.evaluation import Edges, image_figures, region_depth, rmse_by_depth
+    from twinct.evaluation.edges import LEAST_POINTS
+    from twinct.geometry import Panel, VolumeGrid
+    from twinct.trajectory import CircleTrajectory, commanded_views
+
+    circle = CircleTrajectory(kind="circle", views=4, sod_mm=200, sdd_mm=400)
+    views, grid = commanded_views(circle, Panel(8, 9, 10.0, 10.0)), VolumeGrid((8, 8, 8), 1.0)
+    region, depth = np.ones(grid.shape, np.bool_), region_depth(views, grid)
+    truth = np.zeros(grid.shape, np.float32)
+    truth[4:] = 1.0
+    image_figures(truth, truth, region, 1.0, grid)
+    rmse_by_depth(truth, truth, region, depth, 1.0)
+    Edges(np.full((LEAST_POINTS, 3), 3.5), np.ones((LEAST_POINTS, 3)), np.zeros(12)).width(truth)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 import twinct.evaluation.image
 from twinct.core.errors import InputError, TwinctError
-from twinct.evaluation import ImageFigures, image_figures
+from twinct.evaluation import ImageFigures, ImageReference, image_figures
 from twinct.geometry import VolumeGrid
 
 MU = 0.043
@@ -123,14 +123,13 @@ def test_whole_grid_gives_what_scikit_image_says():
     )
 
 
-def test_similarity_has_the_bits_of_scikit_image():
-    """In one slab: figures of before stay what they were."""
-    volume, truth, _ = scene((20, 15, 19))
+def test_similarity_is_that_of_scikit_image_in_double_precision():
+    volume, truth, _ = scene((20, 15, 75))  # rows of two words
     everywhere = np.ones(truth.shape, bool)
     figures = image_figures(volume, truth, everywhere, MU, VolumeGrid(truth.shape, 1))
-    similarity = structural_similarity(truth, volume, data_range=MU, full=True)[1]
-    inner = np.ascontiguousarray(similarity[3:-3, 3:-3, 3:-3]).ravel()
-    assert figures.ssim == float(inner.sum(dtype=np.float64)) / inner.size
+    double = truth.astype(float), volume.astype(float)
+    similarity = structural_similarity(*double, data_range=MU, full=True)[1]
+    assert figures.ssim == pytest.approx(similarity[3:-3, 3:-3, 3:-3].mean(), rel=1e-9)
 
 
 @pytest.mark.parametrize("bone", [(23, 4, 8), (25, 4, 8)], ids=["slab below", "slab above"])
@@ -146,7 +145,7 @@ def test_distance_to_bone_is_euclidean(distance, bone):
         (2.0 * (k - bone[0])) ** 2 + (1.0 * (j - bone[1])) ** 2 + (0.5 * (i - bone[2])) ** 2
     )
     # An error in one voxel too far or too near changes the figure: all values differ.
-    error = 1.0 + np.arange(truth.size).reshape(shape) / truth.size
+    error = 1.0 + np.arange(truth.size).reshape(shape) / 2**13  # numbers of float32
     figures = image_figures(truth + error, truth, np.ones(shape, bool), 1.0, grid, distance)
     expected = np.sqrt((error[apart <= distance] ** 2).mean())
     assert figures.rmse_bone_rel == pytest.approx(expected, rel=1e-9)
@@ -163,7 +162,7 @@ def test_bone_outside_the_region_counts_for_the_distance(axis, side):
     truth[10, 10, 10] = 1.0
     np.moveaxis(roi, axis, 0)[side] = True
     apart = np.sqrt(((np.indices(shape) - 10) ** 2).sum(axis=0))
-    error = 1.0 + np.arange(truth.size).reshape(shape) / truth.size
+    error = 1.0 + np.arange(truth.size).reshape(shape) / 2**14
     figures = image_figures(truth + error, truth, roi, 1.0, VolumeGrid(shape, 1.0), 3.0)
     expected = np.sqrt((error[roi & (apart <= 3.0)] ** 2).mean())
     assert figures.rmse_bone_rel == pytest.approx(expected, rel=1e-9)
@@ -178,13 +177,29 @@ def test_nothing_outside_the_region_counts():
     )
 
 
-def test_slabs_do_not_show(monkeypatch):
+def test_strips_do_not_show(monkeypatch):
     volume, truth, roi = scene((30, 21, 26))
     grid = VolumeGrid(truth.shape, 1.0)
-    many = image_figures(volume, truth, roi, MU, grid)
-    monkeypatch.setattr(twinct.evaluation.image, "SLAB_PLANES", 1000)
     one = image_figures(volume, truth, roi, MU, grid)
-    assert flat(many) == pytest.approx(flat(one), rel=1e-6)
+    monkeypatch.setattr(twinct.evaluation.image, "_STRIP", 4)
+    many = image_figures(volume, truth, roi, MU, grid)
+    assert flat(many) == pytest.approx(flat(one), rel=1e-12)
+
+
+def test_masks_are_computed_once_for_any_number_of_volumes(monkeypatch):
+    volume, truth, roi = scene((20, 21, 22))
+    grid, calls = VolumeGrid(truth.shape, 1.0), []
+    for name in ("near", "whole_windows"):
+        made = getattr(twinct.evaluation.image, name)
+        monkeypatch.setattr(
+            twinct.evaluation.image,
+            name,
+            lambda *a, name=name, made=made: calls.append(name) or made(*a),
+        )
+    reference = ImageReference(truth, roi, MU, grid)
+    found = [reference.figures(one) for one in (volume, truth, volume)]
+    assert sorted(calls) == ["near", "whole_windows"]
+    assert found[0] == found[2] == image_figures(volume, truth, roi, MU, grid) != found[1]
 
 
 def test_each_axis_counts():

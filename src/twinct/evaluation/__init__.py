@@ -18,7 +18,7 @@ from twinct.evaluation.figure_kind import (
     RoundBody,
 )
 from twinct.evaluation.figure_kinds import figure_kinds
-from twinct.evaluation.image import ImageFigures, image_figures
+from twinct.evaluation.image import ImageFigures, ImageReference, image_figures
 from twinct.evaluation.image_words import IMAGE_FIGURES
 from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
@@ -35,6 +35,7 @@ __all__ = [
     "Contrast",
     "Edges",
     "ImageFigures",
+    "ImageReference",
     "Mtf",
     "Nps",
     "PoseErrors",

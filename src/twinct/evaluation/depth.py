@@ -6,10 +6,12 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.evaluation.bits import read_only
 from twinct.evaluation.region import half_spaces
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
@@ -31,17 +33,36 @@ class RegionDepth:
     """Depth of voxels, interpolated linearly between the points of a coarse lattice.
 
     Attributes:
-        lattice: depth at the lattice's points, (z, y, x), mm.
-        hats: each axis' interpolation from points to voxels, z, y, x, (voxels, points).
+        lattice: depth at the lattice's points, at least two along each axis, (z, y, x), mm.
+        at: positions of the voxels along z, y and x, in points from the first one on, (voxels,).
     """
 
-    lattice: NDArray[np.float32]
-    hats: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
+    lattice: Floats
+    at: tuple[Floats, Floats, Floats]
 
-    def planes(self, planes: slice) -> NDArray[np.float32]:
+    def __post_init__(self) -> None:
+        """Freeze the lattice."""
+        object.__setattr__(self, "lattice", read_only(self.lattice, np.float64))
+
+    @cached_property
+    def cells(self) -> tuple[tuple[NDArray[np.int64], Floats], ...]:
+        """Along z, y and x, the point before each voxel, and the weight of the next point."""
+        found: list[tuple[NDArray[np.int64], Floats]] = []
+        for at, points in zip(self.at, self.lattice.shape, strict=True):
+            low = np.minimum(at.astype(np.int64), points - 2)
+            found.append((low, at - low))
+        return tuple(found)
+
+    def planes(self, planes: slice) -> Floats:
         """Return the depth of all voxels of z planes, (planes, y, x), mm; negative outside."""
-        z, y, x = self.hats
-        return np.matmul(y, np.einsum("pk,kji->pji", z[planes], self.lattice) @ x.T)
+        depth = self.lattice
+        for axis, (low, share) in enumerate(self.cells):
+            if axis == 0:
+                low, share = low[planes], share[planes]
+            share = share.reshape([-1 if axis == other else 1 for other in range(3)])
+            before, after = (np.take(depth, low + step, axis) for step in (0, 1))
+            depth = (1 - share) * before + share * after
+        return depth
 
 
 def region_depth(executed: ScanGeometry, grid: VolumeGrid, margin_px: float = 0.5) -> RegionDepth:
@@ -53,15 +74,17 @@ def region_depth(executed: ScanGeometry, grid: VolumeGrid, margin_px: float = 0.
     """
     normals, offsets = half_spaces(executed, margin_px)
     axes, origin = grid.world_from_grid.rotation, grid.world_from_grid.position
-    points = [np.linspace(axis[0], axis[-1], min(len(axis), _POINTS)) for axis in grid.axes()]
-    x, y, z = points
+    counts = [min(max(len(axis), 2), _POINTS) for axis in grid.axes()]
+    x, y, z = (np.linspace(a[0], a[-1], n) for a, n in zip(grid.axes(), counts, strict=True))
     depth = np.full((len(z), len(y), len(x)), np.inf)
     rooms = offsets - normals @ origin
     for (sx, sy, sz), room in zip((axes.T @ normals.T).T, rooms, strict=True):
         across = (room - sz * z)[:, None] - sy * y
         np.minimum(depth, across[..., None] - sx * x, out=depth)
-    hats = [_hat(axis, at) for axis, at in zip(grid.axes(), points, strict=True)]
-    return RegionDepth(depth.astype(np.float32), (hats[2], hats[1], hats[0]))
+    x, y, z = (
+        np.linspace(0, n - 1, len(axis)) for axis, n in zip(grid.axes(), counts, strict=True)
+    )
+    return RegionDepth(depth, (z, y, x))
 
 
 def rmse_by_depth(
@@ -85,20 +108,16 @@ def rmse_by_depth(
     Returns:
         Value of each bin, by name; NaN if the bin has no voxels.
     """
+    from twinct.evaluation import _image
+
     names = depth_names(edges_mm)
-    square, count = np.zeros(len(names)), np.zeros(len(names))
-    for k, inside in enumerate(region):
-        bins = np.searchsorted(np.asarray(edges_mm), depth.planes(slice(k, k + 1))[0][inside])
-        error = volume[k][inside].astype(np.float64) - truth[k][inside]
-        square += np.bincount(bins, error * error, len(names))
-        count += np.bincount(bins, minlength=len(names))
+    arrays = (read_only(array, np.float32) for array in (volume, truth))
+    squares = np.empty((len(region), len(names)))
+    counts = np.empty(squares.shape, dtype=np.int64)
+    ends = np.array(edges_mm, dtype=np.float64)
+    seen = read_only(region, np.bool_)
+    _image.depth_sums(*arrays, seen, depth.lattice, *depth.cells, ends, squares, counts)
     return {
         name: math.sqrt(s / n) / mu_reference if n else math.nan
-        for name, s, n in zip(names, square, count, strict=True)
+        for name, s, n in zip(names, squares.sum(axis=0), counts.sum(axis=0), strict=True)
     }
-
-
-def _hat(voxels: Floats, points: Floats) -> NDArray[np.float32]:
-    step = points[1] - points[0] if len(points) > 1 else 1.0
-    weights = 1 - np.abs(voxels[:, None] - points) / step
-    return np.clip(weights, 0, None).astype(np.float32)

@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from twinct.evaluation.bits import read_only
 from twinct.geometry import Floats, VolumeGrid
 
 MOST_POINTS = 20_000
@@ -55,10 +56,12 @@ class Edges:
         """Return the median 10-90 % rise distance of a volume, mm; see ``edge_width``."""
         if len(self.points) < LEAST_POINTS:
             return math.nan
-        volume = np.ascontiguousarray(volume)
+        from twinct.evaluation import _edges
+
+        volume = read_only(volume, np.float32)
         parts = math.ceil(len(self.points) / _BLOCK)
         widths = [
-            _widths(_cubic(volume, _on(points, ways, self.along)), self.along)
+            _widths(_edges.cubic(volume, _on(points, ways, self.along)), self.along)
             for points, ways in zip(
                 np.array_split(self.points, parts), np.array_split(self.ways, parts), strict=True
             )
@@ -183,30 +186,6 @@ def _with_normals(
     length = np.linalg.norm(slope, axis=1)
     kept = length > 0
     return points[kept], -slope[kept] / length[kept, None] / edges
-
-
-def _cubic(volume: NDArray[np.floating], at: Floats) -> Floats:
-    """Interpolate by Keys' cubic convolution, a = -1/2, at voxel indices (..., 3)."""
-    first = np.floor(at).astype(np.intp) - 1
-    taps = []
-    for axis in range(3):
-        t = at[..., axis] - (first[..., axis] + 1)
-        taps.append(
-            (
-                ((-0.5 * t + 1.0) * t - 0.5) * t,
-                (1.5 * t - 2.5) * t * t + 1.0,
-                ((-1.5 * t + 2.0) * t + 0.5) * t,
-                (0.5 * t - 0.5) * t * t,
-            )
-        )
-    strides = np.array(volume.strides) // volume.itemsize
-    flat, start = volume.reshape(-1), first @ strides
-    found = np.zeros(at.shape[:-1])
-    for dz, dy in itertools.product(range(4), repeat=2):
-        row = start + dz * strides[0] + dy * strides[1]
-        line = sum(taps[2][dx] * flat[row + dx] for dx in range(4))
-        found += taps[0][dz] * taps[1][dy] * line
-    return found
 
 
 def _widths(profiles: Floats, along: Floats) -> Floats:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError, TwinctError
-from twinct.core.threads import threads
-from twinct.evaluation.similarity import WINDOW, similarities, whole_windows
+from twinct.evaluation.bits import Bits, near, read_only, whole_windows
 from twinct.geometry import VolumeGrid
 
 BONE_SHARE = 0.5
@@ -25,8 +24,11 @@ PURE_BONE_TOLERANCE = 1e-3
 It is far below the weight of one of 4^3 supersamples, 1/64, and far above float32 rounding.
 """
 
-SLAB_PLANES = 24
-"""Planes along z evaluated at a time: this limits the memory to a few hundred MB at 512^3."""
+WINDOW = 7
+"""Edge of the cubic, uniform windows of structural similarity, in voxels."""
+
+_STRIP = 32
+"""Rows of windows that are evaluated at a time."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +90,9 @@ def image_figures(
 ) -> ImageFigures:
     """Compare a volume with the truth; ``ImageFigures`` defines each figure.
 
+    Both are rounded to float32; sums are those of float64. For several volumes of one truth,
+    ``ImageReference`` computes the masks once.
+
     Args:
         volume: reconstructed attenuation, (z, y, x), 1/mm.
         truth: true attenuation (volume fraction times mu), (z, y, x), 1/mm.
@@ -101,194 +106,143 @@ def image_figures(
         TwinctError: the volume is not finite in the region.
         ValueError: an array does not fit the grid, or the reference is not positive.
     """
-    volume, truth, roi = np.asarray(volume), np.asarray(truth), np.asarray(roi, dtype=np.bool_)
-    for name, array in (("volume", volume), ("truth", truth), ("roi", roi)):
-        if array.shape != grid.shape:
-            raise ValueError(f"{name} has shape {array.shape}, the grid has {grid.shape}")
-    if not (mu_reference > 0 and math.isfinite(mu_reference)):
-        raise ValueError(f"mu_reference is {mu_reference}, expected a positive attenuation in 1/mm")
-    if bone_distance_mm < 0:
-        raise ValueError(f"bone_distance_mm is {bone_distance_mm}, expected 0 or more")
-    box = _bounding_box(roi)
-    if box is None:
-        raise InputError(
-            "no voxel of the grid is seen by every view, so the image cannot be judged: move the "
-            "grid into the beam, or use a larger panel or a smaller orbit"
-        )
+    truth, roi = np.asarray(truth), np.asarray(roi, dtype=np.bool_)
+    return ImageReference(truth, roi, mu_reference, grid, bone_distance_mm).figures(volume)
 
-    def judge(planes: slice) -> _Sums:
-        slab = (planes, *box[1:])
-        inside = roi[slab]
-        values = volume[slab][inside].astype(np.float64)
-        if not np.isfinite(values).all():
+
+@dataclass(frozen=True, eq=False)
+class ImageReference:
+    """Truth with which volumes are compared; its masks are computed once, for any number of them.
+
+    Attributes:
+        truth: true attenuation, (z, y, x), 1/mm.
+        roi: region to evaluate, (z, y, x), bool.
+        mu_reference: mu(bone), 1/mm.
+        grid: the lattice of both.
+        bone_distance_mm: largest distance of voxels "near bone".
+    """
+
+    truth: NDArray[Any]
+    roi: NDArray[np.bool_]
+    mu_reference: float
+    grid: VolumeGrid
+    bone_distance_mm: float = 3.0
+
+    def __post_init__(self) -> None:
+        """Check the arguments.
+
+        Raises:
+            InputError: the region is empty.
+            ValueError: an array does not fit the grid, or the reference is not positive.
+        """
+        self._require_shape("truth", self.truth)
+        self._require_shape("roi", self.roi)
+        mu = self.mu_reference
+        if not (mu > 0 and math.isfinite(mu)):
+            raise ValueError(f"mu_reference is {mu}, expected a positive attenuation in 1/mm")
+        if self.bone_distance_mm < 0:
+            raise ValueError(f"bone_distance_mm is {self.bone_distance_mm}, expected 0 or more")
+        if not self.roi.any():
+            raise InputError(
+                "no voxel of the grid is seen by every view, so the image cannot be judged: move "
+                "the grid into the beam, or use a larger panel or a smaller orbit"
+            )
+
+    @cached_property
+    def near_bone(self) -> Bits:
+        """Voxels within ``bone_distance_mm`` of a bone voxel, between centres."""
+        bone = Bits.where(lambda planes: self.truth[planes] >= self._bone, self.grid.shape)
+        return near(bone, self.bone_distance_mm, self.grid.voxel)
+
+    @cached_property
+    def windows(self) -> Bits:
+        """Centres of the windows that lie entirely in the region."""
+        return whole_windows(Bits.where(lambda planes: self.roi[planes], self.grid.shape), WINDOW)
+
+    @property
+    def _bone(self) -> float:
+        return BONE_SHARE * self.mu_reference
+
+    def figures(self, volume: ArrayLike) -> ImageFigures:
+        """Compare a volume (z, y, x), 1/mm, with the truth.
+
+        Raises:
+            TwinctError: the volume is not finite in the region.
+            ValueError: the volume does not fit the grid.
+        """
+        volume, mu = np.asarray(volume), self.mu_reference
+        self._require_shape("volume", volume)
+        sums = _VoxelSums(*self._voxel_sums(volume))
+        if sums.not_finite:
             raise TwinctError("the reconstructed volume holds values that are not finite")
-        true_values = truth[slab][inside].astype(np.float64)
-        square = (values - true_values) ** 2
-        near_bone = _near_bone(truth, slab, BONE_SHARE * mu_reference, bone_distance_mm, grid)
-        near = near_bone[inside]
-        pure = np.abs(true_values - mu_reference) <= PURE_BONE_TOLERANCE * mu_reference
-        return _Sums(
-            voxels=values.size,
-            square=float(square.sum()),
-            bone=int(np.count_nonzero(true_values >= BONE_SHARE * mu_reference)),
-            near=int(np.count_nonzero(near)),
-            near_square=float(square[near].sum()),
-            pure=int(np.count_nonzero(pure)),
-            pure_value=float(values[pure].sum()),
-            zero_square=float((true_values**2).sum()),
-            zero_near_square=float((true_values[near] ** 2).sum()),
-            **_ssim_sums(volume, truth, roi, box, planes, near_bone, mu_reference),
+        windows, ssim, zero_ssim, windows_near, ssim_near, zero_near = self._window_sums(volume)
+        rmse_rel = _root(sums.square, sums.voxels) / mu
+        zero_rel = _root(sums.zero_square, sums.voxels) / mu
+        return ImageFigures(
+            rmse_rel=rmse_rel,
+            rmse_bone_rel=_root(sums.near_square, sums.near) / mu,
+            psnr_db=_psnr(rmse_rel),
+            ssim=_ratio(ssim, windows),
+            mean_bone_rel=_ratio(sums.pure_value, sums.pure) / mu,
+            roi_fraction=sums.voxels / self.roi.size,
+            roi_bone_fraction=sums.bone / sums.voxels,
+            ssim_bone=_ratio(ssim_near, windows_near),
+            zero={
+                "rmse_rel": zero_rel,
+                "rmse_bone_rel": _root(sums.zero_near_square, sums.near) / mu,
+                "psnr_db": _psnr(zero_rel),
+                "ssim": _ratio(zero_ssim, windows),
+                "ssim_bone": _ratio(zero_near, windows_near),
+            },
         )
 
-    # scipy's filters release the interpreter lock. The sums are added in the order of the slabs, so
-    # that the number of threads does not change the last bit.
-    with ThreadPoolExecutor(min(4, threads())) as pool:
-        sums = _Sums.total(pool.map(judge, _slabs(box[0])))
+    def _require_shape(self, name: str, array: NDArray[Any]) -> None:
+        if array.shape != self.grid.shape:
+            raise ValueError(f"{name} has shape {array.shape}, the grid has {self.grid.shape}")
 
-    rmse_rel = math.sqrt(sums.square / sums.voxels) / mu_reference
-    zero_rel = math.sqrt(sums.zero_square / sums.voxels) / mu_reference
-    return ImageFigures(
-        rmse_rel=rmse_rel,
-        rmse_bone_rel=math.sqrt(_ratio(sums.near_square, sums.near)) / mu_reference,
-        psnr_db=_psnr(rmse_rel),
-        ssim=_ratio(sums.ssim, sums.windows),
-        mean_bone_rel=_ratio(sums.pure_value, sums.pure) / mu_reference,
-        roi_fraction=sums.voxels / roi.size,
-        roi_bone_fraction=sums.bone / sums.voxels,
-        ssim_bone=_ratio(sums.ssim_near, sums.windows_near),
-        zero={
-            "rmse_rel": zero_rel,
-            "rmse_bone_rel": math.sqrt(_ratio(sums.zero_near_square, sums.near)) / mu_reference,
-            "psnr_db": _psnr(zero_rel),
-            "ssim": _ratio(sums.zero_ssim, sums.windows),
-            "ssim_bone": _ratio(sums.zero_ssim_near, sums.windows_near),
-        },
-    )
+    def _voxel_sums(self, volume: NDArray[Any]) -> list[float]:
+        from twinct.evaluation import _image
+
+        volume, truth = (read_only(array, np.float32) for array in (volume, self.truth))
+        roi, words = read_only(self.roi, np.bool_), self.near_bone.words
+        out = np.empty((len(volume), len(fields(_VoxelSums))))
+        mu, tolerance = float(self.mu_reference), PURE_BONE_TOLERANCE * self.mu_reference
+        _image.voxel_sums(volume, truth, roi, words, mu, float(self._bone), float(tolerance), out)
+        return out.sum(axis=0).tolist()
+
+    def _window_sums(self, volume: NDArray[Any]) -> list[float]:
+        from twinct.evaluation import _image
+
+        volume, truth = (read_only(array, np.float32) for array in (volume, self.truth))
+        out = np.zeros((len(volume), math.ceil(volume.shape[1] / _STRIP), 6))
+        c1, c2 = ((share * float(self.mu_reference)) ** 2 for share in (0.01, 0.03))
+        _image.window_sums(volume, truth, self.near_bone.words, self.windows.words, c1, c2, out)
+        return out.sum(axis=(0, 1)).tolist()
 
 
-@dataclass
-class _Sums:
-    """Sums over voxels (or SSIM windows) from which the figures are computed."""
+@dataclass(frozen=True)
+class _VoxelSums:
+    """Sums over voxels in the order of the kernel ``voxel_sums``."""
 
-    voxels: int = 0
-    square: float = 0.0
-    bone: int = 0
-    near: int = 0
-    near_square: float = 0.0
-    pure: int = 0
-    pure_value: float = 0.0
-    windows: int = 0
-    ssim: float = 0.0
-    zero_ssim: float = 0.0
-    windows_near: int = 0
-    ssim_near: float = 0.0
-    zero_ssim_near: float = 0.0
-    zero_square: float = 0.0
-    zero_near_square: float = 0.0
-
-    @classmethod
-    def total(cls, parts: Iterator[_Sums]) -> _Sums:
-        """Return the sum of all parts, added in their order."""
-        total = cls()
-        for part in parts:
-            for name, value in vars(part).items():
-                setattr(total, name, getattr(total, name) + value)
-        return total
+    voxels: float
+    square: float
+    near: float
+    near_square: float
+    bone: float
+    pure: float
+    pure_value: float
+    zero_square: float
+    zero_near_square: float
+    not_finite: float
 
 
-Box = tuple[slice, slice, slice]
-Image = NDArray[np.floating]
-
-
-def _ratio(numerator: float, denominator: int) -> float:
+def _ratio(numerator: float, denominator: float) -> float:
     return numerator / denominator if denominator else math.nan
+
+
+def _root(square: float, count: float) -> float:
+    return math.sqrt(_ratio(square, count))
 
 
 def _psnr(rmse_rel: float) -> float:
     return -20 * math.log10(rmse_rel) if rmse_rel > 0 else math.inf
-
-
-def _bounding_box(mask: NDArray[np.bool_]) -> Box | None:
-    """Return the smallest box that contains all True voxels, or None."""
-    bounds: list[slice] = []
-    for others in ((1, 2), (0, 2), (0, 1)):
-        hits = np.flatnonzero(np.any(mask, axis=others))
-        if not hits.size:
-            return None
-        bounds.append(slice(int(hits[0]), int(hits[-1]) + 1))
-    return bounds[0], bounds[1], bounds[2]
-
-
-def _slabs(planes: slice) -> Iterator[slice]:
-    for start in range(planes.start, planes.stop, SLAB_PLANES):
-        yield slice(start, min(start + SLAB_PLANES, planes.stop))
-
-
-def _near_bone(
-    truth: Image, box: Box, threshold: float, distance_mm: float, grid: VolumeGrid
-) -> NDArray[np.bool_]:
-    """Return the mask of a box's voxels within ``distance_mm`` of a voxel with truth >= threshold.
-
-    Distances are between centres. The squared distance is built up axis by axis: d2(i) <- min over
-    k of d2(i + k) + (k h)^2, which is exact. Since k ends at the requested distance, a halo of that
-    width makes it exact for any box.
-    """
-    edges = grid.voxel[::-1]
-    limit = distance_mm**2 * (1 + 1e-6)  # float32 rounding must not decide at the limit itself
-    reach = [int(math.sqrt(limit) / edge) for edge in edges]
-    halo = tuple(
-        slice(max(s.start - r, 0), min(s.stop + r, n))
-        for s, r, n in zip(box, reach, truth.shape, strict=True)
-    )
-    far = np.float32(np.inf)
-    square = np.where(truth[halo] >= threshold, np.float32(0), far)
-    for axis in (2, 1, 0):
-        lines = np.moveaxis(square, axis, 0)
-        nearest = lines.copy()
-        for k in range(1, min(reach[axis], len(lines) - 1) + 1):
-            cost = np.float32((k * edges[axis]) ** 2)
-            shifted = lines + cost
-            np.minimum(nearest[k:], shifted[:-k], out=nearest[k:])
-            np.minimum(nearest[:-k], shifted[k:], out=nearest[:-k])
-        inner = slice(box[axis].start - halo[axis].start, box[axis].stop - halo[axis].start)
-        square = np.ascontiguousarray(np.moveaxis(nearest[inner], 0, axis))
-    return square <= limit
-
-
-def _ssim_sums(
-    volume: Image,
-    truth: Image,
-    roi: NDArray[np.bool_],
-    box: Box,
-    planes: slice,
-    near: NDArray[np.bool_],
-    data_range: float,
-) -> dict[str, Any]:
-    """Return the sums of SSIM over the region's windows centred on the planes, and counts."""
-    half = WINDOW // 2
-    first, last = max(planes.start - half, box[0].start), min(planes.stop + half, box[0].stop)
-    halo = (slice(first, last), *box[1:])
-    inside = roi[halo]
-    centres = whole_windows(inside)
-    centres[: planes.start - first] = False
-    centres[planes.stop - first :] = False
-    count = int(np.count_nonzero(centres))
-    if not count:
-        return {}
-    # The filters run along whole lines: rounding must not leak in from outside, nor must NaN.
-    ssim, zero = similarities(
-        np.where(inside, truth[halo], 0).astype(np.float32, copy=False),
-        np.where(inside, volume[halo], 0).astype(np.float32, copy=False),
-        centres,
-        data_range,
-    )
-    own = slice(planes.start - first, planes.stop - first)
-    at = near[centres[own]]
-    return {
-        "windows": count,
-        "ssim": float(ssim.sum(dtype=np.float64)),
-        "zero_ssim": float(zero.sum(dtype=np.float64)),
-        "windows_near": int(np.count_nonzero(at)),
-        "ssim_near": float(ssim[at].sum(dtype=np.float64)),
-        "zero_ssim_near": float(zero[at].sum(dtype=np.float64)),
-    }
