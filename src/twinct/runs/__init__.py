@@ -17,7 +17,8 @@ from twinct.runs.job import Run, report_again, run
 from twinct.runs.needs import Need, needs, require_memory
 from twinct.runs.reconstruction import derive_geometry, load_scan, reconstruct_again
 from twinct.runs.reconstruction_folder import Reconstruction
-from twinct.runs.reporting import Truth, evaluate, judge, truth_of
+from twinct.runs.reporting import evaluate, judge
+from twinct.runs.truth import Truth, truth_of
 from twinct.runs.verify import Verdict, verify
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import line_integrals

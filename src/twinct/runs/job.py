@@ -47,8 +47,9 @@ from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
 from twinct.runs.reconstruction_folder import kept_reconstructions
 from twinct.runs.repair import resumable
-from twinct.runs.reporting import Results, judge, truth_of, write_results
+from twinct.runs.reporting import Results, judge, write_results
 from twinct.runs.seconds import Seconds, Timing
+from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import Rig, Scan, ScanStore, SimulationBuilder, check_space, named_geometries
 from twinct.scan.status import views_taken
@@ -238,7 +239,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         check_places(builder)
     with sole_owner(folder.lock), audience_of(observers) as audience:
         before = read_metrics(folder.metrics)
-        truth = truth_of(now.scan, builder, audience)
+        truth = truth_of(now.scan, builder, audience, file=folder.truth)
         truth.write(folder.truth)
         first = judge(now.scan, made.volume, truth, builder.specimen)
         figures = {scenario.reconstruction.geometries[0]: first}
@@ -264,9 +265,8 @@ def _judge_others(run: Run, builder: SimulationBuilder, audience: Audience) -> N
         scenario = run.scenario.model_copy(update={"reconstruction": section})
         scan = replace(run.scan, scenario=scenario)
         of_it = replace(builder, scenario=scenario, kept_specimen=builder.specimen)
-        kept.write_figures(
-            judge(scan, kept.volume, truth_of(scan, of_it, audience), builder.specimen)
-        )
+        truth = truth_of(scan, of_it, audience, file=run.paths.truth)
+        kept.write_figures(judge(scan, kept.volume, truth, builder.specimen))
 
 
 def _prepare(
@@ -342,7 +342,7 @@ def _make_volumes(
         # The scenario in the store may state another reconstruction; this run's counts.
         scan = Run(scenario, folder).scan
         scan.reported.write(folder.geometries)
-        truth = truth_of(scan, builder, audience)
+        truth = truth_of(scan, builder, audience, file=folder.truth)
         truth.write(folder.truth)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}

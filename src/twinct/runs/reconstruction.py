@@ -25,7 +25,8 @@ from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
 from twinct.runs.job import Run, finished_run, report_again
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction_folder import Reconstruction, kept_reconstructions
-from twinct.runs.reporting import judge, truth_of
+from twinct.runs.reporting import judge
+from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import (
     OWN,
@@ -170,7 +171,7 @@ def _made(
     builder = SimulationBuilder(scenario, ScanStore(folder.scan).plan)
     check_corrections(scenario)
     require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
-    truth = truth_of(scan, builder, audience)
+    truth = truth_of(scan, builder, audience, file=folder.truth)
     residuals: list[float] = []
     start = time.perf_counter()
     volume = reconstruct(

@@ -1,4 +1,4 @@
-"""Truth, figures and report of a run, written into its folder."""
+"""Figures and report of a run, written into its folder."""
 
 from __future__ import annotations
 
@@ -7,31 +7,21 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twinct.core.errors import MissingExtraError
 from twinct.core.files.writing import write_json
 from twinct.evaluation import (
-    Edges,
     ImageFigures,
-    RegionDepth,
-    edges_of,
-    image_figures,
     pose_errors,
-    region_depth,
-    region_of_interest,
     reprojection_px,
     rmse_by_depth,
     tool_speeds,
 )
-from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.geometry.wire import PosePairs
-from twinct.observers import Audience
 from twinct.recon.volume import Volume
 from twinct.report import (
     STAGES,
@@ -48,6 +38,7 @@ from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.reconstruction_folder import Reconstruction, kept_reconstructions
 from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
+from twinct.runs.truth import Truth, truth_of
 from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import stage_digests
 from twinct.specimen import BuiltSpecimen, build_specimen
@@ -56,63 +47,6 @@ log = logging.getLogger(__name__)
 
 _SHOWN_VIEWS = 4
 """Number of projections in the report."""
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """Truth against which a reconstruction is judged.
-
-    Attributes:
-        volume: attenuation of the specimen, (z, y, x), 1/mm, float32.
-        region: voxels that every view sees, (z, y, x), bool.
-        mu_reference: attenuation to which figures are relative, 1/mm.
-        grid: grid of volume and region.
-        executed: executed geometry of the views, relative to the specimen.
-    """
-
-    volume: NDArray[np.float32]
-    region: NDArray[np.bool_]
-    mu_reference: float
-    grid: VolumeGrid
-    executed: ScanGeometry
-
-    @cached_property
-    def depth(self) -> RegionDepth:
-        """Depth of the voxels in the region."""
-        return region_depth(self.executed, self.grid)
-
-    @cached_property
-    def edges(self) -> Edges:
-        """Profiles across the true surface."""
-        return edges_of(self.volume, self.region, self.mu_reference, self.grid)
-
-    def write(self, path: Path) -> None:
-        """Write the volume as NIfTI."""
-        Volume(self.volume, self.grid).write(path, "twinct truth, 1/mm")
-
-
-def truth_of(
-    scan: Scan,
-    builder: SimulationBuilder,
-    audience: Audience | None = None,
-    grid: VolumeGrid | None = None,
-) -> Truth:
-    """Compute the true volume of a scan, with the specimen's true pose, and its region.
-
-    The grid is the scenario's if none is given.
-    """
-    from twinct.xray.build import effective_energy_kev
-
-    scenario = scan.scenario
-    grid = grid or scenario.reconstruction.volume_grid
-    energy = effective_energy_kev(scenario.source, scenario.detector)
-    with (audience or Audience()).stage("truth", 2) as step:
-        volume = builder.specimen.truth(grid, energy, scan.stands)
-        step()
-        executed = scan.relative.geometry(scenario.detector.panel)
-        region = region_of_interest(executed, grid)
-        step()
-    return Truth(volume, region, builder.specimen.reference_mu(energy), grid, executed)
 
 
 def judge(
@@ -125,7 +59,7 @@ def judge(
     scenario, array = scan.scenario, volume.array
     grid, mu = truth.grid, truth.mu_reference
     volume.require_grid(grid)
-    figures = image_figures(array, truth.volume, truth.region, mu, grid)
+    figures = truth.reference.figures(array)
     further: dict[str, Any] = {
         "edge_width_mm": truth.edges.width(array),
         "rmse_rel_by_depth": rmse_by_depth(array, truth.volume, truth.region, truth.depth, mu),

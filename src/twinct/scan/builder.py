@@ -5,6 +5,7 @@ Engines are imported only where they are used, so that a process loads no more t
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twinct.core.errors import InputError
+from twinct.core.kept import once
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs, Target
 from twinct.robots.gantry import Gantry
-from twinct.scenario import Cell, GantryCell, Scenario
+from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
 from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.trajectory import commanded_mas, commanded_views
 from twinct.uncertainty import TrueCell
@@ -46,7 +48,12 @@ class SimulationBuilder:
     @cached_property
     def specimen(self) -> BuiltSpecimen:
         """Meshes, materials and ground truth of the specimen."""
-        return self.kept_specimen or build_specimen(self.scenario.specimen)
+        if self.kept_specimen:
+            return self.kept_specimen
+        section = self.scenario.specimen
+        names = [part.label for part in section.parts]
+        digest = json.dumps([specimen_digest(self.scenario), names])
+        return once("specimen", digest, lambda: build_specimen(section))
 
     @cached_property
     def asked(self) -> ScanGeometry:

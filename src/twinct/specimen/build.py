@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -79,6 +80,16 @@ class BuiltSpecimen:
         """The part for relative figures of merit: the named one, or the largest."""
         named = (part for part in self.parts if part.name == self.reference)
         return next(named, self.largest_part) if self.reference else self.largest_part
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of all surfaces, in their order."""
+        digest = hashlib.sha256()
+        for part in self.parts:
+            for array in (part.mesh.vertices, part.mesh.faces):
+                digest.update(repr((array.shape, array.dtype.str)).encode())
+                digest.update(np.ascontiguousarray(array).data)
+        return digest.hexdigest()
 
     def reference_mu(self, energy_kev: float) -> float:
         """Return the attenuation of the reference part (mu of bone for a skull), 1/mm."""

@@ -8,13 +8,14 @@ import logging
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from twinct.core.errors import DamagedError, TwinctError
+from twinct.core.kept import once
 from twinct.evaluation import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
@@ -225,7 +226,7 @@ def _figures(
     if kept is None:
         with seconds.stage("scan"):
             _acquire(spec, builder, folder)
-    scan = _once("scan", spec.scan, lambda: ScanStore(path).read())
+    scan = once("scan", spec.scan, lambda: ScanStore(path).read())
     scan = replace(scan, scenario=scenario)
     with seconds.stage("truth"):
         truth = _truth(scan, specimen, cache)
@@ -286,7 +287,7 @@ def _whole_run(
 def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpecimen:
     digest = specimen_digest(scenario)
     with seconds.stage("specimen"):
-        return _once(
+        return once(
             "specimen",
             digest,
             lambda: cache.kept(
@@ -321,9 +322,7 @@ def _plan(
     # The digest "plan" covers the paths only; their timing depends on speeds and exposures, too.
     digest = stage_digests(scenario)["executed"]
     with seconds.stage("plan"):
-        return _once(
-            "plan", digest, lambda: cache.kept("plans", digest, make, save_plan, load_plan)
-        )
+        return once("plan", digest, lambda: cache.kept("plans", digest, make, save_plan, load_plan))
 
 
 def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
@@ -356,20 +355,7 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
             executed,
         )
 
-    return _once("truth", f"{of_truth} {of_region}", both)
-
-
-_last: dict[str, tuple[str, Any]] = {}
-"""Last object of each kind in this process, which the next trial often needs again."""
-
-
-def _once(kind: str, digest: str, make: Callable[[], Any]) -> Any:
-    if kind in _last and _last[kind][0] == digest:
-        return _last[kind][1]
-    _last.pop(kind, None)  # the memory may not hold two of a kind
-    found = make()
-    _last[kind] = digest, found
-    return found
+    return once("truth", f"{of_truth} {of_region}", both)
 
 
 def _digest(told: Any) -> str:

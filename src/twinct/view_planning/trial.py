@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twinct.core.progress import Progress
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.runs.acquisition import acquire_to_store
-from twinct.runs.reporting import truth_of
+from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct
 from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, parse_scenario

@@ -1,0 +1,151 @@
+"""Truth of a scan: computed once for a specimen, a grid and its views, and kept by its digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.kept import forget, once
+from twinct.evaluation import (
+    Edges,
+    ImageReference,
+    RegionDepth,
+    edges_of,
+    region_depth,
+    region_of_interest,
+)
+from twinct.geometry import Pose, ScanGeometry, VolumeGrid
+from twinct.observers import Audience
+from twinct.recon.volume import Volume
+from twinct.scan import Scan, SimulationBuilder
+from twinct.specimen import BuiltSpecimen
+
+log = logging.getLogger(__name__)
+
+VERSION = 1
+"""Version of the computation of a true volume; raise it when the values change."""
+
+_MOST_KEPT = 2**30
+"""Bytes of the largest truth that a process keeps after its use: 512^3 voxels have 0.7 GB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Truth against which a reconstruction is judged.
+
+    Attributes:
+        volume: attenuation of the specimen, (z, y, x), 1/mm, float32.
+        region: voxels that every view sees, (z, y, x), bool.
+        mu_reference: attenuation to which figures are relative, 1/mm.
+        grid: grid of volume and region.
+        executed: executed geometry of the views, relative to the specimen.
+        note: note in the volume's file, which identifies it.
+    """
+
+    volume: NDArray[np.float32]
+    region: NDArray[np.bool_]
+    mu_reference: float
+    grid: VolumeGrid
+    executed: ScanGeometry
+    note: str = "twinct truth, 1/mm"
+
+    @cached_property
+    def depth(self) -> RegionDepth:
+        """Depth of the voxels in the region."""
+        return region_depth(self.executed, self.grid)
+
+    @cached_property
+    def edges(self) -> Edges:
+        """Profiles across the true surface."""
+        return edges_of(self.volume, self.region, self.mu_reference, self.grid)
+
+    @cached_property
+    def reference(self) -> ImageReference:
+        """Truth with the masks of the image figures."""
+        return ImageReference(self.volume, self.region, self.mu_reference, self.grid)
+
+    def write(self, path: Path) -> None:
+        """Write the volume as NIfTI, unless the file holds it already."""
+        if _stored(path, self.note, self.grid) is None:
+            Volume(self.volume, self.grid).write(path, self.note)
+
+
+def truth_of(
+    scan: Scan,
+    builder: SimulationBuilder,
+    audience: Audience | None = None,
+    grid: VolumeGrid | None = None,
+    file: Path | None = None,
+) -> Truth:
+    """Return the true volume of a scan, with the specimen's true pose, and its region.
+
+    A process keeps the last truth, so that further volumes of a scan share it with its masks.
+
+    Args:
+        scan: executed poses and scenario.
+        builder: the specimen.
+        audience: notified of the stage.
+        grid: grid of the truth; the scenario's if None.
+        file: file of ``Truth.write``, which is read if it holds this truth.
+    """
+    from twinct.xray.build import effective_energy_kev
+
+    scenario, specimen = scan.scenario, builder.specimen
+    grid = grid or scenario.reconstruction.volume_grid
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    executed = scan.relative.geometry(scenario.detector.panel)
+    note = f"twinct truth {_digest(specimen, energy, scan.stands, grid)[:32]}, 1/mm"
+
+    def make() -> Truth:
+        with (audience or Audience()).stage("truth", 2) as step:
+            stored = _stored(file, note, grid) if file else None
+            # A copy: the file may change later, and with it an array that is mapped from it.
+            volume = stored.array.copy() if stored else specimen.truth(grid, energy, scan.stands)
+            del stored
+            step()
+            region = region_of_interest(executed, grid)
+            step()
+        return Truth(volume, region, specimen.reference_mu(energy), grid, executed, note)
+
+    if 5 * np.prod(grid.shape, dtype=np.int64) > _MOST_KEPT:
+        forget("truth")
+        return make()
+    views = hashlib.sha256()
+    for array in (executed.source, executed.detector, executed.u, executed.v):
+        views.update(np.ascontiguousarray(array).data)
+    told = [note, views.hexdigest(), repr(executed.panel), specimen.reference_mu(energy)]
+    return once("truth", json.dumps(told), make)
+
+
+def _digest(
+    specimen: BuiltSpecimen, energy_kev: float, world_from_specimen: Pose, grid: VolumeGrid
+) -> str:
+    """Return the SHA-256 of all inputs of a true volume."""
+    mu = [part.material.mu_per_mm(energy_kev) for part in specimen.parts]
+    poses = [
+        [*pose.position.tolist(), *pose.quat.tolist()]
+        for pose in (world_from_specimen, grid.world_from_grid)
+    ]
+    told = [VERSION, specimen.digest, mu, poses, grid.shape, grid.voxel.tolist()]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+def _stored(path: Path, note: str, grid: VolumeGrid) -> Volume | None:
+    """Return the volume of a file with this note; None if there is none, or it is damaged."""
+    if not path.is_file():
+        return None
+    try:
+        found = Volume.read(path)
+        found.require_grid(grid)
+    except InputError as error:
+        log.warning("%s; it is made again", error)
+        return None
+    return found if found.extras["note"] == note else None
