@@ -27,9 +27,14 @@ if TYPE_CHECKING:
 
     from twinct.robots.cell import CellModel
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # As in a shell's background job: what a test starts would not hear of Ctrl-C either.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# A background job ignores SIGINT, and one of nohup SIGHUP: so would what a test starts.
+for _number, _handler in (
+    (signal.SIGINT, signal.default_int_handler),
+    (signal.SIGTERM, signal.SIG_DFL),
+    (signal.SIGHUP, signal.SIG_DFL),
+):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _handler)
 
 SHARE = max(available_threads() // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")), 1)
 """Threads of a test process: where they outnumber the cores, kernels wait for each other."""
