@@ -5,6 +5,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+import trimesh
 
 from twinct.core.errors import LinkError, MotionError
 from twinct.geometry.wire import Reached, Target
@@ -127,3 +128,22 @@ def test_real_engines_give_all_physics_the_same_bits_over_both_links_and_after_a
             assert_same(reached, reached_ros)
             assert image.tobytes() == image_ros.tobytes()
     assert local[0][1].min() < 0.9 < local[0][1].max(), "the ball is in the image"
+
+
+def test_nodes_take_the_built_specimen_instead_of_building_it_again(tmp_path):
+    ball = tmp_path / "ball.stl"
+    trimesh.creation.icosphere(3, 40).export(ball)
+    scenario = parse_scenario(
+        {
+            "cell": {"kind": "gantry"},
+            "xray": {"engine": "mesh"},
+            "trajectory": {"kind": "arc", "views": 2, "longitude_range_deg": 10},
+            "detector": {"columns": 8, "rows": 6, "pixel_pitch_mm": 40},
+            "specimen": {"parts": [{"shape": {"kind": "mesh", "path": str(ball)}}]},
+        }
+    )
+    builder = SimulationBuilder(scenario)
+    expected = take(local_rig(builder, 0, None), builder.targets)
+    trimesh.creation.icosphere(3, 20).export(ball)
+    views = take(ros_rigs()(builder, 0, None), builder.targets)
+    assert [image.tobytes() for _, image in views] == [image.tobytes() for _, image in expected]

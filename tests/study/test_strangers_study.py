@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from planted import planted, unpickled
 
+from twinct.core import kept
 from twinct.scenario import parse_scenario, specimen_digest, stage_digests
 from twinct.study import trial
 from twinct.study.trial import TrialSpec, try_trial
@@ -28,12 +29,12 @@ ARMS: dict[str, Any] = {
 def _afresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """No engine is loaded beforehand, and nothing is kept in this process."""
     monkeypatch.setattr(trial, "_started", True)
-    monkeypatch.setattr(trial, "_last", {})
+    monkeypatch.setattr(kept, "_last", {})
 
 
 def tried(scenario: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The figures of a trial in this process, with nothing of an earlier one in it."""
-    trial._last.clear()
+    kept._last.clear()
     spec = TrialSpec("key", scenario, {}, "scan", shared=False, keep="figures", link="local")
     return try_trial(spec, LocalPlace(folder, 1, {})).value["figures"]
 

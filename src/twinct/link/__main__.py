@@ -35,6 +35,7 @@ def main(
         "--planned", action="store_true", help="follow the plan that the scan publishes"
     )
     parser.add_argument("--restore", type=Path)
+    parser.add_argument("--specimen", type=Path, help="file of the built specimen")
     parser.add_argument("--lifeline", action="store_true", help="end when stdin ends")
     given = parser.parse_args(arguments)
     try:
@@ -44,6 +45,7 @@ def main(
 
         scenario = load_scenario(given.scenario)
         common: dict[str, Any] = {"epoch": given.epoch, "lifeline": given.lifeline}
+        common["specimen"] = given.specimen
         common["members"] = Members(given.members) if given.members else None
         if given.node == "xray":
             from twinct.link.xray_node import spin_xray

@@ -8,7 +8,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -48,10 +48,12 @@ from twinct.link.topics import (
     Topic,
 )
 from twinct.scenario import Scenario
+from twinct.specimen.built_file import save_built
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
     from twinct.scan import SimulationBuilder
+    from twinct.specimen import BuiltSpecimen
 
 log = logging.getLogger(__name__)
 
@@ -81,6 +83,7 @@ def ros_rigs(
     return lambda builder, first_view, start_state: RosRig(
         builder.scenario,
         plan=builder.plan,
+        specimen=builder.specimen,
         first_view=first_view,
         start_state=start_state,
         **common,
@@ -101,6 +104,7 @@ class RosRig:
         scenario: Scenario,
         *,
         plan: MotionPlan | None = None,
+        specimen: BuiltSpecimen | None = None,
         first_view: int = 0,
         start_state: NDArray[np.float64] | None = None,
         log_dir: Path | None = None,
@@ -114,6 +118,7 @@ class RosRig:
         Args:
             scenario: scenario to simulate.
             plan: plan for the arms; with None, the robots node makes one.
+            specimen: the built specimen; with None, each node builds it.
             first_view: first view that will be requested.
             start_state: simulator state to start from; None for the planned home.
             log_dir: folder for the nodes' output; None for a temporary one.
@@ -165,7 +170,12 @@ class RosRig:
             if start_state is not None:
                 np.save(exchange / "start.npy", start_state)
                 start += ["--restore", str(exchange / "start.npy")]
-            self._start_nodes(scenario, exchange, domain, start, node_command)
+            both = ["--lifeline"]
+            if specimen is not None:
+                save_built(specimen, exchange / "specimen.npz")
+                both += ["--specimen", str(exchange / "specimen.npz")]
+            options = {"robots": [*both, *start], "xray": both}
+            self._start_nodes(scenario, exchange, domain, options, node_command)
             station = self._station = Station(SCAN, self.domain_id)
             stack.callback(station.close)
             self._me = station.participant
@@ -185,18 +195,18 @@ class RosRig:
         scenario: Scenario,
         folder: Path,
         domain: Domain,
-        start: list[str],
+        options: Mapping[str, Sequence[str]],
         command: Sequence[str],
     ) -> None:
         file = folder / "scenario.json"
         file.write_text(scenario.resolved(), encoding="utf-8")
         scan = ["--epoch", str(self.epoch), "--members", str(folder)]
-        common = [str(file), *scan, "--lifeline"]
+        common = [str(file), *scan]
         variables = environment.without_system_ros(os.environ) | {"ROS_DOMAIN_ID": str(domain.id)}
-        for name, options in (("robots", start), ("xray", [])):
+        for name, own in options.items():
             process = NodeProcess(
                 name,
-                [*command, name, *common, *options],
+                [*command, name, *common, *own],
                 self.log_dir / f"{name}.log",
                 environment=variables,
                 inherit=[domain.hold],

@@ -85,6 +85,7 @@ def spin_robots(
     first_view: int = 0,
     planned: bool = False,
     restore: Path | None = None,
+    specimen: Path | None = None,
     members: Members | None = None,
     lifeline: bool = False,
     build: Callable[[Scenario], Robots] | None = None,
@@ -97,6 +98,7 @@ def spin_robots(
         first_view: first view of that scan.
         planned: take the plan from ``/scan/plan``; else make it here.
         restore: ``.npy`` file with the simulator state to start from.
+        specimen: file of the built specimen; None builds it.
         members: members of that scan, which alone may request its next view.
         lifeline: also end when stdin ends.
         build: builds a simulation in place of the real one.
@@ -115,7 +117,7 @@ def spin_robots(
         else:
             from twinct.scan import SimulationBuilder  # only here: it imports the whole simulation
 
-            builder = SimulationBuilder(scenario)
+            builder = SimulationBuilder.with_specimen(scenario, specimen)
             robots = builder.robots(planned=planned)
             description = None if scenario.cell.kind == "gantry" else builder.urdf()
         if state is not None and not planned:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -66,6 +68,7 @@ def spin_xray(
     scenario: Scenario,
     *,
     epoch: str | None = None,
+    specimen: Path | None = None,
     members: Members | None = None,
     lifeline: bool = False,
     build: Callable[[Scenario], XRay] | None = None,
@@ -75,6 +78,7 @@ def spin_xray(
     Args:
         scenario: scenario to simulate.
         epoch: epoch of the node's scan, whose views alone are imaged. None images any view.
+        specimen: file of the built specimen; None builds it.
         members: members of that scan; only poses from its robots node are imaged.
         lifeline: also end when stdin ends.
         build: builds a simulation in place of the real one.
@@ -84,12 +88,16 @@ def spin_xray(
     """
     panel, samples = scenario.detector.panel, scenario.source.motion_samples
     own = Epoch.parse(epoch) if epoch is not None else None
-    waits = build is None and members is not None and _builder(scenario).plan_chooses
 
     def build_simulation() -> XRay:
-        if waits:
-            return _AsPlanned(scenario)
-        return build(scenario) if build else _builder(scenario).imager()
+        if build is not None:
+            return build(scenario)
+        from twinct.scan import SimulationBuilder  # only here: it imports the whole simulation
+
+        builder = SimulationBuilder.with_specimen(scenario, specimen)
+        if members is not None and builder.plan_chooses:
+            return _AsPlanned(builder)
+        return builder.imager()
 
     def open_node(station: Station, diagnostics: Diagnostics, imager: XRay) -> Callable[[], bool]:
         node = XRayNode(station, diagnostics, imager, panel, own, members, samples)
@@ -108,22 +116,16 @@ def spin_xray(
     )
 
 
-def _builder(scenario: Scenario, plan: MotionPlan | None = None) -> SimulationBuilder:
-    from twinct.scan import SimulationBuilder  # only here: it imports the whole simulation
-
-    return SimulationBuilder(scenario, plan)
-
-
 class _AsPlanned:
     """Imager of a scan whose views are known only from its plan."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+    def __init__(self, builder: SimulationBuilder) -> None:
+        self._builder = builder
         self._imager: XRay | None = None
 
     def follow(self, plan: MotionPlan) -> None:
         """Take the commanded geometry from a plan."""
-        self._imager = _builder(self._scenario, plan).imager()
+        self._imager = replace(self._builder, kept_plan=plan).imager()
 
     def expose(
         self,

@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from twinct.geometry.wire import PosePairs, Target
 from twinct.robots.gantry import Gantry
 from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
 from twinct.specimen import BuiltSpecimen, build_specimen
+from twinct.specimen.built_file import load_built
 from twinct.trajectory import commanded_mas, commanded_views
 from twinct.uncertainty import TrueCell
 
@@ -44,6 +45,16 @@ class SimulationBuilder:
     scenario: Scenario
     kept_plan: MotionPlan | None = None
     kept_specimen: BuiltSpecimen | None = None
+
+    @classmethod
+    def with_specimen(cls, scenario: Scenario, file: Path | None) -> Self:
+        """Return a builder with the specimen from a file of ``save_built``; None builds it.
+
+        Raises:
+            InputError: the file does not hold the scenario's specimen.
+        """
+        built = None if file is None else load_built(scenario.specimen, file)
+        return cls(scenario, kept_specimen=built)
 
     @cached_property
     def specimen(self) -> BuiltSpecimen:

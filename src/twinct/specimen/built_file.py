@@ -20,11 +20,14 @@ LARGEST_BYTES = 2**34
 """Largest total size of the arrays in a file; 20 million triangles have a twentieth of this."""
 
 _HULL = "hull"
+"""Name of the hull, also where ``cached_property`` keeps it."""
 
 
 def save_built(specimen: BuiltSpecimen, path: Path) -> None:
-    """Write the meshes of a specimen, and its hull, to a file."""
-    meshes = {str(i): part.mesh for i, part in enumerate(specimen.parts)} | {_HULL: specimen.hull}
+    """Write the meshes of a specimen, and its hull if it is known, to a file."""
+    meshes = {str(i): part.mesh for i, part in enumerate(specimen.parts)}
+    if _HULL in vars(specimen):
+        meshes[_HULL] = specimen.hull
     arrays: dict[str, NDArray[Any]] = {}
     for name, mesh in meshes.items():
         arrays[f"{name}.vertices"] = np.asarray(mesh.vertices, np.float64)
@@ -46,8 +49,8 @@ def load_built(section: scenario.Specimen, path: Path) -> BuiltSpecimen:
         for i, part in enumerate(section.parts)
     ]
     specimen = BuiltSpecimen(tuple(parts), section.world_from_specimen, section.reference)
-    # Where ``cached_property`` would put it.
-    vars(specimen)["hull"] = _mesh(arrays, _HULL, where)
+    if any(name.startswith(f"{_HULL}.") for name in arrays):
+        vars(specimen)[_HULL] = _mesh(arrays, _HULL, where)
     return specimen
 
 
