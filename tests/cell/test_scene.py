@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import mujoco
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.core.errors import ScenarioError
+from twinct.core.errors import ScenarioError, StorageError
 from twinct.geometry import Pose
 from twinct.robots.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
 from twinct.scenario import Cell, Detector, GantryCell
@@ -157,3 +158,14 @@ def test_a_gantry_holds_source_and_panel_at_the_poses(
         np.testing.assert_allclose(data.site_xmat[site].reshape(3, 3), pose.rotation, atol=1e-12)
     render_cell(room, tmp_path / "gantry.png", width=160, height=100)
     assert room.model.stat.extent == pytest.approx(poses[0].distance_mm(poses[1]) / 1000 + 0.2)
+
+
+def test_a_picture_on_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    monkeypatch.setattr("twinct.robots.cell.render.room_pictures", lambda *_: iter([pixels]))
+    monkeypatch.setattr("PIL.Image.Image.save", full)
+    with pytest.raises(StorageError, match=r"room\.png: the disk is full"):
+        render_cell(None, tmp_path / "room.png")  # type: ignore[arg-type]

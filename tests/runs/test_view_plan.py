@@ -87,6 +87,22 @@ def test_what_is_written_is_what_a_run_takes(file: Path, tmp_path: Path) -> None
     assert not (tmp_path / "out" / "plan.lock").exists()
 
 
+def test_arms_find_their_plan_in_a_folder_of_any_name_that_was_moved(tmp_path: Path) -> None:
+    """YAML would take ' #' as a comment, and a new line as a blank."""
+    out, moved = tmp_path / 'it\'s #1: "a"\nb', tmp_path / "moved"
+    keys = ["detector={columns: 16, rows: 12, pixel_pitch_mm: 20}", "uncertainty={}"]
+    keys += ["task={position_mm: [0, 0, 0], radius_mm: 20, views: 3, candidates: 12, rounds: 1}"]
+    keys += ["task.completeness={within_deg: 10}"]
+    keys += ["specimen.parts=[{shape: {kind: sphere, radius_mm: 50, mesh_resolution_mm: 10}}]"]
+    found = plan_views(DEMO, out, keys)
+    written = load_scenario(out / "planned.yaml")
+    assert SimulationBuilder(written).plan is not None
+    out.rename(moved)
+    written = load_scenario(moved / "planned.yaml")
+    assert written.motion.plan == moved / "plan.npz"
+    assert commanded_views(written.trajectory, written.detector.panel) == found.views
+
+
 def test_detectability_takes_views_across_the_thin_side(file: Path, tmp_path: Path) -> None:
     """The block is 40 mm along x and 120 along y: beams along x have e^1.5 times the photons."""
     found = plan_views(file, tmp_path / "out", [DETECT, "task.completeness.weight=0.05"])

@@ -20,6 +20,7 @@ from twinct.core.files.plain_yaml import written
 from twinct.core.files.writing import write_text
 from twinct.core.foreign_text import shortened
 from twinct.scenario.messages import place, refusal
+from twinct.scenario.objects import with_paths
 from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
@@ -102,13 +103,29 @@ def _absent(file: Path, why: str) -> str:
 
 
 def write_scenario(
-    path: Path, source: str | Path | Mapping[str, Any], overrides: Overrides = ()
+    path: Path,
+    source: str | Path | Mapping[str, Any],
+    overrides: Overrides = (),
+    changes: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a scenario, together with the files it extends and its overrides, as one file.
 
-    The other arguments are those of ``load_scenario``. Paths in the scenario become absolute.
+    Files in the folder of the new file are named relative to it, all others by absolute paths.
+
+    Args:
+        path: the new file.
+        source: as of ``load_scenario``.
+        overrides: as of ``load_scenario``.
+        changes: further values by dotted key, as plain data with absolute paths.
     """
-    write_text(path, written(drafted(source, overrides).data))
+    draft, folder = drafted(source, overrides), path.resolve().parent
+    if changes:
+        draft = varied(draft, changes, dict.fromkeys(changes, str(path)))
+
+    def named(file: Path) -> Path:
+        return Path(file.name) if file.parent == folder else file
+
+    write_text(path, written(with_paths(draft.data, named)))
 
 
 @contextmanager

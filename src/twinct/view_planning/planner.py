@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -271,17 +270,16 @@ def _driven(
     trajectory = {"kind": "file", "path": str(folder / VIEWS)}
     if section is not None:
         trajectory = section.model_dump(mode="json")
-    changes = [*overrides, f"trajectory={json.dumps(trajectory)}"]
+    changes: dict[str, Any] = {"trajectory": trajectory}
     if not isinstance(scenario.cell, Cell):
-        write_scenario(out / SCENARIO, source, changes)
+        write_scenario(out / SCENARIO, source, overrides, changes)
         return None, None
     from twinct.robots.motion import save_plan
 
-    roll = [
-        f"motion.detector_roll={'free' if SimulationBuilder(scenario).roll_free[1] else 'fixed'}"
-    ]
-    changes += [*roll, f"motion.order={'shortest' if section is None else 'given'}"]
-    write_scenario(out / SCENARIO, source, changes)
+    free = SimulationBuilder(scenario).roll_free[1]
+    changes["motion.detector_roll"] = "free" if free else "fixed"
+    changes["motion.order"] = "shortest" if section is None else "given"
+    write_scenario(out / SCENARIO, source, overrides, changes)
     try:
         plan = SimulationBuilder(load_scenario(out / SCENARIO)).plan
     except TrajectoryError as error:
@@ -289,7 +287,8 @@ def _driven(
         raise TrajectoryError([*error.problems, kept]) from error
     assert plan is not None
     save_plan(plan, out / JOINTS)
-    write_scenario(out / SCENARIO, source, [*changes, f"motion.plan={folder / JOINTS}"])
+    changes["motion.plan"] = str(folder / JOINTS)
+    write_scenario(out / SCENARIO, source, overrides, changes)
     return plan.duration_s, float(plan.clearance_mm.min())
 
 

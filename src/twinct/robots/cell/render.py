@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, StorageError
-from twinct.core.files.writing import complete
+from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
@@ -125,7 +125,7 @@ def render_cell(
     moment = Moment(at, marks or Marks())
     pixels = next(room_pictures(cell_model, [moment], width, height))
     try:
-        with complete(Path(path_png)) as draft:
+        with storage_errors(Path(path_png)), complete(Path(path_png)) as draft:
             Image.fromarray(pixels).save(draft, format="PNG")
     except OSError as error:
         raise StorageError(f"{path_png}: {error.strerror or error}") from error
