@@ -496,6 +496,30 @@ def test_an_interrupt_ends_with_its_signal_and_says_what_is_kept(
     assert capfd.readouterr().err == f"twinct: interrupted: {said}\n"
 
 
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_an_interrupt_that_a_library_swallows_is_no_bug(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], number: int, code: int
+) -> None:
+    """As trimesh does, which keeps what the import of another module raises, and fails later."""
+
+    def imported(**_: object) -> None:
+        try:
+            signal.raise_signal(number)
+        except BaseException as error:
+            kept = error
+        raise TypeError(f"unsupported operand: {kept!r}")
+
+    monkeypatch.setattr("twinct.cli.commands.app.cli", imported)
+    assert run_command([]) == code
+    said = "before its results were complete; earlier ones stay"
+    assert capfd.readouterr().err == f"twinct: interrupted: {said}\n"
+    monkeypatch.setattr("twinct.cli.commands.app.cli", lambda **_: 1 / 0)
+    assert run_command([]) == 1  # a bug of the next command stays one
+    assert "unexpected ZeroDivisionError" in capfd.readouterr().err
+
+
 def test_a_second_interrupt_cuts_the_end_short_but_not_what_is_said(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -222,18 +222,27 @@ def test_without_gvxr_the_extra_is_named(monkeypatch):
         GvxrEngine().acquire([], DETECTOR.panel)
 
 
-def test_a_missing_system_library_is_named_with_the_remedy(monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("why", "told"),
+    [
+        (
+            "libxcb-res.so.0: cannot open shared object file",
+            r"libxcb-res.*make setup.*libxcb-res0.*--set xray\.engine=mesh",
+        ),
+        (
+            "_gvxr.so: failed to map segment from shared object",
+            r"too little memory: _gvxr\.so: failed to map segment from shared object$",
+        ),
+    ],
+)
+def test_a_library_that_cannot_be_loaded_is_named_with_the_remedy(monkeypatch, tmp_path, why, told):
     package = tmp_path / "gvxrPython3"
     package.mkdir()
-    (package / "__init__.py").write_text(
-        "raise ImportError('libxcb-res.so.0: cannot open shared object file')"
-    )
+    (package / "__init__.py").write_text(f"raise ImportError({why!r})")
     monkeypatch.syspath_prepend(tmp_path)
     for name in [name for name in sys.modules if name.partition(".")[0] == "gvxrPython3"]:
         monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(
-        InputError, match=r"libxcb-res.*make setup.*libxcb-res0.*--set xray\.engine=mesh"
-    ):
+    with pytest.raises(InputError, match=told):
         GvxrEngine().acquire([], DETECTOR.panel)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from twinct.core.errors import TwinctError
 from twinct.core.foreign_text import shortened
-from twinct.core.interruption import EndedBySignal, end_like_ctrl_c, notes_of
+from twinct.core.interruption import EndedBySignal, end_like_ctrl_c, notes_of, swallowed
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
 
@@ -37,7 +37,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         0: done. 2: bad input. 128 + the number of a signal: ended by Ctrl-C (130), SIGTERM (143),
         SIGHUP (129), or because nobody reads the output any more (141). 1: anything else.
     """
-    end_like_ctrl_c(signal.SIGTERM, signal.SIGHUP)
+    end_like_ctrl_c(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     _open_closed_streams()
     try:
         code = _code_of(sys.argv[1:] if argv is None else list(argv))
@@ -83,6 +83,8 @@ def _code_of(arguments: list[str]) -> int:
     except Exception as error:
         if isinstance(error, BrokenPipeError) and _unread():
             raise
+        if stop := swallowed():
+            raise stop from error
         if os.environ.get("TWINCT_DEBUG"):
             traceback.print_exc()
         _say(

@@ -22,15 +22,28 @@ class EndedBySignal(KeyboardInterrupt):
         self.number = number
 
 
+_received: list[EndedBySignal] = []
+
+
 def end_like_ctrl_c(*numbers: signal.Signals) -> None:
     """Let signals end work as Ctrl-C does, except those that this process ignores (``nohup``)."""
 
     def end(number: int, frame: FrameType | None) -> NoReturn:
-        raise EndedBySignal(number)
+        _received.append(EndedBySignal(number))
+        raise _received[-1]
 
+    _received.clear()
     for number in numbers:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, end)
+
+
+def swallowed() -> EndedBySignal | None:
+    """Return the newest signal that was to end work since ``end_like_ctrl_c``, if any.
+
+    Some libraries catch every exception while they are imported (trimesh), and fail by it later.
+    """
+    return _received[-1] if _received else None
 
 
 @contextmanager

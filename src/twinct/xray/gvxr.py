@@ -56,6 +56,9 @@ ADVICE = (
     f"libxcb-res0 libxcb-xinerama0), {WAY_OUT['xray']}"
 )
 
+NO_MEMORY = ("failed to map segment", "Cannot allocate memory", "cannot allocate memory")
+"""Words of the dynamic loader about a library for which no memory is left."""
+
 _PRIMER = SceneBody(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
     np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
@@ -213,6 +216,8 @@ def _import_gvxr() -> Any:
             raise
         raise MissingExtraError("gvxr", "xray", WAY_OUT["xray"]) from error
     except ImportError as error:
+        if any(words in str(error) for words in NO_MEMORY):
+            raise InputError(f"gVXR cannot be loaded: too little memory: {error}") from error
         raise InputError(f"gVXR cannot be loaded: {error}. {ADVICE}") from error
     return gvxr
 
