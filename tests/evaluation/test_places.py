@@ -41,20 +41,17 @@ def test_centres_are_the_grids() -> None:
 
 def test_a_shell_lies_around_a_body() -> None:
     body = ball(GRID, Pose.from_euler(GRID.world_from_grid.position, (0, 0, 0)), 3)
-    found = whole(shell(body, GRID, 2.1, 3.9))
+    for from_mm, to_mm in ((2.1, 3.9), (0.0, 1.0), (0.8, 1.2)):  # on nodes, too
+        check_shell(body, from_mm, to_mm)
+
+
+def check_shell(body, from_mm, to_mm) -> None:
+    found = whole(shell(body, GRID, from_mm, to_mm))
     inner = centres(GRID, EVERYWHERE)[whole(body)]
     outer = centres(GRID, EVERYWHERE).reshape(-1, 3)
     nearest = np.min([np.linalg.norm(outer - p, axis=1) for p in inner], axis=0)
-    expected = ((nearest >= 2.1) & (nearest <= 3.9)).reshape(GRID.shape)
-    np.testing.assert_array_equal(found, expected)
-
-
-def test_slabs_of_a_shell_do_not_show(monkeypatch) -> None:
-    body = ball(GRID, PLACE, 3)
-    whole_shell = whole(shell(body, GRID, 1.0, 2.6))
-    monkeypatch.setattr("twinct.evaluation.region_voxels._SHELL_VOXELS", 1)
-    np.testing.assert_array_equal(whole(shell(body, GRID, 1.0, 2.6)), whole_shell)
-    assert whole_shell.sum() > 50
+    expected = (nearest >= from_mm - 1e-9) & (nearest <= to_mm + 1e-9) & (nearest > 1e-9)
+    np.testing.assert_array_equal(found, expected.reshape(GRID.shape))
 
 
 def test_outside_of_the_grid_there_is_nothing() -> None:

@@ -6,6 +6,7 @@ from twinct.report.measured import (
     depth_picture,
     measured_rows,
     nested,
+    reasons,
 )
 
 CURVE = {"frequency_per_mm": [0.0, 0.5, 1.0], "mtf": [1.0, 0.6, 0.2]}
@@ -27,9 +28,17 @@ def test_a_row_for_each_figure_and_a_value_for_each_volume() -> None:
         ("a against b", "cnr", [2.5, None]),
         ("ball", "f50_per_mm", [0.6, 0.4]),
         ("ball", "f10_per_mm", [None, 0.9]),
+        ("ball", "shift_mm", [None, None]),
     ]
     assert "of μ(steel)" in rows[0][1].meaning
     assert measured_rows({"one": {"rmse_rel": 1.0}}, "bone") == []
+
+
+def test_reasons_are_given_where_figures_have_no_value() -> None:
+    columns = {"good": {"signal_rel": 0.9}, "empty": {"signal_rel": 0.0}, "older": {"rmse_rel": 1}}
+    empty, older = reasons(columns)
+    assert empty.startswith("empty: the volume has no signal (0.0 % of the truth's contrast")
+    assert older.startswith("older: its signal is unknown")
 
 
 def test_a_name_that_leads_nowhere_has_no_value() -> None:

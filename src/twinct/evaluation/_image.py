@@ -36,13 +36,14 @@ def voxel_sums(volume, truth, region, near, mu, bone, pure, out):
     """Write the sums over the voxels of a region, (z, sums), float64, plane by plane.
 
     The sums are: voxels; squared errors; voxels near bone; their squared errors; bone voxels; pure
-    ones; the volume in these; squares of the truth; the same near bone; values that are not finite.
-    ``near`` are bits. Bone has a truth of at least ``bone``; a pure voxel's differs from ``mu`` by
-    at most ``pure``.
+    ones; the volume in these; squares of the truth; the same near bone; values that are not finite;
+    the truth; the volume; their products. ``near`` are bits. Bone has a truth of at least ``bone``;
+    a pure voxel's differs from ``mu`` by at most ``pure``.
     """
     for k in range(volume.shape[0]):
         voxels = nearby = bones = pures = wrong = 0
         square = near_square = pure_value = zero = near_zero = 0.0
+        trues = values = products = 0.0
         for j in range(volume.shape[1]):
             for i in range(volume.shape[2]):
                 if not region[k, j, i]:
@@ -53,6 +54,9 @@ def voxel_sums(volume, truth, region, near, mu, bone, pure, out):
                 error = (value - true) * (value - true)
                 square += error
                 zero += true * true
+                trues += true
+                values += value
+                products += true * value
                 bones += true >= bone
                 if _set(near[k, j], i):
                     nearby += 1
@@ -67,6 +71,7 @@ def voxel_sums(volume, truth, region, near, mu, bone, pure, out):
         out[k, 5], out[k, 6], out[k, 7], out[k, 8], out[k, 9] = (
             pures, pure_value, zero, near_zero, wrong
         )  # fmt: skip
+        out[k, 10], out[k, 11], out[k, 12] = trues, values, products
 
 
 @njit(**OPTIONS)

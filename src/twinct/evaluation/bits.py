@@ -61,18 +61,51 @@ class Bits:
 def near(mask: Bits, distance_mm: float, voxel_mm: NDArray[np.floating]) -> Bits:
     """Return the voxels within a distance of a voxel of the mask, between centres.
 
-    The ball of voxels consists of lines along x, of a half length for each offset along z and y.
-    The result is the union of all rows of the mask, widened by these lengths.
+    Squares are rounded to float32 as they are added, axis by axis from x on, and compared with a
+    limit that allows for that rounding: it must not decide at the distance itself.
 
     Args:
         mask: some voxels.
         distance_mm: the distance, 0 or more.
         voxel_mm: edges of a voxel along x, y, z.
     """
+    limit = distance_mm**2 * (1 + 1e-6)
+    squares = _squares(mask, math.sqrt(limit), voxel_mm, np.float32)
+    return _spread(mask, squares <= np.float32(limit))
+
+
+def between(
+    mask: Bits, from_mm: float, to_mm: float, voxel_mm: NDArray[np.floating]
+) -> NDArray[np.bool_]:
+    """Return the voxels outside a mask whose nearest voxel in it has a distance in an interval.
+
+    Args:
+        mask: some voxels.
+        from_mm: smallest distance between centres.
+        to_mm: largest distance.
+        voxel_mm: edges of a voxel along x, y, z.
+    """
+    distance = np.sqrt(_squares(mask, to_mm, voxel_mm, np.float64))
+    outer, inner = (_spread(mask, ball).words for ball in (distance <= to_mm, distance < from_mm))
+    return np.asarray(Bits(outer & ~inner & ~mask.words, mask.length))
+
+
+def _spread(mask: Bits, ball: NDArray[np.bool_]) -> Bits:
+    """Return the union of balls about all voxels of a mask.
+
+    A ball consists of lines along x, of a half length for each offset along z and y. The result is
+    the union of all rows of the mask, widened by these lengths.
+
+    Args:
+        mask: some voxels.
+        ball: an eighth of the ball: offsets from 0 on, (z, y, x).
+    """
     from twinct.evaluation import _bits
 
-    lengths = _half_lengths(distance_mm, voxel_mm[::-1], mask.words.shape[:2])
     found = np.zeros_like(mask.words)
+    if not ball.any():
+        return Bits(found, mask.length)
+    lengths = np.count_nonzero(ball, axis=-1).astype(np.int64) - 1
     _bits.dilate(mask.words, lengths, found)
     # A widened row may reach beyond its end.
     if left := mask.length % WORD:
@@ -89,23 +122,16 @@ def whole_windows(mask: Bits, window: int) -> Bits:
     return Bits(found, mask.length)
 
 
-def _half_lengths(
-    distance_mm: float, edges_mm: NDArray[np.floating], most: tuple[int, ...]
-) -> NDArray[np.int64]:
-    """Return the half length along x of the ball's lines by offset, (z, y); -1 outside the ball.
-
-    Squares are rounded to float32 as they are added, axis by axis from x on, and compared with a
-    limit that allows for that rounding: it must not decide at the distance itself.
-    """
-    limit = distance_mm**2 * (1 + 1e-6)
-    reach = [int(math.sqrt(limit) / edge) for edge in edges_mm]
+def _squares(
+    mask: Bits, reach_mm: float, voxel_mm: NDArray[np.floating], kind: type[np.floating]
+) -> NDArray[Any]:
+    """Return squared lengths of offsets, (z, y, x), from 0 to beyond a reach, within the mask."""
+    most = (*mask.words.shape[:2], mask.length)
     z, y, x = (
-        np.array([(k * edge) ** 2 for k in range(count + 1)], dtype=np.float32)
-        for count, edge in zip(reach, edges_mm, strict=True)
+        np.array([(k * edge) ** 2 for k in range(min(int(reach_mm / edge) + 2, n))], dtype=kind)
+        for edge, n in zip(voxel_mm[::-1], most, strict=True)
     )
-    z, y = z[: most[0]], y[: most[1]]
-    square = (x + y[:, None]) + z[:, None, None]
-    return np.count_nonzero(square <= np.float32(limit), axis=-1).astype(np.int64) - 1
+    return (x + y[:, None]) + z[:, None, None]
 
 
 def read_only(array: NDArray[Any], dtype: Any) -> NDArray[Any]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 Best = Literal["lower", "higher", "one", ""]
 """Better values: lower ones, higher ones, or values nearest to 1; empty if unknown."""
@@ -16,6 +17,14 @@ BADNESS: Mapping[Best, Callable[[float], float]] = {
     "": lambda value: 0.0,
 }
 """Functions that are lower for better values."""
+
+
+WithoutSignal = Literal["null", "worse", "any", ""]
+"""Score of an empty or constant volume: no value; one worse than that of any decent reconstruction;
+one that ranks nothing, as no value is better or all volumes have the same; empty if unknown."""
+
+LEAST_SIGNAL = 0.1
+"""Share of the truth's contrast below which a volume has no signal."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,8 @@ class Figure:
         digits: digits after the point.
         meaning: a few words; {0} as in the title.
         best: direction of better values.
+        good: a good value in a few words; {0} as in the title.
+        without_signal: score of an empty or constant volume.
     """
 
     key: str
@@ -39,6 +50,8 @@ class Figure:
     digits: int = 3
     meaning: str = ""
     best: Best = ""
+    good: str = ""
+    without_signal: WithoutSignal = ""
 
     @property
     def label(self) -> str:
@@ -47,10 +60,43 @@ class Figure:
 
     def relative_to(self, reference: str) -> Figure:
         """Return the figure in words that name the reference material."""
-        title, meaning = (text.replace("{0}", reference) for text in (self.title, self.meaning))
-        return replace(self, title=title, meaning=meaning)
+        words = {name: getattr(self, name) for name in ("title", "meaning", "good")}
+        return replace(
+            self, **{name: text.replace("{0}", reference) for name, text in words.items()}
+        )
 
 
-def percent(key: str, title: str, meaning: str, best: Best = "", digits: int = 2) -> Figure:
+def percent(
+    key: str,
+    title: str,
+    meaning: str,
+    best: Best = "",
+    digits: int = 2,
+    *,
+    good: str = "",
+    without_signal: WithoutSignal = "",
+) -> Figure:
     """Return a relative figure that is displayed in per cent."""
-    return Figure(key, title, "%", 100, digits, meaning, best)
+    return Figure(key, title, "%", 100, digits, meaning, best, good, without_signal)
+
+
+def has_signal(signal_rel: float) -> bool:
+    """Return False for a volume that is empty or constant, or nearly so; see ``LEAST_SIGNAL``."""
+    return not signal_rel < LEAST_SIGNAL  # NaN: the truth itself is constant
+
+
+def null_without_signal(told: Mapping[str, Any], figures: Iterable[Figure]) -> dict[str, Any]:
+    """Return figures of a volume without signal, NaN where it would be rewarded for that."""
+    found = dict(told)
+    for one in figures:
+        if one.without_signal == "null":
+            _set_nan(found, one.key.split("."))
+    return found
+
+
+def _set_nan(told: dict[str, Any], path: list[str]) -> None:
+    first, *others = path
+    if first in told:
+        told[first] = dict(told[first]) if others else math.nan
+        if others:
+            _set_nan(told[first], others)

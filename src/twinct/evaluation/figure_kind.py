@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from twinct.core.settings import Section
-from twinct.evaluation.figure import Figure
+from twinct.evaluation.figure import Figure, has_signal, null_without_signal
 from twinct.evaluation.region_voxels import Voxels
 from twinct.geometry import Pose, VolumeGrid
 
@@ -80,12 +80,14 @@ class Measurement:
         volume: attenuation on the grid, (z, y, x), 1/mm.
         truth: true attenuation on the grid, (z, y, x), 1/mm.
         mu_reference: attenuation to which figures are relative, 1/mm.
+        signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
     """
 
     places: NamedPlaces
     volume: NDArray[Any]
     truth: NDArray[Any]
     mu_reference: float
+    signal_rel: float = math.nan
     _known: dict[Any, Any] = field(default_factory=dict[Any, Any], init=False, repr=False)
 
     @property
@@ -165,7 +167,15 @@ class FigureKind(Generic[SettingsT]):
             raise ValueError(f"{self.settings.__name__} has no key {', '.join(unknown)}")
 
     def measured(self, at: Measurement, entry: SettingsT) -> dict[str, Any]:
-        """Return the figures and curves of an entry, by key."""
-        found = self.measure(at, entry)
+        """Return the figures and curves of an entry, by key.
+
+        A figure that rewards a volume without signal is NaN for it.
+        """
+        seen = has_signal(at.signal_rel)
+        rewarded = all(one.without_signal == "null" for one in self.figures)
+        found = self.measure(at, entry) if seen or not rewarded else {}
+        if not seen:  # curves go, too
+            told = {one.key: found[one.key] for one in self.figures if one.key in found}
+            found = null_without_signal(told, self.figures)
         scalars = {one.key: float(found.get(one.key, math.nan)) for one in self.figures}
         return scalars | {key: value for key, value in found.items() if key not in scalars}

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError, TwinctError
 from twinct.evaluation.bits import Bits, near, read_only, whole_windows
+from twinct.evaluation.figure import has_signal, null_without_signal
+from twinct.evaluation.image_words import IMAGE_FIGURES
 from twinct.geometry import VolumeGrid
 
 BONE_SHARE = 0.5
@@ -54,6 +56,8 @@ class ImageFigures:
         zero: figures of a volume of zeros, the baseline: ``rmse_rel``, ``rmse_bone_rel``,
             ``psnr_db``, ``ssim`` and ``ssim_bone``.
         further: figures of other kinds by name, nested as in ``metrics.json``.
+        signal_rel: slope of the straight line that fits the volume over the truth, over R; 1 is
+            ideal. An empty or constant volume has 0.
     """
 
     rmse_rel: float
@@ -66,11 +70,18 @@ class ImageFigures:
     ssim_bone: float = math.nan
     zero: Mapping[str, float] = field(default_factory=dict[str, float])
     further: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    signal_rel: float = math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures by name."""
         told = {name: value for name, value in vars(self).items() if name != "further"}
         return told | dict(self.further)
+
+    def honest(self) -> ImageFigures:
+        """Return the figures; without signal, NaN for those that reward it, see ``Figure``."""
+        if has_signal(self.signal_rel):
+            return self
+        return ImageFigures.of(null_without_signal(self.as_dict(), IMAGE_FIGURES))
 
     @classmethod
     def of(cls, told: Mapping[str, Any]) -> ImageFigures:
@@ -178,7 +189,7 @@ class ImageReference:
         windows, ssim, zero_ssim, windows_near, ssim_near, zero_near = self._window_sums(volume)
         rmse_rel = _root(sums.square, sums.voxels) / mu
         zero_rel = _root(sums.zero_square, sums.voxels) / mu
-        return ImageFigures(
+        figures = ImageFigures(
             rmse_rel=rmse_rel,
             rmse_bone_rel=_root(sums.near_square, sums.near) / mu,
             psnr_db=_psnr(rmse_rel),
@@ -187,6 +198,7 @@ class ImageReference:
             roi_fraction=sums.voxels / self.roi.size,
             roi_bone_fraction=sums.bone / sums.voxels,
             ssim_bone=_ratio(ssim_near, windows_near),
+            signal_rel=sums.signal_rel,
             zero={
                 "rmse_rel": zero_rel,
                 "rmse_bone_rel": _root(sums.zero_near_square, sums.near) / mu,
@@ -195,6 +207,7 @@ class ImageReference:
                 "ssim_bone": _ratio(zero_near, windows_near),
             },
         )
+        return figures.honest()
 
     def _require_shape(self, name: str, array: NDArray[Any]) -> None:
         if array.shape != self.grid.shape:
@@ -234,6 +247,16 @@ class _VoxelSums:
     zero_square: float
     zero_near_square: float
     not_finite: float
+    truth: float
+    volume: float
+    product: float
+
+    @property
+    def signal_rel(self) -> float:
+        """Slope of the line that fits the volume over the truth; NaN for a constant truth."""
+        spread = self.zero_square - self.truth**2 / self.voxels
+        common = self.product - self.truth * self.volume / self.voxels
+        return common / spread if spread > 1e-9 * self.zero_square else math.nan
 
 
 def _ratio(numerator: float, denominator: float) -> float:

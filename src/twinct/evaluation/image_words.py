@@ -9,20 +9,103 @@ _WINDOWS = "3-D, windows of 7³ voxels inside the region; 1 is best"
 _NEAR = "of windows centred within 3 mm of {0}"
 _EDGES = "10 to 90 % across edges of {0}, median"
 _DEPTH = "of μ({0}), by the distance to the region's border"
+_SIGNAL = "of the truth's: slope of the volume over the truth, in the region"
 
 IMAGE_FIGURES = (
-    percent("rmse_rel", "RMSE", "of μ({0}), over the region", "lower", 1),
-    percent("rmse_bone_rel", "RMSE near {0}", "of μ({0}), within 3 mm of {0}", "lower", 1),
-    Figure("psnr_db", "PSNR", "dB", 1, 1, "peak is μ({0})", "higher"),
-    Figure("ssim", "SSIM", meaning=_WINDOWS, best="higher"),
-    Figure("ssim_bone", "SSIM near {0}", meaning=_NEAR, best="higher"),
-    Figure("edge_width_mm", "edge width", "mm", 1, 2, _EDGES, "lower"),
-    percent("mean_bone_rel", "mean {0}", "of μ({0}), voxels entirely in {0}", "one", 1),
-    percent("roi_fraction", "region", "of the grid, seen by every view", "higher", 1),
-    percent("roi_bone_fraction", "{0} in the region", "of the region's voxels", "higher", 1),
+    percent(
+        "rmse_bone_rel",
+        "RMSE near {0}",
+        "of μ({0}), within 3 mm of {0}",
+        "lower",
+        1,
+        good="below 5 %",
+        without_signal="worse",
+    ),
+    Figure(
+        "ssim_bone",
+        "SSIM near {0}",
+        meaning=_NEAR,
+        best="higher",
+        good="above 0.8",
+        without_signal="null",
+    ),
+    Figure(
+        "edge_width_mm",
+        "edge width",
+        "mm",
+        digits=2,
+        meaning=_EDGES,
+        best="lower",
+        good="1 to 2 voxels",
+        without_signal="null",
+    ),
+    percent(
+        "mean_bone_rel",
+        "mean {0}",
+        "of μ({0}), voxels entirely in {0}",
+        "one",
+        1,
+        good="98 to 102 %",
+        without_signal="null",
+    ),
+    percent("signal_rel", "signal", _SIGNAL, "one", 1, good="95 to 105 %", without_signal="worse"),
+    percent(
+        "rmse_rel",
+        "RMSE",
+        "of μ({0}), over the region",
+        "lower",
+        1,
+        good="below 3 %",
+        without_signal="worse",
+    ),
+    Figure(
+        "psnr_db",
+        "PSNR",
+        "dB",
+        digits=1,
+        meaning="peak is μ({0})",
+        best="higher",
+        good="above 30 dB",
+        without_signal="worse",
+    ),
+    Figure(
+        "ssim",
+        "SSIM",
+        meaning=_WINDOWS,
+        best="higher",
+        good="far above that of zeros",
+        without_signal="null",
+    ),
+    percent(
+        "roi_fraction",
+        "region",
+        "of the grid, seen by every view",
+        "higher",
+        1,
+        good="holds the whole object",
+        without_signal="any",
+    ),
+    percent(
+        "roi_bone_fraction",
+        "{0} in the region",
+        "of the region's voxels",
+        "higher",
+        1,
+        good="no goal: it describes the object",
+        without_signal="any",
+    ),
     *(
-        percent(f"rmse_rel_by_depth.{name}", f"RMSE, {told} mm deep", _DEPTH, "lower", 1)
+        percent(
+            f"rmse_rel_by_depth.{name}",
+            f"RMSE, {told} mm deep",
+            _DEPTH,
+            "lower",
+            1,
+            good="alike at all depths",
+            without_signal="null",
+        )
         for name in depth_names()
         for told in (name.removesuffix("_mm").replace("_", " "),)
     ),
 )
+"""Figures of every run; those near the object come first, as most of a region may be air."""

@@ -6,15 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.evaluation.bits import Bits, between
 from twinct.geometry import Floats, Pose, VolumeGrid
 
 Box = tuple[slice, slice, slice]
-
-_SHELL_VOXELS = 30_000_000
-"""Voxels whose distances to a body are computed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,18 +82,8 @@ def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxel
         slice(b.start - w.start, b.stop - w.start) for b, w in zip(body.box, wider, strict=True)
     )
     filled[at] = body.mask
-    mask = np.zeros_like(filled)
-    # The transform takes some 50 bytes per voxel: it runs by slabs, each with a halo of ``to_mm``.
-    halo = int(to_mm / grid.voxel[2]) + 1
-    planes = max(_SHELL_VOXELS // filled[0].size - 2 * halo, halo)
-    for start in range(0, len(filled), planes):
-        first = max(start - halo, 0)
-        near, own = ~filled[first : start + planes + halo], slice(start - first, None)
-        if not near.all():
-            distance = np.asarray(scipy.ndimage.distance_transform_edt(near, grid.voxel[::-1]))[own]
-            there = near[own] & (distance >= from_mm) & (distance <= to_mm)
-            mask[start : start + planes] = there[:planes]
-    return Voxels(wider, mask)
+    bits = Bits.where(lambda k: filled[k], filled.shape)
+    return Voxels(wider, between(bits, from_mm, to_mm, grid.voxel))
 
 
 def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from twinct.core.files.writing import write_text
 from twinct.evaluation import IMAGE_FIGURES
 from twinct.report.data import CrossSection
-from twinct.report.measured import nested
+from twinct.report.measured import nested, reasons
 from twinct.report.page import stage_title
 from twinct.report.template import duration, fixed, rendered
 from twinct.scenario import Scenario
@@ -90,7 +90,7 @@ class Comparison:
             versions = [str(each.metrics.get("twinct_version")) for each in (one, first)]
             if versions[0] != versions[1]:
                 found.append(f"{both} were made by twinct {' and '.join(versions)}.")
-        return found
+        return found + reasons({one.label: one.image for one in self.compared})
 
     def write(self, path: Path) -> None:
         """Write the page, completely or not at all.
@@ -167,7 +167,7 @@ def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
             shown.unit,
             [nested(one.image, shown.key) for one in compared],
             partial(fixed, digits=shown.digits, factor=shown.factor),
-            shown.meaning,
+            f"{shown.meaning}; good: {shown.good}",
             alike,
         )
         for shown in (one.relative_to(materials) for one in IMAGE_FIGURES)

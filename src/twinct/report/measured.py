@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinct.evaluation import Figure, figure_kinds
+from twinct.evaluation.figure import LEAST_SIGNAL, has_signal
 from twinct.report.style import DETECTOR_COLOUR, LIMIT_COLOUR, SOURCE_COLOUR, STYLE, Picture
 
 if TYPE_CHECKING:
@@ -40,6 +41,25 @@ def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Figure, l
                 where = name.replace("_against_", " against ")
                 rows.append((where, one.relative_to(reference), values))
     return rows
+
+
+def reasons(columns: Columns) -> list[str]:
+    """Return sentences that say why figures have no value."""
+    found: list[str] = []
+    for name, told in columns.items():
+        signal = told.get("signal_rel")
+        if signal is None:
+            found.append(
+                f"{name}: its signal is unknown, as an earlier version of twinct judged it, or its "
+                "region holds no object."
+            )
+        elif not has_signal(signal):
+            found.append(
+                f"{name}: the volume has no signal ({100 * signal:.1f} % of the truth's contrast; "
+                f"at least {100 * LEAST_SIGNAL:g} % counts), so figures that would reward an empty "
+                "volume have no value."
+            )
+    return found
 
 
 def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None:

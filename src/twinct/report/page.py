@@ -12,7 +12,13 @@ from twinct.core.files.writing import write_text
 from twinct.evaluation import DEPTHS_MM, IMAGE_FIGURES, pose_errors
 from twinct.report.algorithm_results import with_found
 from twinct.report.data import ReportData
-from twinct.report.measured import curve_pictures, depth_picture, measured_rows, nested
+from twinct.report.measured import (
+    curve_pictures,
+    depth_picture,
+    measured_rows,
+    nested,
+    reasons,
+)
 from twinct.report.physics import physics_in_words
 from twinct.report.style import Picture
 from twinct.report.template import rendered
@@ -84,6 +90,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         image_rows=[
             (one, [nested(told, one.key) for told in (columns | beside).values()]) for one in shown
         ],
+        reasons=reasons(columns),
         measured_columns=[*columns],
         measured_rows=measured_rows(columns, report.reference),
         curves=curve_pictures(columns, report.reference),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,15 +102,18 @@ class Places:
                 found |= {f"{kind.name}.{i}.{key}": why for key, why in problems.items()}
         return [f"evaluation.{key}: {why}" for key, why in found.items()]
 
-    def figures(self, volume: Any, truth: Any, mu_reference: float) -> dict[str, Any]:
+    def figures(
+        self, volume: Any, truth: Any, mu_reference: float, signal_rel: float = math.nan
+    ) -> dict[str, Any]:
         """Compute all requested figures and curves, by kind and name.
 
         Args:
             volume: attenuation on the grid, (z, y, x), 1/mm.
             truth: true attenuation on the grid, (z, y, x), 1/mm.
             mu_reference: attenuation to which figures are relative, 1/mm.
+            signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
         """
-        at = Measurement(self, volume, truth, mu_reference)
+        at = Measurement(self, volume, truth, mu_reference, signal_rel)
         return {
             kind.name: {one.label: kind.measured(at, one) for one in entries}
             for kind in figure_kinds().values()

@@ -66,8 +66,10 @@ def judge(
     }
     if scenario.evaluation is not None:
         built = specimen or build_specimen(scenario.specimen)
-        further |= Places(scenario, built, scan.stands, grid).figures(array, truth.volume, mu)
-    return replace(figures, further=further)
+        further |= Places(scenario, built, scan.stands, grid).figures(
+            array, truth.volume, mu, figures.signal_rel
+        )
+    return replace(figures, further=further).honest()
 
 
 def evaluate(scan: Scan, volume: Volume, truth: Truth | None = None) -> ImageFigures:
@@ -203,7 +205,7 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
         Another(
             one.name,
             f"{one.told}, {one.geometry} geometry",
-            one.figures.as_dict(),
+            plain(one.figures.as_dict()),
             one.residuals,
             one.slices,
         )

@@ -25,7 +25,14 @@ TAILS = FigureKind(
     "tails",
     Tail,
     "Regions whose largest errors are measured.",
-    (Figure("tail_rel", "largest errors", "%", 100, 1, "of μ({0})", best="lower"),),
+    (
+        Figure(
+            *("tail_rel", "largest errors", "%", 100, 1, "of μ({0})"),
+            best="lower",
+            good="below 10 %",
+            without_signal="null",
+        ),
+    ),
     _measure,
     names={"region": "region"},
 )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
+from twinct.evaluation.edge_place import SEARCH, edge_place
 from twinct.evaluation.figure import Figure
 from twinct.evaluation.figure_kind import (
     Curve,
@@ -20,6 +21,7 @@ from twinct.evaluation.figure_kind import (
 )
 from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.region_voxels import ball, centres, cylinder
+from twinct.geometry import Floats, Pose
 
 log = logging.getLogger(__name__)
 
@@ -40,37 +42,73 @@ class Transfer(FigureSettings):
     )
 
 
-def transfer_at(at: Measurement, name: str) -> Mtf | None:
-    """Return the MTF at a round body; None, with a warning, if it has none."""
+class LocalTransfer(NamedTuple):
+    """Modulation transfer at a body, and the distance of its edge from the true one.
+
+    Attributes:
+        mtf: the transfer.
+        shift_mm: shift of the body's centre.
+    """
+
+    mtf: Mtf
+    shift_mm: float
+
+
+def transfer_at(at: Measurement, name: str) -> LocalTransfer | None:
+    """Return the MTF at a round body; None, with a warning, if it has none.
+
+    The edge is looked for first, so that a shifted body does not count as blurred.
+    """
     pose, radius, height = at.places.body(name)
     voxel = float(at.grid.voxel.min())
-    reach = edge_reach(radius, voxel)
-    if height is None:
-        box, curved = ball(at.grid, pose, radius + reach).box, 2
-    else:
-        box, curved = cylinder(at.grid, pose, radius + reach, height).box, 1
-    points = centres(at.grid, box, pose)
-    offset = np.linalg.norm(points[..., : curved + 1], axis=-1) - radius
-    values = at.volume[box]
-    if height is not None:  # the lateral surface only
-        side = np.abs(points[..., 2]) <= height / 2
-        offset, values = offset[side], values[side]
+    points, values = _around_edge(at, pose, radius, height)
     try:
-        return edge_mtf(values, offset, radius, voxel, curved)
+        place = edge_place(points, values, radius, voxel)
+        offset = place.offset_mm(points, radius)
+        mtf = edge_mtf(values, offset, radius, voxel, curved=points.shape[1] - 1)
     except InputError as error:
         log.warning("no MTF at %s: %s", name, error)
         return None
+    return LocalTransfer(mtf, place.shift_mm)
+
+
+def _around_edge(
+    at: Measurement, pose: Pose, radius_mm: float, height_mm: float | None
+) -> tuple[Floats, Floats]:
+    """Return voxels near the surface of a sphere, or the lateral surface of a cylinder.
+
+    Returns:
+        Their places relative to the body's centre, (n, 3), or to a cylinder's axis, (n, 2), mm;
+        their values, (n,).
+    """
+    reach = (1 + SEARCH) * edge_reach(radius_mm, float(at.grid.voxel.min()))
+    if height_mm is None:
+        z, y, x = ball(at.grid, pose, radius_mm + reach).box
+    else:
+        z, y, x = cylinder(at.grid, pose, radius_mm + reach, height_mm).box
+    axes = 3 if height_mm is None else 2
+    points, values = [np.empty((0, axes))], [np.empty(0)]
+    for k in range(z.start, z.stop):  # all positions together would be large
+        layer = slice(k, k + 1), y, x
+        local = centres(at.grid, layer, pose)
+        kept = np.abs(np.linalg.norm(local[..., :axes], axis=-1) - radius_mm) <= reach
+        if height_mm is not None:
+            kept &= np.abs(local[..., 2]) <= height_mm / 2
+        points.append(local[kept][:, :axes])
+        values.append(at.volume[layer][kept])
+    return np.concatenate(points), np.concatenate(values).astype(np.float64)
 
 
 def _measure(at: Measurement, one: Transfer) -> dict[str, Any]:
-    transfer = at.once(transfer_at, one.at)
-    if transfer is None:
+    found = at.once(transfer_at, one.at)
+    if found is None:
         return {}
     return {
-        "f50_per_mm": transfer.falls_to(0.5),
-        "f10_per_mm": transfer.falls_to(0.1),
-        "frequency_per_mm": transfer.frequency_per_mm,
-        "mtf": transfer.value,
+        "f50_per_mm": found.mtf.falls_to(0.5),
+        "f10_per_mm": found.mtf.falls_to(0.1),
+        "shift_mm": found.shift_mm,
+        "frequency_per_mm": found.mtf.frequency_per_mm,
+        "mtf": found.mtf.value,
     }
 
 
@@ -92,8 +130,34 @@ MTF = FigureKind(
     Transfer,
     "Parts and regions at which the modulation transfer is measured.",
     (
-        Figure("f50_per_mm", "MTF 50 %", "mm⁻¹", meaning=_FALLS + "half", best="higher"),
-        Figure("f10_per_mm", "MTF 10 %", "mm⁻¹", meaning=_FALLS + "tenth", best="higher"),
+        Figure(
+            "f50_per_mm",
+            "MTF 50 %",
+            "mm⁻¹",
+            meaning=_FALLS + "half",
+            best="higher",
+            good="0.6 / voxel edge at best",
+            without_signal="null",
+        ),
+        Figure(
+            "f10_per_mm",
+            "MTF 10 %",
+            "mm⁻¹",
+            meaning=_FALLS + "tenth",
+            best="higher",
+            good="0.9 / voxel edge at best",
+            without_signal="null",
+        ),
+        Figure(
+            "shift_mm",
+            "shift of the edge",
+            "mm",
+            digits=2,
+            meaning="of the body's centre; the transfer is measured after it",
+            best="lower",
+            good="below half a voxel",
+            without_signal="null",
+        ),
     ),
     _measure,
     names={"at": "round body"},

@@ -49,9 +49,21 @@ NPS = FigureKind(
     NoisePower,
     "Regions in which the noise power spectrum is measured.",
     (
-        percent("noise_rel", "noise", "of μ({0}), standard deviation about a trend", "lower"),
+        percent(
+            "noise_rel",
+            "noise",
+            "of μ({0}), standard deviation about a trend",
+            "lower",
+            good="a fifth of the contrast sought",
+            without_signal="null",
+        ),
         Figure(
-            "mean_frequency_per_mm", "mean frequency of noise", "mm⁻¹", meaning="weighted by power"
+            "mean_frequency_per_mm",
+            "mean frequency of noise",
+            "mm⁻¹",
+            meaning="weighted by power",
+            good="that of volumes to compare with",
+            without_signal="null",
         ),
     ),
     _measure,

@@ -35,9 +35,15 @@ REGIONS = FigureKind(
     NamedRegion,
     "Named regions; each has a mean and an RMSE.",
     (
-        percent("mean_rel", "mean", "of μ({0})"),
-        percent("bias_rel", "mean error", "of μ({0}), volume minus truth"),
-        percent("rmse_rel", "RMSE", "of μ({0})", "lower"),
+        percent("mean_rel", "mean", "of μ({0})", good="that of the truth", without_signal="any"),
+        percent(
+            "bias_rel",
+            "mean error",
+            "of μ({0}), volume minus truth",
+            good="within 1 %",
+            without_signal="any",
+        ),
+        percent("rmse_rel", "RMSE", "of μ({0})", "lower", good="below 3 %", without_signal="null"),
     ),
     _measure,
 )

@@ -43,7 +43,16 @@ STREAKS = FigureKind(
     "streaks",
     Streaks,
     "Parts around which streaks are measured.",
-    (percent("streak_rel", "streaks", "of μ({0}), error from sector to sector", "lower"),),
+    (
+        percent(
+            "streak_rel",
+            "streaks",
+            "of μ({0}), error from sector to sector",
+            "lower",
+            good="below 1 %",
+            without_signal="null",
+        ),
+    ),
     _measure,
     names={"part": "part"},
 )

@@ -34,9 +34,10 @@ _OBSERVER = "non-prewhitening observer"
 
 def _measure(at: Measurement, task: Task) -> dict[str, float]:
     spectrum = at.once(spectrum_of, task.region)
-    transfer = 1.0 if task.mtf is None else at.once(transfer_at, task.mtf)
-    if spectrum is None or transfer is None:
+    local = None if task.mtf is None else at.once(transfer_at, task.mtf)
+    if spectrum is None or (task.mtf is not None and local is None):
         return {}
+    transfer = local.mtf if local else 1.0
     signal, edges = _signal_on(task.signal, at.grid), at.grid.voxel[::-1].tolist()
     return {"detectability": detectability(signal, edges, spectrum, transfer)}
 
@@ -59,7 +60,17 @@ TASKS = FigureKind(
     "tasks",
     Task,
     "Detection tasks.",
-    (Figure("detectability", "detectability d′", "", 1, 2, _OBSERVER, "higher"),),
+    (
+        Figure(
+            "detectability",
+            "detectability d′",
+            digits=2,
+            meaning=_OBSERVER,
+            best="higher",
+            good="above 3",
+            without_signal="null",
+        ),
+    ),
     _measure,
     names={"region": "region", "mtf": "mtf.at"},
 )
