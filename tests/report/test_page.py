@@ -115,7 +115,11 @@ def test_says_the_figures(report, page):
     error = metrics["pose_error"]["detector"]["position_mm"]
     assert f"{error['mean']:.3f} ± {error['std']:.3f} {error['max']:.3f} 0.76 ± 0.07 0.96" in words
     assert "believed geometry executed geometry" in words
-    assert f"{100 * metrics['image']['rmse_bone_rel']:.1f}" in words
+    image = metrics["image"]
+    lead = f"{100 * image['rmse_bone_rel']:.1f} % RMSE near bone; good: below 5 %"
+    assert words.index(lead) < words.index("24 / 24"), "the figures near the object lead"
+    assert f"{image['ssim_bone']:.3f} SSIM near bone; good: above 0.8" in words
+    assert words.index("SSIM near bone") < words.index("3-D, windows of 7³ voxels")
     assert "reconstruction 16.0 min" in words and "whole run 18.1 min" in words
     assert metrics["scenario_digest"] in words
 
@@ -136,6 +140,21 @@ def test_figures_without_a_value_show_a_dash(report, undrawn):
     metrics["image"] = metrics["image"] | {"psnr_db": None, "zero": {}}
     page = Page(render_report(replace(report, metrics=metrics)))
     assert "PSNR – dB" in page.words and "believed geometry good meaning" in page.words
+
+
+def test_figures_of_an_earlier_version_are_missing_and_said_to_be(report, undrawn):
+    """The seven figures that the first versions had."""
+    first = list(report.metrics["image"])[:7]
+    metrics = dict(report.metrics)
+    for name in ("image_by_geometry", "believed_minus_executed"):
+        metrics.pop(name)
+    metrics["image"] = {name: report.metrics["image"][name] for name in first}
+    words = Page(render_report(replace(report, metrics=metrics))).words
+    assert "– SSIM near bone; good: above 0.8" in words and "signal – %" in words
+    assert "– believed geometry: its signal is unknown" in words
+    metrics["image"] = report.metrics["image"] | {"signal_rel": 0.0, "ssim": None}
+    words = Page(render_report(replace(report, metrics=metrics))).words
+    assert "SSIM – " in words and "– believed geometry: the volume has no signal (0.0 %" in words
 
 
 def test_parts_that_are_not_there_leave_no_gap(report):

@@ -41,6 +41,9 @@ PAPER_TABLE_1 = {
 """Table 1 of the paper: executed against commanded poses, 399 views, trigger at 1 mm."""
 
 
+LEAD = ("rmse_bone_rel", "ssim_bone")
+"""Figures at the top of a report: those near the object."""
+
 Pictures = dict[str, Picture | None]
 
 _STAGES = {
@@ -90,6 +93,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         image_rows=[
             (one, [nested(told, one.key) for told in (columns | beside).values()]) for one in shown
         ],
+        lead=[(one, nested(metrics["image"], one.key)) for one in shown if one.key in LEAD],
         reasons=reasons(columns),
         measured_columns=[*columns],
         measured_rows=measured_rows(columns, report.reference),
