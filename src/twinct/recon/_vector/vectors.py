@@ -6,6 +6,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic as numba_intrinsic
 
 # Calls omit the typing context that the function takes, so the type checker must not look.
@@ -71,10 +72,23 @@ def splat(builder: Any, value: Any) -> Any:
     return builder.shuffle_vector(one, undefined, _mask([0] * LANES))
 
 
-def lanes_of(builder: Any, vector: Any) -> list[Any]:
-    """Return eight non-negative 32-bit integers, widened to 64 bits."""
-    lanes = (builder.extract_element(vector, ir.Constant(I32, lane)) for lane in range(LANES))
-    return [builder.zext(lane, I64) for lane in lanes]
+def room_for_lanes(builder: Any) -> Any:
+    """Allocate the memory for ``lanes_of``, once for a function."""
+    return cgutils.alloca_once(builder, INTS)
+
+
+def lanes_of(builder: Any, vector: Any, room: Any) -> list[Any]:
+    """Return eight non-negative 32-bit integers, widened to 64 bits.
+
+    They pass through memory, because the units that would extract lanes also blend samples, and
+    are busy. An empty instruction that may use the memory keeps LLVM from extracting nevertheless.
+    """
+    builder.store(vector, room)
+    kind = ir.FunctionType(ir.VoidType(), [room.type])
+    builder.asm(kind, "", "r,~{memory}", [room], side_effect=True)
+    lanes = builder.bitcast(room, I32.as_pointer())
+    places = (builder.gep(lanes, [ir.Constant(I64, lane)]) for lane in range(LANES))
+    return [builder.zext(builder.load(place, align=4), I64) for place in places]
 
 
 def read_pairs(builder: Any, base: Any, places: list[Any]) -> tuple[Any, Any]:
