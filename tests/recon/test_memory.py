@@ -48,7 +48,7 @@ SCRATCH = 500_000
 )
 def test_peak_is_as_stated(name, large, circle):
     grid, views, panel = (
-        # Tall for ``fast``, which denoises slabs of 32 planes, and 17 on each side.
+        # Tall for ``fast``, which denoises slabs of 64 planes, and 17 on each side.
         (
             VolumeGrid(
                 (512, 32, 32) if name == "fast" else (80, 80, 80), 0.5 if name != "fast" else 0.08

@@ -18,7 +18,7 @@ STEPS = 15
 STEP = 1.8
 """Step size of the dual iteration, which no longer converges at 2."""
 
-FEWEST_PLANES, SLAB_SHARE = 32, 0.3
+FEWEST_PLANES, SLAB_SHARE = 64, 0.13
 """Smallest number of planes denoised at a time, and their share of the volume.
 
 The share includes the planes around them; the iteration holds six slabs of this size.

@@ -103,7 +103,7 @@ def fast(
 ) -> Volume:
     """Reconstruct a volume from line integrals, mostly in larger voxels and pixels.
 
-    Peak memory: 3 volumes and half of the projections, besides the projections.
+    Peak memory: 2.2 volumes and half of the projections, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
@@ -280,7 +280,7 @@ def _solve(problem: Problem, settings: Fast) -> Volume:
 FAST = Algorithm(
     Fast,
     _solve,
-    volumes=3,
+    volumes=2.2,
     projections=0.5,
     check=_check,
     updates=lambda own, views: (
