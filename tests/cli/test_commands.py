@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 from contextlib import ExitStack
 from pathlib import Path
+from unittest.mock import Mock
 
 import nibabel
 import numpy as np
@@ -518,6 +521,34 @@ def test_an_interrupt_that_a_library_swallows_is_no_bug(
     monkeypatch.setattr("twinct.cli.commands.app.cli", lambda **_: 1 / 0)
     assert run_command([]) == 1  # a bug of the next command stays one
     assert "unexpected ZeroDivisionError" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 3 GiB"),
+        ImportError("_numbers.so: failed to map segment from shared object"),
+        OSError(errno.ENOMEM, "Cannot allocate memory"),
+        RuntimeError("can't start new thread"),
+        ValueError("mujoco: Could not allocate memory"),
+    ],
+)
+def test_a_lack_of_memory_is_told_whatever_meets_it(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    def lacking(**_: object) -> None:
+        try:
+            raise error
+        except Exception as first:
+            raise TypeError("something failed") from first
+
+    for work in (lacking, Mock(side_effect=error)):
+        monkeypatch.setattr("twinct.cli.commands.app.cli", work)
+        assert run_command([]) == 2
+        assert re.match(r"twinct: too little memory, by the .*: \w+: ", capfd.readouterr().err)
+    monkeypatch.setattr("twinct.cli._code_of", Mock(side_effect=SystemError("no exception set")))
+    assert run_command([]) == 2
+    assert "too little memory" in capfd.readouterr().err
 
 
 def test_a_second_interrupt_cuts_the_end_short_but_not_what_is_said(

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from twinct.core.errors import TwinctError
 from twinct.core.foreign_text import shortened
 from twinct.core.interruption import EndedBySignal, end_like_ctrl_c, notes_of, swallowed
+from twinct.core.memory import available_bytes, lacks_memory
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
 
@@ -53,6 +54,8 @@ def run_command(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         _close_unread()
         code = EXIT_SIGNAL + signal.SIGPIPE
+    except (MemoryError, SystemError) as error:  # Python found no memory for the exception itself
+        code = _say_memory(error)
     return code
 
 
@@ -81,18 +84,33 @@ def _code_of(arguments: list[str]) -> int:
             _say(f"twinct: {line}")
         return error.exit_code
     except Exception as error:
-        if isinstance(error, BrokenPipeError) and _unread():
-            raise
-        if stop := swallowed():
-            raise stop from error
-        if os.environ.get("TWINCT_DEBUG"):
-            traceback.print_exc()
-        _say(
-            f"twinct: unexpected {type(error).__name__}: {shortened(str(error))}\n"
-            "twinct: this is a bug in twinct; set TWINCT_DEBUG=1 to see where"
-        )
-        return EXIT_OTHER
+        return _code_of_foreign(error)
     return EXIT_DONE
+
+
+def _code_of_foreign(error: Exception) -> int:
+    """Say what a foreign exception means, unless it is the trace of an interruption."""
+    if isinstance(error, BrokenPipeError) and _unread():
+        raise error
+    if stop := swallowed():
+        raise stop from error
+    if os.environ.get("TWINCT_DEBUG"):
+        traceback.print_exc()
+    if lacks_memory(error):
+        return _say_memory(error)
+    _say(
+        f"twinct: unexpected {type(error).__name__}: {shortened(str(error))}\n"
+        "twinct: this is a bug in twinct; set TWINCT_DEBUG=1 to see where"
+    )
+    return EXIT_OTHER
+
+
+def _say_memory(error: Exception) -> int:
+    _say(
+        f"twinct: too little memory, by the {available_bytes()[1]}: "
+        f"{type(error).__name__}: {shortened(str(error))}"
+    )
+    return EXIT_BAD_INPUT
 
 
 def _say(message: str) -> None:

@@ -13,6 +13,24 @@ _STATUS = Path("/proc/self/status")
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
+_NO_MEMORY = (
+    *("failed to map segment", "cannot allocate memory", "could not allocate memory"),
+    *("can't start new thread", "bad_alloc"),
+)
+"""Words of libraries, the dynamic loader and Python about a lack of memory, in small letters."""
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Return True if an exception, or one behind it, tells that memory was lacking."""
+    seen: BaseException | None = error
+    while seen is not None:
+        words = str(seen).lower()
+        if isinstance(seen, MemoryError) or any(word in words for word in _NO_MEMORY):
+            return True
+        seen = seen.__cause__ or seen.__context__
+    return False
+
+
 def available_bytes() -> tuple[float, str]:
     """Return the bytes that this process may still allocate, or infinity, and the limit's cause."""
     return min(_limits(), default=(math.inf, "unknown"))

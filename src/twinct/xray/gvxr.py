@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, MissingExtraError, TwinctError
 from twinct.core.extras import WAY_OUT
+from twinct.core.memory import lacks_memory
 from twinct.geometry import Panel
 from twinct.xray.engine import EngineChoice, SceneBody, SceneView
 
@@ -55,9 +56,6 @@ ADVICE = (
     "libgl1-mesa-dri libx11-6 libxcb-composite0 libxcb-ewmh2 libxcb-icccm4 libxcb-keysyms1 "
     f"libxcb-res0 libxcb-xinerama0), {WAY_OUT['xray']}"
 )
-
-NO_MEMORY = ("failed to map segment", "Cannot allocate memory", "cannot allocate memory")
-"""Words of the dynamic loader about a library for which no memory is left."""
 
 _PRIMER = SceneBody(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
@@ -216,7 +214,7 @@ def _import_gvxr() -> Any:
             raise
         raise MissingExtraError("gvxr", "xray", WAY_OUT["xray"]) from error
     except ImportError as error:
-        if any(words in str(error) for words in NO_MEMORY):
+        if lacks_memory(error):
             raise InputError(f"gVXR cannot be loaded: too little memory: {error}") from error
         raise InputError(f"gVXR cannot be loaded: {error}. {ADVICE}") from error
     return gvxr
