@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 from pathlib import Path
+from unittest.mock import Mock
 
 import mujoco
 import numpy as np
 import pytest
 import trimesh
 
-from twinct.core.errors import ScenarioError, StorageError
+from twinct.core.errors import InputError, ScenarioError, StorageError
 from twinct.geometry import Pose
 from twinct.robots.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
 from twinct.scenario import Cell, Detector, GantryCell
@@ -169,3 +170,16 @@ def test_a_picture_on_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("PIL.Image.Image.save", full)
     with pytest.raises(StorageError, match=r"room\.png: the disk is full"):
         render_cell(None, tmp_path / "room.png")  # type: ignore[arg-type]
+
+
+def test_drawing_that_fails_with_little_memory_tells_of_it(
+    cell: CellModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mujoco.Renderer", Mock(side_effect=RuntimeError("no EGL device")))
+    for left, told in (
+        (3 * 2**28, r"only 0\.75 GiB of memory are left, by the limit"),
+        (2**33, ""),
+    ):
+        monkeypatch.setattr("twinct.core.memory.available_bytes", lambda left=left: (left, "limit"))
+        with pytest.raises(InputError, match=f"cannot draw.*no EGL device.*{told}$"):
+            render_cell(cell, tmp_path / "room.png")

@@ -59,6 +59,11 @@ class Fault:
         return bool(self.kind) and 0 not in self.codes
 
     @property
+    def ends_surely(self):
+        """True if the fault is a signal that ends the command whenever it comes."""
+        return self.kind == "signals" and self.victim == "main" and not self.stops
+
+    @property
     def stops(self):
         """True if the command itself is stopped, until its nodes have ended."""
         return self is FAULTS["scan stopped"]

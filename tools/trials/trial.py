@@ -30,6 +30,8 @@ from simulated_cluster import SimulatedCluster
 DRAFT = re.compile(r"partial|\.new$|lock$|lifeline")
 DRAWS = 5
 """A trial is drawn at most so often."""
+EARLY = 0.75
+"""Share of a command's moments before which a signal ends it surely."""
 RESUMED = 0.25
 """Share of two commands at once that resume a killed one."""
 TRACER = "lttng-ust-wait"
@@ -138,7 +140,9 @@ class Trial:
     def run(self, times):
         """Run the command with its fault, then to its end; see ``Trials.trial``."""
         before, fault = self.results(), self.fault
-        moment, wait_s = drawn_moment(self.rng, times.get(fault.victim, [0, 0]))
+        expected = times.get(fault.victim, [0, 0])
+        moment, wait_s = drawn_moment(self.rng, expected)
+        self.early = moment < EARLY * len(expected)
         argument = fault.argument(self.rng, self.disk)
         plan = f"{fault.victim}|{moment}|{wait_s:.3f}|{fault.kind}|{argument}|{self.place}"
         if fault.read_only:
@@ -210,6 +214,8 @@ class Trial:
             wrong.append(f"exit code {', '.join(map(str, codes))}: {said}")
         if any(code > 0 for code in codes) and not re.search(fault.said, said):
             wrong.append(f"it said nothing like {fault.said!r} but {said!r}")
+        if fault.ends_surely and self.fired and self.early and 0 in codes:
+            wrong.append("the signal was lost: the command went on to its end")
         if 0 in codes and not fault.twice and self.results() != self.expected:
             wrong.append(f"it succeeded with {self.differing()}")
         return wrong + (self.leftovers() if -signal.SIGKILL not in codes else self.running())

@@ -31,6 +31,18 @@ def lacks_memory(error: BaseException) -> bool:
     return False
 
 
+LITTLE_BYTES = 2**30
+"""Memory below which a library may fail to load its drivers, without saying why."""
+
+
+def if_little() -> str:
+    """Return a clause about the memory that is left, if it is little; else nothing."""
+    available, limit = available_bytes()
+    if available >= LITTLE_BYTES:
+        return ""
+    return f"; only {available / 2**30:.2f} GiB of memory are left, by the {limit}"
+
+
 def available_bytes() -> tuple[float, str]:
     """Return the bytes that this process may still allocate, or infinity, and the limit's cause."""
     return min(_limits(), default=(math.inf, "unknown"))

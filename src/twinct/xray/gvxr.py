@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, MissingExtraError, TwinctError
 from twinct.core.extras import WAY_OUT
-from twinct.core.memory import lacks_memory
+from twinct.core.memory import if_little, lacks_memory
 from twinct.geometry import Panel
 from twinct.xray.engine import EngineChoice, SceneBody, SceneView
 
@@ -167,7 +167,8 @@ class GvxrEngine:
                 works, reason = False, str(error).partition("\n")[0]
         if not works:
             raise InputError(
-                f"gVXR found no OpenGL to draw with ({reason}). {ADVICE}{self._complaints()}"
+                f"gVXR found no OpenGL to draw with ({reason}). {ADVICE}{if_little()}"
+                f"{self._complaints()}"
             )
         self._gvxr = gvxr
         return gvxr

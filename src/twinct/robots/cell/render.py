@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, StorageError
 from twinct.core.files.writing import complete, storage_errors
+from twinct.core.memory import if_little
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
@@ -184,7 +185,7 @@ def _renderer(model: Any, width: int, height: int) -> Any:
         chosen = os.environ.get("MUJOCO_GL", "")
         raise InputError(
             f"MuJoCo cannot draw with MUJOCO_GL={chosen} ({str(error).strip() or 'no context'}): "
-            f"{_ADVICE}"
+            f"{_ADVICE}{if_little()}"
         ) from error
 
 
