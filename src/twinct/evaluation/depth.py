@@ -111,12 +111,14 @@ def rmse_by_depth(
     from twinct.evaluation import _image
 
     names = depth_names(edges_mm)
-    arrays = (read_only(array, np.float32) for array in (volume, truth))
+    values, true_values = (read_only(array, np.float32) for array in (volume, truth))
     squares = np.empty((len(region), len(names)))
     counts = np.empty(squares.shape, dtype=np.int64)
     ends = np.array(edges_mm, dtype=np.float64)
     seen = read_only(region, np.bool_)
-    _image.depth_sums(*arrays, seen, depth.lattice, *depth.cells, ends, squares, counts)
+    in_z, in_y, in_x = depth.cells
+    at = seen, depth.lattice, in_z, in_y, in_x, ends
+    _image.depth_sums(values, true_values, *at, squares, counts)
     return {
         name: math.sqrt(s / n) / mu_reference if n else math.nan
         for name, s, n in zip(names, squares.sum(axis=0), counts.sum(axis=0), strict=True)
