@@ -38,7 +38,8 @@ class ImageFigures:
     """Image quality in a region R of voxels; mu(bone) is the true attenuation of bone.
 
     Voxels outside R have no influence, except that bone outside counts for the distance to bone. A
-    figure without voxels is NaN: without bone near R, or without an SSIM window that fits in R.
+    figure without voxels is NaN: without bone near R, or without an SSIM window that fits in R. A
+    volume without signal has NaN for the figures that would reward it, see ``Figure``.
 
     Attributes:
         rmse_rel: root mean square of (volume - truth) over R, relative to mu(bone).
