@@ -1,5 +1,7 @@
 """From coarse to fine: what it is at one level, what it takes out, what it gains."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 from skimage.restoration import denoise_tv_chambolle
@@ -8,10 +10,12 @@ from twinct.core.errors import InputError
 from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
+from twinct.recon.air import air_noise, noise_like
 from twinct.recon.algorithms import BUILT_IN
-from twinct.recon.denoise import lower_variation, noise
+from twinct.recon.denoise import SHARE_OF_PHOTONS, lower_variation, noise
 from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
+from twinct.report import with_found
 
 
 @pytest.fixture
@@ -128,5 +132,71 @@ def test_noise_is_that_of_the_even_parts(ball):
     even, noisy = ball
     # Of 27 values the deviation scatters by a seventh, and its lower quartile is a tenth lower.
     assert noise(noisy) == pytest.approx(0.09, rel=0.1)
-    assert noise(even) == 0 == noise(np.zeros_like(even))
+    assert noise(even) == 0
     assert noise(noisy[20:22]) == pytest.approx(0.09, rel=0.2), "blocks as thin as the volume"
+
+
+def test_a_volume_of_thin_parts_does_not_tell_its_noise(ball):
+    even, noisy = ball
+    thin = np.zeros_like(even)
+    thin[::6], thin[1::6] = 1, 1
+    assert noise(thin) is None
+    assert noise(thin + noisy - even) is None
+    assert noise(np.zeros_like(even)) is None
+
+
+@pytest.fixture
+def plates(circle):
+    """Line integrals of two plates, 2 and 3 mm thick, in air."""
+    geometry = circle(48, Panel(40, 40, 2.0, 2.0))
+    grid = VolumeGrid((40, 40, 40), 1.0)
+    A = Projector(geometry, grid)
+    truth = np.zeros(grid.shape, np.float32)
+    truth[8:32, 10:30, 14:16], truth[8:32, 10:30, 25:28] = 0.05, 0.05
+    return A, A(truth), truth
+
+
+def test_noise_of_air_is_found_and_propagated(plates):
+    A, clean, _ = plates
+    p = clean + noise_like(clean, 0.02)
+    assert air_noise(clean, None) == pytest.approx(0, abs=1e-6)
+    assert air_noise(p, None) == pytest.approx(0.02, rel=0.05)
+    left_out = np.ones(A.range_shape[1:], np.bool_)
+    left_out[:, ::2] = False
+    assert air_noise(p, left_out) is None, "no pixel with its neighbours counts"
+    found = fast(A, p).extras["denoising"]
+    assert found["from"] == "air"
+    # The noise that the same steps leave, without bounds.
+    keys = {"denoising": 0, "nonnegative": False}
+    left = fast(A, p, **keys).array - fast(A, clean, **keys).array
+    deviation = left[5:35, 5:35, 5:35].std()
+    assert found["strength"] == pytest.approx(SHARE_OF_PHOTONS * deviation, rel=0.15)
+
+
+def test_noise_of_a_large_scan_is_that_of_a_smaller_one(plates, monkeypatch):
+    A, clean, _ = plates
+    p = clean + noise_like(clean, 0.02)
+    whole = fast(A, p).extras["denoising"]["strength"]
+    # The package's name ``fast`` is the function.
+    monkeypatch.setattr(import_module("twinct.recon.fast"), "SMALL", 20)
+    reduced = fast(A, p).extras["denoising"]["strength"]
+    assert reduced != whole
+    assert reduced == pytest.approx(whole, rel=0.2)
+
+
+def test_thin_parts_are_not_smoothed_away(plates):
+    A, clean, truth = plates
+    p = clean + noise_like(clean, 0.02)
+    error = np.square(fast(A, p).array - truth).mean()
+    assert error < 1.02 * np.square(fast(A, p, denoising=0).array - truth).mean()
+
+
+def test_nothing_is_denoised_where_the_noise_is_unknown(plates, caplog):
+    A, p, _ = plates
+    pixels = np.ones(A.range_shape[1:], np.bool_)
+    pixels[:, ::2] = False  # no pixel with all of its neighbours
+    volume = fast(A, p, mask=pixels)
+    assert volume.extras["denoising"] == {"strength": 0.0, "from": None}
+    assert "not denoised" in caplog.text
+    np.testing.assert_array_equal(volume, fast(A, p, mask=pixels, denoising=0))
+    assert "not denoised, since the noise is unknown" in with_found("fast", volume.extras)

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
+import scipy
 
 from twinct.core.threads import threads
 from twinct.geometry import VolumeGrid
@@ -24,9 +25,17 @@ FEWEST_PLANES, SLAB_SHARE = 64, 0.13
 The share includes the planes around them; the iteration holds six slabs of this size.
 """
 
-SHARE = 0.75
-"""Strength per noise and voxel edge, from skulls with 0 to 1e3 photons a pixel, 25 to 399 views."""
+SHARE = 0.85
+"""Strength per noise and voxel edge, from skulls with 0 to 1e3 photons a pixel, 25 to 399 views.
 
+The noise is that of the volume (``noise``), with the streaks that any volume has.
+"""
+
+SHARE_OF_PHOTONS = 0.5
+"""The same for the noise of the photons alone; from the zoo (benchmarks/zoo.py)."""
+
+FEWEST_BLOCKS = 40
+"""Smallest number of blocks without a border from which the noise of a volume is taken."""
 
 BLOCK = 3
 """Edge of the blocks in which the deviation is computed, in voxels."""
@@ -67,25 +76,52 @@ def lower_variation(
         del slab, lowered, weight, dual  # free memory for the next slab
 
 
-def noise(x: Singles) -> float:
+def noise(x: Singles) -> float | None:
     """Return the standard deviation of a volume in its homogeneous parts, in its unit.
 
-    It is the lower quartile of the deviation in blocks of 3^3 voxels of the specimen, whose means
-    are above Otsu's threshold (1979). Unlike the noise in the finest wavelet (Donoho and Johnstone,
-    1994), it includes noise that is correlated over two or three voxels, as in reconstructions.
-    Only the middle three quarters along each axis count, which most views see.
+    It is the lower quartile of the deviation in blocks of 3^3 voxels of the specimen: all voxels of
+    such a block are above Otsu's threshold (1979) of the blocks' means, and so are the voxels next
+    to it, if enough blocks have such neighbours. Blocks with a border of the specimen would tell of
+    its shape. Unlike the noise in the finest wavelet (Donoho and Johnstone, 1994), the deviation
+    includes noise that is correlated over two or three voxels, as in reconstructions. Only the
+    middle three quarters along each axis count, which most views see.
+
+    Returns:
+        None if less than ``FEWEST_BLOCKS`` blocks are without a border: thin parts have none.
     """
     middle = x[tuple(slice(n // 8, n - n // 8) for n in x.shape)]
     middle = middle[tuple(slice(n - n % min(BLOCK, n)) for n in middle.shape)]
-    slabs = [middle[k : k + BLOCK] for k in range(0, len(middle), BLOCK)]
+    starts = range(0, len(middle), BLOCK)
+
+    def judged(k: int) -> tuple[Singles, ...]:
+        slab = middle[k : k + BLOCK]
+        wide = middle[max(k - 1, 0) : k + BLOCK + 1]
+        return *_mean_and_variance(slab), _least(slab, BLOCK), _least(wide, BLOCK + 2)
+
     # numpy releases the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
-        mean, variance = np.array(list(pool.map(_mean_and_variance, slabs))).swapaxes(0, 1)
+        found = np.array(list(pool.map(judged, starts))).swapaxes(0, 1)
+    mean, variance = found[:2]
+    if not np.ptp(mean) > 0:
+        return None
     from skimage import filters as skimage_filters
 
     filters: Any = skimage_filters  # it comes without types
-    found = variance[mean > filters.threshold_otsu(mean)] if np.ptp(mean) > 0 else variance[:0]
-    return math.sqrt(max(float(np.percentile(found, 25)), 0.0)) if found.size else 0.0
+    threshold = filters.threshold_otsu(mean)
+    for least in (found[3], found[2]):
+        inner = variance[least > threshold]
+        if inner.size >= FEWEST_BLOCKS:
+            return math.sqrt(max(float(np.percentile(inner, 25)), 0.0))
+    return None
+
+
+def _least(slab: Singles, width: int) -> Singles:
+    """Return the smallest value about each block in a slab, over a width in the plane."""
+    plane: Singles = slab.min(0)
+    for axis, n in enumerate(plane.shape):
+        plane = scipy.ndimage.minimum_filter1d(plane, min(width, n), axis, mode="nearest")
+    middles = tuple(slice(min(BLOCK, n) // 2, None, min(BLOCK, n)) for n in plane.shape)
+    return plane[middles]
 
 
 def _mean_and_variance(slab: Singles) -> tuple[Singles, Singles]:

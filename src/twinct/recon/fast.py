@@ -9,12 +9,15 @@ from then on, as in ``without_surroundings``.
 An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several views
 see each voxel. If views outnumber the voxels along an axis, the relaxation therefore falls over a
 level, in geometric steps, from its first value to that value times voxels along an axis over views.
-The remaining noise is reduced by total variation (``lower_variation``), as strong as the volume's
-``noise`` requires. docs/reconstruction.md gives the reasons for these numbers.
+The remaining noise is reduced by total variation (``lower_variation``), as strong as the ``noise``
+of the volume's homogeneous parts requires. Where there are none, as in thin parts, the noise of the
+line integrals in air is propagated instead. Where there is no air either, nothing is denoised.
+docs/reconstruction.md gives the reasons for these numbers.
 """
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -25,9 +28,10 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.recon.air import air_noise, deviation_of, noise_like
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
-from twinct.recon.denoise import SHARE, lower_variation, noise
+from twinct.recon.denoise import SHARE, SHARE_OF_PHOTONS, lower_variation, noise
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
@@ -38,6 +42,11 @@ from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
+
+log = logging.getLogger(__name__)
+
+SMALL, FEWEST_VIEWS = 48, 24
+"""Voxels along an axis, and views, of the smallest scan that stands for a larger one."""
 
 SMALLEST = 8
 """Smallest number of voxels and pixels along an axis of a coarser level."""
@@ -73,7 +82,9 @@ class Fast(AlgorithmSettings):
     denoising: NonNegative | None = Field(
         default=None,
         description="Strength of the final total-variation denoising, in voxel edges times the "
-        "unit of the volume; by default derived from the volume's noise; 0 turns it off.",
+        "unit of the volume; 0 turns it off. By default it follows from the noise of homogeneous "
+        "parts of the volume, or, if there are none, of air in the projections; if there is none "
+        "either, nothing is denoised, and the log says so.",
     )
     margin: float = Field(
         default=0.2,
@@ -114,7 +125,7 @@ def fast(
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
         first_relaxation: relaxation of the first update of a level, between 0 and 2, both excluded.
         denoising: strength of the total variation in voxel edges times the unit of the result;
-            0 for none; by default estimated from the noise.
+            0 for none; by default estimated from the noise, if it can be known.
         margin: margin of the coarsest grid on each side, as a share of the grid's size along each
             axis.
         nonnegative: clip at zero after every update.
@@ -125,7 +136,9 @@ def fast(
             stops.
 
     Returns:
-        The volume; with ``stop``, its extras hold the number of ``passes`` at full resolution.
+        The volume. Its extras hold, with ``stop``, the number of ``passes`` at full resolution;
+        without a given strength, ``denoising``: its ``strength``, and ``from``, the source of the
+        noise: ``volume``, ``air`` or None.
 
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
@@ -164,11 +177,63 @@ def fast(
             done += 1
         if outside is None and factor > 1:
             outside = _outside(A, level, x, factor)
-    strength = SHARE * noise(x) if denoising is None else denoising
-    told = best.told
+    told: dict[str, Any] = best.told
+    if denoising is None:
+        keys: dict[str, Any] = {"coarse_passes": coarse_passes, "levels": levels, "margin": margin}
+        keys |= {"passes": told.get("passes", passes), "first_relaxation": relaxation}
+        denoising, source = _strength(A, p, pixels, x, keys)
+        told = told | {"denoising": {"strength": denoising, "from": source}}
     del best
-    lower_variation(x, grid, A.kernels, strength * float(grid.voxel.mean()), floor)
+    if denoising:
+        lower_variation(x, grid, A.kernels, denoising * float(grid.voxel.mean()), floor)
     return Volume(x, A.grid, told)
+
+
+def _strength(
+    A: Projector, p: NDArray[Any], pixels: Mask | None, x: Singles, keys: dict[str, Any]
+) -> tuple[float, str | None]:
+    """Return the strength of the denoising, and the source of the noise: None if it is unknown."""
+    if (deviation := noise(x)) is not None:
+        log.info("noise of %.3g in homogeneous parts of the volume", deviation)
+        return SHARE * deviation, "volume"
+    if (in_air := air_noise(p, pixels)) is not None:
+        deviation = _propagated(A, p, pixels, in_air, keys)
+        log.info(
+            "noise of %.3g in the volume, from that of %.3g of line integrals in air",
+            deviation,
+            in_air,
+        )
+        return SHARE_OF_PHOTONS * deviation, "air"
+    log.warning(
+        "the volume was not denoised: it has no homogeneous parts, and the projections show no "
+        "air, so its noise is unknown; state the strength (reconstruction.denoising)"
+    )
+    return 0.0, None
+
+
+def _propagated(
+    A: Projector, p: NDArray[Any], pixels: Mask | None, in_air: float, keys: dict[str, Any]
+) -> float:
+    """Return the deviation that noise of the line integrals leaves in the volume.
+
+    Noise alone is reconstructed by the same steps, without bounds. A smaller scan stands for a
+    large one: by a factor fewer views, and fewer, larger voxels and pixels along each axis. Its
+    relaxation falls alike. The variance is proportional to 1 / (views * voxel^2), and so it is
+    smaller by this factor.
+    """
+    shortest = min(*A.domain_shape, *A.range_shape[1:])
+    factor = 1
+    while shortest >= 2 * factor * SMALL and len(A) >= 2 * factor * FEWEST_VIEWS:
+        factor *= 2
+    views = A.geometry[::factor].binned(factor, factor)
+    small = A.on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel), views)
+    mask = pixels if pixels is None or pixels.ndim == 2 else pixels[::factor]
+    larger, mask = binned(p[::factor], mask, (factor, factor))
+    drawn = fast(
+        small, noise_like(larger, in_air), denoising=0.0, nonnegative=False, mask=mask, **keys
+    ).array
+    middle = drawn[tuple(slice(n // 8, n - n // 8) for n in drawn.shape)]
+    return deviation_of(np.abs(middle)) * float(np.sqrt(factor))
 
 
 def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> list[int]:

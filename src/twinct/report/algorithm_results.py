@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-FOUND = ("implants", "passes", "metal_voxels", "prior")
+FOUND = ("implants", "passes", "metal_voxels", "prior", "denoising")
 """Extras of a volume that ``metrics.json`` and the report list."""
 
 
@@ -25,4 +25,6 @@ def with_found(in_words: str, told: Mapping[str, Any]) -> str:
         words.append(
             f"prior moved by {prior['moved_mm']:.2f} mm, turned by {prior['turned_deg']:.2f} deg"
         )
+    if (denoising := told.get("denoising")) and denoising["from"] is None:
+        words.append("not denoised, since the noise is unknown")
     return f"{in_words}: {', '.join(words)}" if words else in_words

@@ -1,0 +1,81 @@
+"""Noise of line integrals, as far as the air beside the object tells of it.
+
+Air has a line integral of zero in every view: its scatter is noise, whatever the object. Photon
+statistics give the noise elsewhere: the variance of a line integral p is exp(p) times that of air.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from twinct.core.draws import view_rng
+from twinct.recon.checks import Mask, mask_of, masked_image
+from twinct.recon.engine import Singles
+
+MOST_VIEWS = 32
+"""Number of views, spread over the scan, from which the noise is taken."""
+
+FEWEST_PIXELS = 200
+"""Smallest number of pixels in air."""
+
+CLEAR = 0.02
+"""Largest line integral of air, less its noise: 2 % of the photons are absorbed."""
+
+DARKEST = 8.0
+"""Line integral up to which photon statistics are believed: beyond, other noise is larger."""
+
+_MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal variable."""
+
+
+def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:
+    """Estimate the standard deviation of a line integral in air, from a scan with air in it.
+
+    Second differences along rows and columns remove what is smooth (Immerkaer 1996); their median
+    is robust against edges.
+
+    Args:
+        p: line integrals, (views, rows, columns).
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
+
+    Returns:
+        None if the views show too little air.
+    """
+    differences: list[NDArray[Any]] = []
+    means: list[NDArray[Any]] = []
+    for view in range(0, len(p), -(-len(p) // MOST_VIEWS)):
+        image = masked_image(p, view, mask)
+        rough = image
+        for axis in range(2):
+            rough = scipy.ndimage.correlate1d(rough, [1.0, -2.0, 1.0], axis)
+        mean = scipy.ndimage.uniform_filter(image, 3)
+        counts = np.zeros(image.shape, np.bool_)
+        counts[1:-1, 1:-1] = True
+        if mask is not None:
+            counts &= scipy.ndimage.minimum_filter(mask_of(mask, view), 3)
+        differences.append(np.abs(rough[counts]) / 6)
+        means.append(mean[counts])
+    rough, mean = np.concatenate(differences), np.concatenate(means)
+    if not mean.size:
+        return None
+    everywhere = deviation_of(rough * np.exp(-np.clip(mean, 0, DARKEST) / 2))
+    air = rough[np.abs(mean) < max(CLEAR, everywhere)]
+    return deviation_of(air) if air.size >= FEWEST_PIXELS else None
+
+
+def deviation_of(sizes: NDArray[Any]) -> float:
+    """Return the standard deviation of normal noise from absolute values, by their median."""
+    return float(np.median(sizes)) / _MEDIAN_OF_NORMAL
+
+
+def noise_like(p: Singles, in_air: float) -> Singles:
+    """Draw noise of photon statistics, (views, rows, columns), the same in every call."""
+    drawn = np.empty_like(p)
+    for view, image in enumerate(p):
+        unit = view_rng(0, "noise of line integrals", view).standard_normal(image.shape, "f4")
+        drawn[view] = in_air * np.exp(np.clip(image, 0, DARKEST) / 2) * unit
+    return drawn
