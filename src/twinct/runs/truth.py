@@ -23,6 +23,7 @@ from twinct.evaluation import (
     region_of_interest,
 )
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
+from twinct.geometry.arrays import lock
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
 from twinct.scan import Scan, SimulationBuilder
@@ -56,6 +57,10 @@ class Truth:
     grid: VolumeGrid
     executed: ScanGeometry
     note: str = "twinct truth, 1/mm"
+
+    def __post_init__(self) -> None:
+        """Lock the arrays, which a process keeps for others."""
+        lock(self, "volume", "region")
 
     @cached_property
     def depth(self) -> RegionDepth:
