@@ -549,6 +549,9 @@ def test_a_lack_of_memory_is_told_whatever_meets_it(
     monkeypatch.setattr("twinct.cli._code_of", Mock(side_effect=SystemError("no exception set")))
     assert run_command([]) == 2
     assert "too little memory" in capfd.readouterr().err
+    monkeypatch.setattr("twinct.cli.available_bytes", Mock(side_effect=MemoryError))
+    assert run_command([]) == 2
+    assert capfd.readouterr().err == "twinct: too little memory\n"
 
 
 def test_a_second_interrupt_cuts_the_end_short_but_not_what_is_said(

@@ -125,7 +125,9 @@ FAULTS = {
     "worker killed": sent("9", (0,), "", "worker"),
     "a worker of a cluster killed": Fault((0,), "", "none", outside=SimulatedCluster.kill_worker),
     "a node of a cluster killed": Fault((0,), "", "none", outside=SimulatedCluster.lose_node),
-    "two at once": Fault((0, 2), "is using this folder|already holds", "none", twice=True),
+    "two at once": Fault(
+        (0, 2), "is using this folder|already holds|holds a search", "none", twice=True
+    ),
 }
 
 

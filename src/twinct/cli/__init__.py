@@ -106,10 +106,13 @@ def _code_of_foreign(error: Exception) -> int:
 
 
 def _say_memory(error: Exception) -> int:
-    _say(
-        f"twinct: too little memory, by the {available_bytes()[1]}: "
-        f"{type(error).__name__}: {shortened(str(error))}"
-    )
+    try:
+        _say(
+            f"twinct: too little memory, by the {available_bytes()[1]}: "
+            f"{type(error).__name__}: {shortened(str(error))}"
+        )
+    except (MemoryError, SystemError):
+        os.write(2, b"twinct: too little memory\n")
     return EXIT_BAD_INPUT
 
 
