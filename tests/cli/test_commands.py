@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import logging
 import os
 import re
 import signal
@@ -20,7 +21,7 @@ import pytest
 import zarr
 from waiting import HANG_S
 
-from twinct.cli import run_command
+from twinct.cli import main, run_command
 from twinct.core.interruption import keeping
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -322,7 +323,7 @@ WITHOUT_ARMS = """
 import sys
 for name in ("mujoco", "mink", "daqp", "ruckig", "ompl"):
     sys.modules[name] = None
-from twinct.cli import run_command
+from twinct.cli import main, run_command
 sys.exit(run_command(["check", sys.argv[1]]))
 """
 
@@ -552,6 +553,19 @@ def test_a_lack_of_memory_is_told_whatever_meets_it(
     monkeypatch.setattr("twinct.cli.available_bytes", Mock(side_effect=MemoryError))
     assert run_command([]) == 2
     assert capfd.readouterr().err == "twinct: too little memory\n"
+
+
+def test_readings_that_an_interrupt_cuts_short_do_not_complain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Zarr's event loop would print their tracebacks."""
+    logger = logging.getLogger("asyncio")
+    monkeypatch.setattr(logger, "disabled", False)
+    monkeypatch.setattr("twinct.cli.signal.signal", Mock())
+    monkeypatch.setattr("twinct.cli.run_command", Mock(return_value=129))
+    with pytest.raises(SystemExit):
+        main([])
+    assert logger.disabled
 
 
 def test_a_second_interrupt_cuts_the_end_short_but_not_what_is_said(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import select
 import signal
@@ -25,6 +26,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run one command and end the process; see ``run_command`` for the exit code."""
     code = run_command(argv)
     if code > EXIT_SIGNAL:
+        logging.getLogger("asyncio").disabled = True  # readings of Zarr that were cut short
         for number in (signal.SIGINT, signal.SIGTERM):  # another one ends the process at once
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
