@@ -110,7 +110,6 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
         low_start = builder.gep(x, [builder.add(offset, builder.mul(first, stride))])
         high_start = builder.gep(low_start, [far])
 
-        room = vec.room_for_lanes(builder)
         before, loop, after = builder.block, *map(builder.append_basic_block, ("plane", "after"))
         builder.cbranch(builder.icmp_signed("<=", first, last), loop, after)
         builder.position_at_end(loop)
@@ -121,8 +120,7 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
         k, g = _cell(builder, m, c_middle, c_slope, tops[1], guarded)
         if not adjacent:
             i = builder.mul(i, near_lanes, flags=["nsw"])
-        at = builder.add(i, builder.mul(k, far_lanes), flags=["nsw"])
-        places = vec.lanes_of(builder, at, room)
+        places = vec.lanes_of(builder, builder.add(i, builder.mul(k, far_lanes), flags=["nsw"]))
         inside = _within(builder, plane, firsts, lasts) if guarded else None
         used = carried if adds_up or not guarded else builder.select(inside, carried, _ZEROS)
         result = body(builder, (low, high), near, places, f, g, used)

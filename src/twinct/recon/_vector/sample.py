@@ -36,7 +36,6 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     start = builder.fadd(vec.splat(builder, builder.sitofp(first, vec.F32)), ramp)
     final = builder.sub(builder.add(first, count), ir.Constant(vec.I64, 1))
     last = vec.splat(builder, builder.sitofp(final, vec.F32))
-    room = vec.room_for_lanes(builder)
     before = builder.block
     loop = builder.append_basic_block("eight")
     after = builder.append_basic_block("after")
@@ -55,8 +54,7 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     c, r = builder.fptosi(column, vec.INTS), builder.fptosi(row, vec.INTS)
     f = builder.fsub(column, builder.sitofp(c, vec.VECTOR), flags=fast)
     g = builder.fsub(row, builder.sitofp(r, vec.VECTOR), flags=fast)
-    index = builder.add(c, builder.mul(r, widths, flags=["nsw"]))
-    places = vec.lanes_of(builder, index, room)
+    places = vec.lanes_of(builder, builder.add(c, builder.mul(r, widths, flags=["nsw"])))
     left_low, left_high, right_low, right_high = vec.read_fours(builder, image, places)
     low, high = vec.mix(builder, left_low, right_low, f), vec.mix(builder, left_high, right_high, f)
     builder.store(vec.mix(builder, low, high, g), vec.vector_at(builder, out, done), align=4)

@@ -72,17 +72,13 @@ def splat(builder: Any, value: Any) -> Any:
     return builder.shuffle_vector(one, undefined, _mask([0] * LANES))
 
 
-def room_for_lanes(builder: Any) -> Any:
-    """Allocate the memory for ``lanes_of``, once for a function."""
-    return cgutils.alloca_once(builder, INTS)
-
-
-def lanes_of(builder: Any, vector: Any, room: Any) -> list[Any]:
+def lanes_of(builder: Any, vector: Any) -> list[Any]:
     """Return eight non-negative 32-bit integers, widened to 64 bits.
 
     They pass through memory, because the units that would extract lanes also blend samples, and
     are busy. An empty instruction that may use the memory keeps LLVM from extracting nevertheless.
     """
+    room = cgutils.alloca_once(builder, INTS)
     builder.store(vector, room)
     kind = ir.FunctionType(ir.VoidType(), [room.type])
     builder.asm(kind, "", "r,~{memory}", [room], side_effect=True)
