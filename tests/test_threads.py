@@ -12,6 +12,7 @@ import pytest
 
 from twinct.core.errors import InputError
 from twinct.core.threads import available_threads, threads
+from twinct.recon.engine import kernels
 
 DEMO = Path(__file__).parents[1] / "scenarios" / "demo.yaml"
 ASK = """
@@ -74,6 +75,7 @@ told = os.environ["LP_NUM_THREADS"]
 os.environ["TWINCT_THREADS"] = "1"
 limit_threads()
 print(told, os.environ["LP_NUM_THREADS"], os.environ["BLOSC_NTHREADS"])
+print(os.environ["OMP_WAIT_POLICY"])
 """
 
 
@@ -81,11 +83,20 @@ print(told, os.environ["LP_NUM_THREADS"], os.environ["BLOSC_NTHREADS"])
 def test_what_single_libraries_were_told_stays_unless_a_bound_is_asked_for() -> None:
     result = subprocess.run(
         [sys.executable, "-c", TOLD],
-        env=os.environ | {"LP_NUM_THREADS": "7"},
+        env=os.environ | {"LP_NUM_THREADS": "7", "OMP_WAIT_POLICY": "active"},
         capture_output=True,
         text=True,
     )
-    assert result.stdout.split() == ["7", "1", "1"], result.stderr
+    assert result.stdout.split() == ["7", "1", "1", "active"], result.stderr
+
+
+def test_threads_that_wait_for_a_kernel_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_WAIT_POLICY", "active")
+    kernels("plain")
+    assert os.environ["OMP_WAIT_POLICY"] == "active"
+    monkeypatch.delenv("OMP_WAIT_POLICY")
+    kernels("plain")
+    assert os.environ["OMP_WAIT_POLICY"] == "passive"
 
 
 LATE = """

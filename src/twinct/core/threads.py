@@ -22,6 +22,18 @@ _ENVIRONMENT = (
 """Variables that BLAS, numba, Blosc, Zarr and Mesa's software renderer read when they start."""
 
 
+_WAITING = "OMP_WAIT_POLICY"
+
+
+def let_idle_threads_sleep() -> None:
+    """Let OpenMP's threads sleep while they wait, unless the environment says otherwise.
+
+    By default they spin for some milliseconds after each kernel, which takes a processor from other
+    processes. This has an effect before the first kernel runs in parallel.
+    """
+    os.environ.setdefault(_WAITING, "passive")
+
+
 def available_threads() -> int:
     """Return the number of processors for this process, limited by the quota of its container."""
     processors = len(os.sched_getaffinity(0))
@@ -74,6 +86,7 @@ def limit_threads(number: int | None = None) -> int:
     asked = bool(os.environ.get(SETTING, "").strip())
     bound = threads()
     loaded = "numba" in sys.modules
+    let_idle_threads_sleep()
     for name in _ENVIRONMENT:
         # numba reads it again, and refuses another number once its threads run.
         if not (loaded and name == "NUMBA_NUM_THREADS"):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
+from twinct.core.threads import let_idle_threads_sleep
 from twinct.geometry import Floats
 
 log = logging.getLogger(__name__)
@@ -132,6 +133,7 @@ def kernels(name: str | None = None) -> Kernels:
     Raises:
         InputError: the engine does not exist, or ``vector`` was requested and does not compile.
     """
+    let_idle_threads_sleep()
     chosen = asked_for(name)
     if chosen is None:
         return _best()
