@@ -252,3 +252,14 @@ def test_a_volume_of_before_is_still_that_of_its_scenario():
     """The new key at its default changes no digest; another value does."""
     digests = [stage_digests(settings(**keys))["volume"] for keys in ({}, {"stop": None})]
     assert digests[0] == digests[1] != stage_digests(settings(stop="auto"))["volume"]
+
+
+def test_an_object_beyond_the_grid_is_named_with_its_cure(scan, caplog):
+    slab = {"grid": {"voxels": [2, 24, 24], "voxel_mm": 5.0}}
+    reconstruct(scan(**slab))
+    assert "beyond the grid" in caplog.text
+    assert "reconstruction.surroundings" in caplog.text
+    caplog.clear()
+    reconstruct(scan(**slab, surroundings={"margin_mm": 60, "voxel_mm": 10, "iterations": 1}))
+    reconstruct(scan())
+    assert "beyond the grid" not in caplog.text

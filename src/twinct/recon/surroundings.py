@@ -28,13 +28,16 @@ from numpy.typing import ArrayLike
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
-from twinct.recon.checks import Checks, mask_of, masked_image, remainder, start_volume
+from twinct.recon.checks import Checks, Mask, mask_of, masked_image, remainder, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
+
+MOST_VIEWS = 16
+"""Number of views from which ``signs_beyond`` are taken."""
 
 
 def without_surroundings(
@@ -123,6 +126,34 @@ def without_surroundings(
         outside = outer[view](volume.array)[0] - A[view](inside)[0]
         image -= outside if pixels is None else np.where(mask_of(pixels, view), outside, 0)
     return rest
+
+
+def signs_beyond(
+    A: Projector, line_integrals: ArrayLike, mask: Mask | None = None
+) -> tuple[float, float]:
+    """Return two signs that the object reaches beyond the grid, from up to 16 spread views.
+
+    Args:
+        A: the projector, with the grid that will be reconstructed.
+        line_integrals: p, (views, rows, columns).
+        mask: as in ``without_surroundings``.
+
+    Returns:
+        The share of the attenuation on rays that miss the grid, about 0 for an object inside; and
+        the ratio of the largest to the smallest mean attenuation that a view shows in the grid,
+        about 1 for an object inside, or 1 if a view shows none.
+    """
+    p = np.asarray(line_integrals)
+    beside = everywhere = 0.0
+    means: list[float] = []
+    for view in range(0, len(A), -(-len(A) // MOST_VIEWS)):
+        image, lengths = masked_image(p, view, mask), A[view].chords()[0]
+        total = float(image.sum(dtype=np.float64))
+        missing = float(image[lengths == 0].sum(dtype=np.float64))
+        beside, everywhere = beside + missing, everywhere + total
+        means.append((total - missing) / max(float(lengths.sum(dtype=np.float64)), 1e-9))
+    share = min(max(beside / everywhere, 0.0), 1.0) if everywhere > 0 else 0.0
+    return share, max(means) / min(means) if min(means) > 0 else 1.0
 
 
 def check_margin(

@@ -33,7 +33,12 @@ from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
-from twinct.recon.surroundings import check_margin, surroundings_bytes, without_surroundings
+from twinct.recon.surroundings import (
+    check_margin,
+    signs_beyond,
+    surroundings_bytes,
+    without_surroundings,
+)
 from twinct.recon.volume import Volume
 from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
@@ -51,6 +56,12 @@ from twinct.scenario import (
 
 log = logging.getLogger(__name__)
 
+
+MUCH_BESIDE = 0.2
+"""Share of the attenuation on rays beside the grid from which the user is warned."""
+
+UNEQUAL = 2.0
+"""Ratio of the views' mean attenuation in the grid from which the user is warned."""
 
 Function = Callable[[Projector, NDArray[np.float32]], ArrayLike]
 """``f(A, y)``: from the projector and line integrals to a volume (z, y, x), 1/mm."""
@@ -217,6 +228,8 @@ def _corrected(
         integrals = hardening_corrected(scenario, integrals, A, pixels)
     if section.around is not None:
         integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
+    else:
+        _warn_beyond(A, integrals, pixels, audience)
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
             metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
@@ -225,6 +238,27 @@ def _corrected(
             log.warning(nothing)
             audience.say(nothing, warning=True)
     return integrals, metal
+
+
+def _warn_beyond(
+    A: Projector,
+    integrals: NDArray[np.float32],
+    pixels: NDArray[np.bool_] | None,
+    audience: Audience,
+) -> None:
+    """Warn if the projections show that the object reaches beyond the grid."""
+    beside, ratio = signs_beyond(A, integrals, pixels)
+    if beside <= MUCH_BESIDE and ratio <= UNEQUAL:
+        return
+    warning = (
+        f"the object reaches beyond the grid: {100 * beside:.0f} % of its attenuation is on rays "
+        f"that miss the grid, and the mean that a view shows in the grid varies by a factor of "
+        f"{ratio:.1f}; remove what lies around with "
+        "reconstruction.surroundings={margin_mm: ...}, a margin up to the object's end, or use a "
+        "larger reconstruction.grid"
+    )
+    log.warning(warning)
+    audience.say(warning, warning=True)
 
 
 def _poses(scan: Scan, which: str) -> ScanGeometry:
