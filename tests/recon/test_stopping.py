@@ -274,3 +274,17 @@ def test_units_do_not_matter():
     before, after = blurred(1.0), blurred(0.8, 0.05)
     small = error_change(before * np.float32(1e-3), after * np.float32(1e-3))
     assert small == pytest.approx(1e-6 * error_change(before, after), rel=1e-3)
+
+
+def test_no_pass_is_too_many_that_lowers_the_residual_much():
+    """Whatever the borders tell: they mislead where materials are more than two."""
+    ball = np.zeros((24, 24, 24), np.float32)
+    ball[6:18, 6:18, 6:18] = 1
+    noisy = ball + np.random.default_rng(1).normal(0, 0.2, ball.shape).astype(np.float32)
+    assert error_change(ball, noisy) > 0
+    for after, over in ((0.9, False), (0.95, True)):
+        left = iter([1.0, after])
+        best = BestPass("auto", lambda _, left=left: next(left))
+        assert not best.is_over(ball.copy())
+        assert best.is_over(noisy.copy()) == over
+        assert best.passes == 2 - over

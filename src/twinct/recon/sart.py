@@ -30,7 +30,7 @@ from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxation, Stop
 from twinct.recon.steps import Callback, Listener, residual_of
-from twinct.recon.stopping import VOLUMES, BestPass, StopName
+from twinct.recon.stopping import VOLUMES, BestPass, StopName, residual_in
 from twinct.recon.volume import Volume
 
 
@@ -93,7 +93,7 @@ def sart(
     relaxation = checks.relaxation(relaxation)
     x0 = checks.start(x0, A.domain_shape)
     views = view_order(checks, A.geometry, order, rng)
-    best = BestPass.checked(checks, stop)
+    best = BestPass.checked(checks, stop, residual_in(A, p, pixels) if stop else None)
     checks.done()
     require_memory(SART, A, best.volumes)
     x = start_volume(A, x0, nonnegative)
