@@ -19,6 +19,9 @@ from twinct.recon.engine import Singles
 MOST_VIEWS = 32
 """Number of views, spread over the scan, from which the noise is taken."""
 
+MOST_PIXELS = 2**12
+"""Number of pixels of a view, spread over it."""
+
 FEWEST_PIXELS = 200
 """Smallest number of pixels in air."""
 
@@ -47,6 +50,7 @@ def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:
     """
     differences: list[NDArray[Any]] = []
     means: list[NDArray[Any]] = []
+    step = int(np.ceil(np.sqrt(p[0].size / MOST_PIXELS)))
     for view in range(0, len(p), -(-len(p) // MOST_VIEWS)):
         image = masked_image(p, view, mask)
         rough = image
@@ -54,7 +58,7 @@ def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:
             rough = scipy.ndimage.correlate1d(rough, [1.0, -2.0, 1.0], axis)
         mean = scipy.ndimage.uniform_filter(image, 3)
         counts = np.zeros(image.shape, np.bool_)
-        counts[1:-1, 1:-1] = True
+        counts[1:-1:step, 1:-1:step] = True
         if mask is not None:
             counts &= scipy.ndimage.minimum_filter(mask_of(mask, view), 3)
         differences.append(np.abs(rough[counts]) / 6)

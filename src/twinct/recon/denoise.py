@@ -107,7 +107,7 @@ def noise(x: Singles) -> float | None:
     from skimage import filters as skimage_filters
 
     filters: Any = skimage_filters  # it comes without types
-    threshold = filters.threshold_otsu(mean)
+    threshold = filters.threshold_otsu(mean.ravel())
     for least in (found[3], found[2]):
         inner = variance[least > threshold]
         if inner.size >= FEWEST_BLOCKS:
