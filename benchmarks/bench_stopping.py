@@ -157,7 +157,7 @@ def of_fast(case, lines, options, which):
         number = (step.update + 1 - step.updates) // views + options.passes
         if (step.update + 1) % views == 0 and number > 0 and number not in known:
             x, edge = step.volume.copy(), float(case.grid.voxel.mean())
-            lower_variation(x, case.grid, case.A.kernels, SHARE * noise(x) * edge, 0.0)
+            lower_variation(x, case.grid, case.A.kernels, SHARE * (noise(x) or 0.0) * edge, 0.0)
             lines.add(**named, number=number, error=case.error(x))
         return risen(least + lines.of(**named), options.until)
 

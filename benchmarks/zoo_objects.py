@@ -97,7 +97,7 @@ def sheets(rng):
 def wires(rng, radii=(0.25, 2.5)):
     """Wires and a plate in all directions, in air."""
     shapes = [Shape(BOX, (0, 0, -18), (16, 16, rng.uniform(*radii)), "aluminium", None)]
-    for radius in np.geomspace(*radii, 12):
+    for radius in np.geomspace(radii[0], radii[1], 12):
         middle, direction = rng.uniform(-12, 12, 3), rng.normal(size=3)
         direction *= rng.uniform(10, 16) / np.linalg.norm(direction)
         shapes.append(rod(middle - direction, middle + direction, radius, "aluminium"))

@@ -80,6 +80,7 @@ def noise_like(p: Singles, in_air: float) -> Singles:
     """Draw noise of photon statistics, (views, rows, columns), the same in every call."""
     drawn = np.empty_like(p)
     for view, image in enumerate(p):
-        unit = view_rng(0, "noise of line integrals", view).standard_normal(image.shape, "f4")
-        drawn[view] = in_air * np.exp(np.clip(image, 0, DARKEST) / 2) * unit
+        rng = view_rng(0, "noise of line integrals", view)
+        drawn[view] = in_air * np.exp(np.clip(image, 0, DARKEST) / 2)
+        drawn[view] *= rng.standard_normal(drawn.shape[1:], dtype=np.float32)
     return drawn

@@ -28,7 +28,6 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.recon.air import air_noise, deviation_of, noise_like
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.denoise import SHARE, SHARE_OF_PHOTONS, lower_variation, noise
@@ -193,6 +192,8 @@ def _strength(
     A: Projector, p: NDArray[Any], pixels: Mask | None, x: Singles, keys: dict[str, Any]
 ) -> tuple[float, str | None]:
     """Return the strength of the denoising, and the source of the noise: None if it is unknown."""
+    from twinct.recon.air import air_noise  # only here: scenarios need the settings alone
+
     if (deviation := noise(x)) is not None:
         log.info("noise of %.3g in homogeneous parts of the volume", deviation)
         return SHARE * deviation, "volume"
@@ -221,6 +222,8 @@ def _propagated(
     relaxation falls alike. The variance is proportional to 1 / (views * voxel^2), and so it is
     smaller by this factor.
     """
+    from twinct.recon.air import deviation_of, noise_like
+
     shortest = min(*A.domain_shape, *A.range_shape[1:])
     factor = 1
     while shortest >= 2 * factor * SMALL and len(A) >= 2 * factor * FEWEST_VIEWS:
