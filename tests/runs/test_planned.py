@@ -125,7 +125,7 @@ def test_the_xray_node_has_its_views_from_the_plan(
     path, whole = scan
     plan = ScanStore(path).plan
     assert plan is not None
-    imager = _AsPlanned(scenario)
+    imager = _AsPlanned(SimulationBuilder(scenario))
     imager.follow(plan)
     geometry = whole.executed.geometry(scenario.detector.panel)
     image = imager.expose([(geometry[2], whole.executed_object[2])], 2)

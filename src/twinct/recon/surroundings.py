@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
-from twinct.recon.checks import Checks, Mask, mask_of, masked_image, remainder, start_volume
+from twinct.recon.checks import Checks, mask_of, masked_image, remainder, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
 from twinct.recon.projector import Projector, check_grid
@@ -129,7 +129,7 @@ def without_surroundings(
 
 
 def signs_beyond(
-    A: Projector, line_integrals: ArrayLike, mask: Mask | None = None
+    A: Projector, line_integrals: ArrayLike, mask: ArrayLike | None = None
 ) -> tuple[float, float]:
     """Return two signs that the object reaches beyond the grid, from up to 16 spread views.
 
@@ -142,12 +142,17 @@ def signs_beyond(
         The share of the attenuation on rays that miss the grid, about 0 for an object inside; and
         the ratio of the largest to the smallest mean attenuation that a view shows in the grid,
         about 1 for an object inside, or 1 if a view shows none.
+
+    Raises:
+        InputError: the line integrals or the mask do not fit the projector.
     """
-    p = np.asarray(line_integrals)
+    checks = Checks(A.range_shape)
+    p, pixels = checks.projections(line_integrals, mask)
+    checks.done()
     beside = everywhere = 0.0
     means: list[float] = []
     for view in range(0, len(A), -(-len(A) // MOST_VIEWS)):
-        image, lengths = masked_image(p, view, mask), A[view].chords()[0]
+        image, lengths = masked_image(p, view, pixels), A[view].chords()[0]
         total = float(image.sum(dtype=np.float64))
         missing = float(image[lengths == 0].sum(dtype=np.float64))
         beside, everywhere = beside + missing, everywhere + total
