@@ -19,6 +19,7 @@ from typing import Any
 import viser
 import websockets.asyncio.server
 from viser import _messages as messages
+from websockets.protocol import State
 
 from twinct.core.errors import InputError
 from twinct.viewer.guard import LARGEST_MESSAGE, LOCAL_NAMES, Guard
@@ -42,33 +43,48 @@ class Server(viser.ViserServer):
             RuntimeError: this version of viser starts it another way, without the guard.
         """
         self.guard = guard
-        with _guarded(guard) as used:
+        with _guarded(guard) as started:
             super().__init__(host=host, port=port, verbose=False, label=label)
-        if not used:
+        self._started = started
+        if not started:
             self.stop()
             raise RuntimeError(f"viser {viser.__version__} does not let requests be checked")
 
+    def stop(self) -> None:
+        """Stop at once: browsers open connections ahead, and send no request, for up to 10 s."""
+
+        def end_idle() -> None:
+            for server in self._started:
+                for connection in server.handlers:
+                    if connection.state is State.CONNECTING:
+                        connection.transport.abort()
+
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self.get_event_loop().call_soon_threadsafe(end_idle)
+        super().stop()
+
 
 @contextlib.contextmanager
-def _guarded(guard: Guard) -> Iterator[list[int]]:
-    """Guard the websocket servers that start in this block; yield their ports.
+def _guarded(guard: Guard) -> Iterator[list[Any]]:
+    """Guard the websocket servers that start in this block; yield them.
 
     viser passes no such options on to the library, so its function is replaced meanwhile.
     """
-    used: list[int] = []
+    started: list[Any] = []
     module: Any = websockets.asyncio.server
     with _STARTING:
         real = module.serve
 
         def serve(handler: Any, host: str, port: int, **options: Any) -> Any:
-            used.append(port)
             check = guard.over(options.pop("process_request"))
             options["max_size"] = LARGEST_MESSAGE
-            return real(handler, host, port, process_request=check, **options)
+            made = real(handler, host, port, process_request=check, **options)
+            started.append(made.server)
+            return made
 
         module.serve = serve
         try:
-            yield used
+            yield started
         finally:
             module.serve = real
 
