@@ -73,7 +73,8 @@ def test_one_pass_beats_sart_at_its_best_iteration(bodies):
 
 def test_what_lies_around_is_taken_out(bodies):
     A, p, error = bodies
-    assert error(fast(A, p)) < 0.8 * error(fast(A, p, margin=0))
+    # 0.15 with the margin of the last coarse level, 0.21 with that of the coarsest.
+    assert error(fast(A, p)) < 0.18 * error(fast(A, p, margin=0))
 
 
 def test_updates_are_those_that_were_promised(bodies):
@@ -82,9 +83,9 @@ def test_updates_are_those_that_were_promised(bodies):
     fast(A, p, callback=lambda step: seen.append((step.update, step.updates, step.volume.shape[0])))
     assert [update for update, _, _ in seen] == list(range(len(seen)))
     assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 10}
-    # The coarsest grid has its margin: 10 and 2 on each side.
+    # The coarse grids have their margin: 10 and 2, and 20 and 4 on each side.
     shapes = [shape for _, _, shape in seen]
-    assert shapes == [14] * 60 * 6 + [20] * 60 * 3 + [40] * 60
+    assert shapes == [14] * 60 * 6 + [28] * 60 * 3 + [40] * 60
 
 
 def test_a_margin_behind_the_source_is_named(bodies):

@@ -3,8 +3,9 @@
 The updates are as in ``sart``, view after view in golden-angle order. From level to level, voxels
 and pixels become half as large, so that a pass takes an eighth of the next level's time. Each level
 starts from the interpolated volume of the previous one, and a pass at full resolution only adds
-details. The coarsest grid is larger, and the contents of its margin are projected and subtracted
-from then on, as in ``without_surroundings``.
+details. The coarse grids are larger. The contents of the last one's margin are projected and
+subtracted before the pass at full resolution, as in ``without_surroundings``; coarser voxels would
+describe them less well.
 
 An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several views
 see each voxel. If views outnumber the voxels along an axis, the relaxation therefore falls over a
@@ -89,8 +90,8 @@ class Fast(AlgorithmSettings):
         default=0.2,
         ge=0,
         le=2,
-        description="Extra width of the coarsest grid on each side, as a share of the grid's size; "
-        "the contribution of this margin is removed from the finer levels.",
+        description="Extra width of the coarse grids on each side, as a share of the grid's size; "
+        "the contribution of this margin is removed before the pass at full resolution.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
     stop: Stop = None
@@ -125,7 +126,7 @@ def fast(
         first_relaxation: relaxation of the first update of a level, between 0 and 2, both excluded.
         denoising: strength of the total variation in voxel edges times the unit of the result;
             0 for none; by default estimated from the noise, if it can be known.
-        margin: margin of the coarsest grid on each side, as a share of the grid's size along each
+        margin: margin of the coarse grids on each side, as a share of the grid's size along each
             axis.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
@@ -160,7 +161,7 @@ def fast(
     listener = Listener(callback, len(A) * sum(numbers))
     done, x, grid, outside = 0, np.zeros((2, 2, 2), np.float32), A.grid, None
     for factor, number in zip(factors, numbers, strict=True):
-        level = _level(A, p, pixels, factor, 0.0 if outside else margin, outside)
+        level = _level(A, p, pixels, factor, margin, outside)
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
         grid = level.A.grid
         last = relaxation * min(1.0, float(np.mean(x.shape)) / len(A))
@@ -174,8 +175,8 @@ def fast(
             if listener(0, done, square, rays, x):
                 return Volume(interpolated(x, grid, A.grid), A.grid, best.told)
             done += 1
-        if outside is None and factor > 1:
-            outside = _outside(A, level, x, factor)
+        if factor == 2:
+            outside = _outside(A, level, x)
     told: dict[str, Any] = best.told
     if denoising is None:
         keys: dict[str, Any] = {"coarse_passes": coarse_passes, "levels": levels, "margin": margin}
@@ -248,28 +249,26 @@ def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> l
 
 @dataclass(frozen=True, eq=False)
 class _Outside:
-    """Line integrals of the grid's surroundings, in pixels that are larger by a factor."""
+    """Line integrals of the grid's surroundings, in pixels that are twice as large."""
 
     images: Singles
-    factor: int
 
-    def at(self, view: int, shape: tuple[int, ...], factor: int) -> Singles:
-        """Return one view in pixels larger by another factor, bilinear."""
-        image, ratio = self.images[view], self.factor / factor
+    def at(self, view: int, shape: tuple[int, ...]) -> Singles:
+        """Return one view in the scan's own pixels, bilinear."""
+        image = self.images[view]
         for axis, pixels in enumerate(shape):
-            middles = np.arange(0.5, pixels) / ratio - 0.5
+            middles = np.arange(0.5, pixels) / 2 - 0.5
             image = resampled(image, middles, axis)
         return image
 
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """Scan in voxels and pixels that are larger by a factor."""
+    """Scan in voxels and pixels that may be larger by a factor."""
 
     A: Projector
     p: NDArray[Any]
     pixels: Mask | None
-    factor: int
     outside: _Outside | None
 
     def update(
@@ -281,7 +280,7 @@ class _Level:
         """
         measured, mask = masked_image(self.p, view, self.pixels), mask_of(self.pixels, view)
         if self.outside is not None:
-            measured = measured - self.outside.at(view, measured.shape, self.factor)
+            measured = measured - self.outside.at(view, measured.shape)
         estimate, counts = self.A.update(
             x, view, measured, relaxation=relaxation, mask=mask, floor=floor
         )
@@ -299,10 +298,10 @@ def _level(
     outside: _Outside | None,
 ) -> _Level:
     if factor == 1:
-        return _Level(A, p, pixels, 1, outside)
+        return _Level(A, p, pixels, outside)
     views = A.geometry.binned(factor, factor)
     coarse = A.on(_with_margin(views, A.grid, factor, margin), views)
-    return _Level(coarse, *binned(p, pixels, (factor, factor)), factor, outside)
+    return _Level(coarse, *binned(p, pixels, (factor, factor)), None)
 
 
 def _with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: float) -> VolumeGrid:
@@ -328,9 +327,9 @@ def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
         raise InputError(f"reconstruction.margin: {one}" for one in error.problems) from None
 
 
-def _outside(A: Projector, level: _Level, x: Singles, factor: int) -> _Outside:
-    """Return the contribution of the coarsest level's margin to the line integrals."""
-    inner = level.A.on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel))
+def _outside(A: Projector, level: _Level, x: Singles) -> _Outside:
+    """Return the contribution of the last coarse level's margin to the line integrals."""
+    inner = level.A.on(coarse_grid(A.grid, 0.0, 2 * A.grid.voxel))
     images = level.A(x)
     middle = [
         slice((n - m) // 2, (n + m) // 2) for n, m in zip(x.shape, inner.domain_shape, strict=True)
@@ -338,7 +337,7 @@ def _outside(A: Projector, level: _Level, x: Singles, factor: int) -> _Outside:
     own = np.ascontiguousarray(x[tuple(middle)])
     for view, image in enumerate(images):
         image -= inner[view](own)[0]
-    return _Outside(images, factor)
+    return _Outside(images)
 
 
 def _solve(problem: Problem, settings: Fast) -> Volume:
