@@ -159,7 +159,8 @@ def fast(
     factors = _factors(A.domain_shape, A.range_shape[1:], levels)
     numbers = [passes if factor == 1 else coarse_passes * factor // 2 for factor in factors]
     listener = Listener(callback, len(A) * sum(numbers))
-    done, x, grid, outside = 0, np.zeros((2, 2, 2), np.float32), A.grid, None
+    done, x, grid = 0, np.zeros((2, 2, 2), np.float32), A.grid
+    outside = level = None
     for factor, number in zip(factors, numbers, strict=True):
         level = _level(A, p, pixels, factor, margin, outside)
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
@@ -183,7 +184,7 @@ def fast(
         keys |= {"passes": told.get("passes", passes), "first_relaxation": relaxation}
         denoising, source = _strength(A, p, pixels, x, keys)
         told = told | {"denoising": {"strength": denoising, "from": source}}
-    del best
+    del best, level, outside
     if denoising:
         lower_variation(x, grid, A.kernels, denoising * float(grid.voxel.mean()), floor)
     return Volume(x, A.grid, told)
