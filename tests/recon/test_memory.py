@@ -41,7 +41,7 @@ RUNS = {
 SLACK = 0.3
 """Images, planes and interpreter objects, in volumes or projections of this size."""
 SCRATCH = 600_000
-"""Bytes that each thread of a projector works in, whatever the size of the volume; 540,000 measured."""
+"""Bytes that each thread of a projector works in, of any volume; 540,000 were measured."""
 
 
 @pytest.mark.parametrize("name", RUNS)
