@@ -169,7 +169,7 @@ def test_a_picture_on_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("twinct.robots.cell.render.room_pictures", lambda *_: iter([pixels]))
     monkeypatch.setattr("PIL.Image.Image.save", full)
     with pytest.raises(StorageError, match=r"room\.png: the disk is full"):
-        render_cell(None, tmp_path / "room.png")  # type: ignore[arg-type]
+        render_cell(Mock(), tmp_path / "room.png")
 
 
 def test_drawing_that_fails_with_little_memory_tells_of_it(

@@ -8,7 +8,6 @@ from functools import partial
 import numba
 import numpy as np
 import pytest
-from skimage.filters import threshold_otsu  # noqa: F401 - else loaded, and counted, by ``fast``
 
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, cgls, fast, fdk, fista_tv, os_sart, prior_tv, sart, sirt
