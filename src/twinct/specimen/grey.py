@@ -1,0 +1,54 @@
+"""Grey bodies: voxels that are mixtures of a few basis materials."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import VolumeGrid
+from twinct.geometry.arrays import Floats, lock
+from twinct.specimen.materials import Material
+
+
+@dataclass(frozen=True, eq=False)
+class GreyField:
+    """Mixtures of basis materials on a voxel grid.
+
+    An amount is the density of a basis material in a voxel, relative to the material's own density.
+    So mu = sum_m amounts[..., m] mu_m(E), with the same amounts for all photon energies. Between
+    the centres of voxels, amounts are linear; outside the grid there is nothing.
+
+    Attributes:
+        materials: basis materials.
+        amounts: (nz, ny, nx, materials), float32, C-contiguous, finite, not negative.
+        grid: grid of the voxels; its world is the specimen's frame.
+    """
+
+    materials: tuple[Material, ...]
+    amounts: NDArray[np.float32]
+    grid: VolumeGrid
+
+    def __post_init__(self) -> None:
+        """Check shape and values, and lock the amounts.
+
+        Raises:
+            ValueError: the amounts do not fit the grid and the materials, or are no amounts.
+        """
+        expected = (*self.grid.shape, len(self.materials))
+        if self.amounts.shape != expected or self.amounts.dtype != np.float32:
+            raise ValueError(
+                f"the amounts are {self.amounts.dtype} {self.amounts.shape}, expected float32 "
+                f"{expected}"
+            )
+        low, high = self.amounts.min(), self.amounts.max()
+        if not (low >= 0 and np.isfinite(high)):
+            raise ValueError(f"the amounts lie between {low} and {high}; they must be 0 or more")
+        object.__setattr__(self, "amounts", np.ascontiguousarray(self.amounts))
+        lock(self, "amounts")
+
+    def mu_per_mm(self, energy_kev: float) -> NDArray[np.float32]:
+        """Return the attenuation of each voxel at a photon energy, (nz, ny, nx), 1/mm."""
+        of_materials: Floats = np.array([m.mu_per_mm(energy_kev) for m in self.materials])
+        return self.amounts @ of_materials.astype(np.float32)
