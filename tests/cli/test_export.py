@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import runpy
+import shutil
 import subprocess
 import tomllib
 from collections.abc import Iterator
@@ -19,7 +20,6 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.runs import line_integrals
 from twinct.scan import ScanStore, View
-from twinct.scan import store as store_module
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
 
@@ -224,7 +224,7 @@ def test_output_that_does_not_fit_or_may_not_be_written_is_named(
     out = run_folder / "file" / "out"
     stderr = bad(capfd, "export", run_folder, "--to", "cil", "--out", out)
     assert "cannot be written" in stderr
-    monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
     stderr = bad(capfd, "export", run_folder, "--to", "cil")
     assert "the export needs up to 0.06 GiB, but only 0.00 GiB are free" in stderr
     assert not (run_folder / "export-cil").exists()
@@ -239,7 +239,7 @@ def test_a_full_disk_leaves_nothing(run_folder: Path, tmp_path: Path, capfd, mon
         pytest.skip("this machine lets no one mount a small disk")
     try:
         free = type("U", (), {"free": 2**40})()
-        monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: free)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
         stderr = bad(capfd, "export", run_folder, "--to", "tigre", "--out", disk / "out")
         assert "the disk is full; the partial export was removed" in stderr
         assert not list(disk.iterdir())

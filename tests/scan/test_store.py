@@ -7,8 +7,10 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +20,6 @@ from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.scan import ScanStore, View, check_space, view_damage
-from twinct.scan import store as store_module
 from twinct.scan.checked import CheckedStore
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
@@ -241,7 +242,7 @@ def test_a_full_disk_loses_nothing(tmp_path, scenario, commanded, monkeypatch) -
 
 def test_too_little_space_is_said_before_the_start(tmp_path, scenario, monkeypatch) -> None:
     check_space(tmp_path / "not" / "there" / "yet", scenario, VIEWS)
-    monkeypatch.setattr(store_module.shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: type("U", (), {"free": 10})())
     with pytest.raises(StorageError, match=r"need up to 0\.\d+ GiB, but only 0\.00 GiB"):
         check_space(tmp_path, scenario, VIEWS)
 
@@ -329,3 +330,24 @@ def test_a_pipe_in_a_store_without_digests_is_not_waited_for(tmp_path) -> None:
         os.mkfifo(tmp_path / name / "zarr.json")
     (tmp_path / "status" / "c.0").write_bytes(b"\1")
     assert view_damage(tmp_path) == []
+
+
+def test_an_interruption_waits_until_a_view_is_written(
+    tmp_path, scenario, commanded, monkeypatch
+) -> None:
+    """Zarr would go on writing in its own thread."""
+    store = fill(tmp_path / "s.zarr", scenario, commanded, range(2))
+    put = ScanStore._put
+
+    def interrupted(self: ScanStore, *columns: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        put(self, *columns)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(ScanStore, "_put", interrupted)
+        store.write(2, view(2))
+    signal.signal(signal.SIGINT, before)
+    assert store.acquired == 3
+    whole = fill(tmp_path / "whole.zarr", scenario, commanded, range(3))
+    assert contents(store.path) == contents(whole.path)

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import NoReturn
+
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end work."""
 
 
 class EndedBySignal(KeyboardInterrupt):
@@ -44,6 +48,34 @@ def swallowed() -> EndedBySignal | None:
     Some libraries catch every exception while they are imported (trimesh), and fail by it later.
     """
     return _received[-1] if _received else None
+
+
+@contextmanager
+def postponed() -> Iterator[None]:
+    """Let signals that end work wait until the block is over, which must be short.
+
+    So a clean-up ends, and no library's thread goes on with work that was interrupted (Zarr's).
+    Only the main thread handles signals; in others, and inside another such block, nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    heard: list[int] = []
+
+    def wait(number: int, frame: FrameType | None) -> None:
+        heard.append(number)
+
+    changed = [number for number, handler in handlers.items() if callable(handler)]
+    try:
+        for number in changed:
+            signal.signal(number, wait)
+        yield
+    finally:
+        for number in changed:
+            signal.signal(number, handlers[number])
+        if heard:
+            signal.raise_signal(heard[0])
 
 
 @contextmanager

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twinct.core.errors import ScanExistsError
+from twinct.core.files.writing import passing_folder
 from twinct.exchange.format import Bundle, Format
 from twinct.exchange.formats import FormatName, format_named
 from twinct.geometry import ScanGeometry
@@ -48,17 +48,13 @@ def write_bundle(folder: Path, to: FormatName, bundle: Bundle) -> None:
         raise ScanExistsError(f"{folder} already exists: choose another --out")
     form.check(bundle)
     draft = folder.with_name(f".{folder.name}.partial")
-    shutil.rmtree(draft, ignore_errors=True)
-    try:
+    with passing_folder(draft):
         draft.mkdir(parents=True)
         form.write(bundle, draft)
         (draft / "export.json").write_text(json.dumps(_facts(bundle), indent=2) + "\n")
         (draft / "load.py").write_text(form.script, encoding="utf-8")
         (draft / "README.txt").write_text(_readme(form, bundle), encoding="utf-8")
         draft.rename(folder)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        raise
 
 
 def _facts(bundle: Bundle) -> dict[str, Any]:

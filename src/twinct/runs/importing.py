@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import draft_of, storage_errors
+from twinct.core.files.writing import draft_of, passing_folder, storage_errors
 from twinct.runs.acquisition import with_frames
 from twinct.runs.folder import Folder
 from twinct.scan import SimulationBuilder, View
@@ -56,8 +55,7 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
 
             # The scan comes last: without it, an import that was cut short can be repeated.
             draft = draft_of(folder.scan)
-            shutil.rmtree(draft, ignore_errors=True)  # of a killed process
-            stack.callback(shutil.rmtree, draft, ignore_errors=True)
+            stack.enter_context(passing_folder(draft))
             folder.write_scenario(recorded.rebuild(draft, whole).scenario)
             draft.rename(folder.scan)
     return recorded

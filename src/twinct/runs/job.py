@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Iterable
 from contextlib import ExitStack, closing, nullcontext
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_yaml import read_file
-from twinct.core.files.writing import storage_errors
+from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.interruption import keeping
 from twinct.core.threads import limit_threads, load_numba
 from twinct.evaluation import ImageFigures, figure_kinds
@@ -367,7 +366,7 @@ def _make_volumes(
         del volume
     assert kept is not None
     write_results(folder, builder, scan, Results(kept, truth, figures, residuals), seconds)
-    shutil.rmtree(folder.checkpoints, ignore_errors=True)
+    remove_folder(folder.checkpoints)
     folder.seconds.unlink(missing_ok=True)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import logging
-import shutil
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
@@ -14,7 +13,7 @@ from pathlib import Path
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import storage_errors
+from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.foreign_text import quoted
 from twinct.core.interruption import keeping
 from twinct.observers import Audience, Observers, audience_of
@@ -152,7 +151,7 @@ def reconstruct_again(
             log.info("reconstruction %s: %s", name, scan.scenario.reconstruction.in_words)
             there, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
             there.keep(volume)
-            shutil.rmtree(folder.checkpoints, ignore_errors=True)
+            remove_folder(folder.checkpoints)
     with keeping(lambda: f"{there.path} is kept; the same command completes the report"):
         report_again(folder.path, observers)
     return there

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import read_json
-from twinct.core.files.writing import write_json
+from twinct.core.files.writing import passing_folder, write_json
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
 from twinct.report import CrossSection, plain, with_found
@@ -75,8 +74,7 @@ class Reconstruction:
             OSError: a file cannot be written.
         """
         draft = self.path.with_name(f".{self.path.name}.partial")
-        shutil.rmtree(draft, ignore_errors=True)
-        try:
+        with passing_folder(draft):
             draft.mkdir(parents=True)
             volume.write(draft / "volume.nii", f"twinct {self.digest[:32]}")
             arrays = {
@@ -93,8 +91,6 @@ class Reconstruction:
             kept["files"] = {name: _digest(draft / name) for name in _FILES}
             write_json(draft / "reconstruction.json", kept)
             draft.rename(self.path)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
 
     def write_figures(self, figures: ImageFigures) -> None:
         """Replace the figures in the folder."""

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from pathlib import Path
 
 from twinct.core.errors import DamagedError
 from twinct.core.files.lock import sole_owner
+from twinct.core.files.writing import passing_folder
 from twinct.runs.folder import Folder
 from twinct.scan import ScanStore, SimulationBuilder, write_frame
 from twinct.scan.damage import make_way, root_digest
@@ -44,8 +44,7 @@ def mend_frame(path: Path, builder: SimulationBuilder, error: DamagedError) -> N
     scenario, draft = builder.scenario, path.with_name(f"{path.name}.new")
     reached = builder.robots().move(0, builder.targets[0])
     robots = reached.joint_names, len(reached.state), builder.followed
-    shutil.rmtree(draft, ignore_errors=True)
-    try:
+    with passing_folder(draft):
         write_frame(draft, scenario, builder.commanded_poses, *robots, mas=builder.mas)
         fresh = read_frame_manifest(draft) or {}
         broken = [damage.file for damage in error.found]
@@ -68,5 +67,3 @@ def mend_frame(path: Path, builder: SimulationBuilder, error: DamagedError) -> N
             (path / file).parent.mkdir(parents=True, exist_ok=True)
             (draft / file).replace(path / file)
             log.warning("%s: %s recreated unchanged", path, file)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.interruption import postponed
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
 from twinct.scan.data import View, bad_pixels_of
@@ -86,6 +87,7 @@ def _attributes(
     }
 
 
+@postponed()
 def write_frame(
     path: Path,
     scenario: Scenario,

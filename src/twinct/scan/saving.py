@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from twinct.core.errors import InputError, ScanExistsError
-from twinct.core.files.writing import storage_errors
+from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.geometry.wire import PosePairs
 from twinct.scan.data import Acquired, Scan, View
 from twinct.scan.layout import write_frame
@@ -54,7 +53,7 @@ def save_scan(scan: Scan, path: Path) -> None:
                 store.write(index, View(scan.transmission[index], reached))
             draft.rename(path)
         finally:
-            shutil.rmtree(drafts, ignore_errors=True)
+            remove_folder(drafts)
 
 
 def _acquired(scan: Scan) -> Acquired:

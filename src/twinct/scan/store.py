@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import logging
-import shutil
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -18,8 +17,9 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import DamagedError, InputError, ScanExistsError
 from twinct.core.files.plain_json import json_of
-from twinct.core.files.writing import require_space, storage_errors
+from twinct.core.files.writing import passing_folder, require_space, storage_errors
 from twinct.core.foreign_text import quoted
+from twinct.core.interruption import postponed
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs
 from twinct.scan.damage import frame_damage, make_way, view_damage
@@ -143,14 +143,10 @@ class ScanStore:
         if path.exists():
             raise ScanExistsError(f"{path} already holds a scan: choose another --out or --resume")
         draft = path.with_name(path.name + ".new")
-        with storage_errors(path):
-            shutil.rmtree(draft, ignore_errors=True)  # of a killed process
+        with storage_errors(path), passing_folder(draft):
             path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
-                draft.rename(path)
-            finally:
-                shutil.rmtree(draft, ignore_errors=True)
+            write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
+            draft.rename(path)
         return cls(path)
 
     @classmethod
@@ -382,7 +378,7 @@ class ScanStore:
                     f"{self.path}: {name} of view {index} has shape {np.shape(values)}, the scan "
                     f"{shape}: its metadata are damaged, or another twinct wrote them"
                 )
-        with storage_errors(self.path):
+        with storage_errors(self.path), postponed():
             for name, image in images.items():
                 self._array(name)[index] = image
             for name, values in columns.items():

@@ -113,6 +113,11 @@ class Cache:
         finally:
             os.close(descriptor)
 
+    def remove_locks(self) -> None:
+        """Remove the files of all locks; no process may use the cache."""
+        for path in self.folder.glob("*/.*.lock"):
+            path.unlink(missing_ok=True)
+
 
 def _save_array(array: NDArray[Any], path: Path) -> None:
     with path.open("wb") as stream:

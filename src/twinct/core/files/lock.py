@@ -12,6 +12,7 @@ from pathlib import Path
 
 from twinct.core.errors import FolderInUseError
 from twinct.core.files.writing import storage_errors
+from twinct.core.interruption import postponed
 
 
 @contextlib.contextmanager
@@ -26,15 +27,14 @@ def sole_owner(path: Path) -> Iterator[None]:
         StorageError: the folder cannot be written, or its disk filled up.
     """
     with storage_errors(path.parent):
-        descriptor = _locked(path)
-        try:
+        with contextlib.ExitStack() as stack:
+            with postponed():
+                descriptor = _locked(path)
+                stack.callback(_release, path, descriptor)
             os.ftruncate(descriptor, 0)
             owner = {"process": os.getpid(), "host": socket.gethostname()}
             os.write(descriptor, json.dumps(owner).encode())
             yield
-        finally:
-            path.unlink(missing_ok=True)  # while locked: a waiting process checks the name again
-            os.close(descriptor)
 
 
 def _locked(path: Path) -> int:
@@ -53,6 +53,12 @@ def _locked(path: Path) -> int:
             if os.path.samestat(os.fstat(descriptor), path.stat()):
                 return descriptor
         os.close(descriptor)  # the owner has just removed the file
+
+
+def _release(path: Path, descriptor: int) -> None:
+    with postponed():
+        path.unlink(missing_ok=True)  # while locked: a waiting process checks the name again
+        os.close(descriptor)
 
 
 def _owner(descriptor: int) -> str:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from twinct.core.errors import InputError, StorageError
 from twinct.core.files.boundary import ABSENT, no_file
+from twinct.core.interruption import postponed
 
 _SPARE_BYTES = 64 * 2**20
 """Disk space to leave free in addition to the output."""
@@ -33,6 +34,22 @@ def draft_of(path: Path) -> Path:
     compressed = path.suffix.lower() == ".gz"
     suffix = "".join(path.suffixes[-2:]) if compressed else path.suffix
     return path.with_name(f".{path.name}.partial{suffix}")
+
+
+@contextlib.contextmanager
+def passing_folder(path: Path) -> Iterator[None]:
+    """Remove a folder before the block, as a killed process may have left it, and afterwards."""
+    remove_folder(path)
+    try:
+        yield
+    finally:
+        remove_folder(path)
+
+
+@postponed()
+def remove_folder(path: Path) -> None:
+    """Remove a folder, if it exists and can be removed; an interruption waits until it is gone."""
+    shutil.rmtree(path, ignore_errors=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,0 +1,96 @@
+"""Short work ends before a signal that ends work: no draft and no lock stays behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twinct.core.files.lock import sole_owner
+from twinct.core.files.writing import passing_folder
+from twinct.core.interruption import ENDING, EndedBySignal, end_like_ctrl_c, postponed
+
+
+@pytest.fixture(autouse=True)
+def _ended_by_signals() -> Any:
+    before = {number: signal.getsignal(number) for number in ENDING}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    end_like_ctrl_c(signal.SIGTERM)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def interrupting(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that is interrupted when it has done its work."""
+
+    def call(*args: Any, **more: Any) -> Any:
+        done = function(*args, **more)
+        signal.raise_signal(signal.SIGINT)
+        return done
+
+    return call
+
+
+def test_a_signal_waits_for_the_end_of_the_block() -> None:
+    done: list[int] = []
+    with pytest.raises(EndedBySignal) as ended, postponed():
+        signal.raise_signal(signal.SIGTERM)
+        with postponed():
+            signal.raise_signal(signal.SIGTERM)
+            done.append(1)
+        done.append(2)
+    assert done == [1, 2]
+    assert ended.value.number == signal.SIGTERM
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_error_of_the_block_is_kept_beside_the_signal() -> None:
+    with pytest.raises(KeyboardInterrupt) as ended, postponed():
+        signal.raise_signal(signal.SIGINT)
+        raise OSError("disk")
+    assert isinstance(ended.value.__context__, OSError)
+
+
+def test_other_threads_change_no_handler() -> None:
+    found: list[object] = []
+
+    def work() -> None:
+        with postponed():
+            found.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [signal.default_int_handler]
+
+
+def test_a_lock_goes_though_its_owner_is_interrupted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the moments at which the file appears, and at which it goes."""
+    lock = tmp_path / ".lock"
+    for name in ("open", "unlink"):
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(os, name, interrupting(getattr(os, name)))
+            with sole_owner(lock):
+                pass
+        assert not lock.exists(), name
+
+
+def test_a_second_interruption_does_not_stop_the_clean_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draft = tmp_path / "draft"
+    with pytest.raises(KeyboardInterrupt), passing_folder(draft):
+        draft.mkdir()
+        for i in range(3):
+            (draft / str(i)).touch()
+        monkeypatch.setattr(os, "unlink", interrupting(os.unlink))
+        signal.raise_signal(signal.SIGINT)
+    assert not draft.exists()
