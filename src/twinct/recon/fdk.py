@@ -4,7 +4,8 @@ Circle, axis and spacing are estimated from the views (``orbit``). The back proj
 view's own geometry, so that small deviations only affect the direction of the filter. A scan that
 deviates from a circle by more than the bounds in ``orbit`` is refused. An arc must cover 180
 degrees and the fan; its rays are weighted after Parker (1982), and in a longer arc the angle beyond
-180 degrees replaces the fan angle. Each view is weighted by its arc.
+180 degrees replaces the fan angle. Each view is weighted by its arc; views of an overlapping turn
+share theirs.
 
 Rows that do not end at zero, as of a truncated specimen, are extended to zero by half a cosine over
 half the panel's width before they are filtered. A view adds nothing to voxels that project beside

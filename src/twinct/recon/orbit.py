@@ -40,7 +40,7 @@ class Circle:
         radius: radius of the fitted circle, mm.
         angles: angles of the sources about the axis, increasing from 0, (views,), rad.
         steps: arc that each view stands for, (views,), rad.
-        full: True for a whole turn, False for an arc.
+        full: True for a whole turn or more, False for an arc.
     """
 
     centre: Floats
@@ -100,14 +100,18 @@ def fit_circle(geometry: ScanGeometry) -> Circle:
 def _steps(angles: Floats) -> tuple[Floats, bool]:
     """Return the arc of each view, halfway to both neighbours, rad, and True for a full turn.
 
-    At the ends of an arc the inner half counts twice.
+    The views of a turn that overlaps itself, or of several turns, are sorted by direction: where
+    views come close, they share the arc. At the ends of an arc the inner half counts twice.
     """
     gaps = np.diff(angles)
-    mean = float(gaps.mean())
-    full = abs(2 * np.pi - angles[-1] - mean) <= 0.5 * mean
-    if full:
-        around = np.concatenate([gaps, [2 * np.pi - angles[-1]]])
-        return (around + np.roll(around, 1)) / 2, True
+    if 2 * np.pi - angles[-1] <= 1.5 * float(gaps.mean()):
+        within = np.mod(angles, 2 * np.pi)
+        order = np.argsort(within, kind="stable")
+        within = within[order]
+        around = np.concatenate([np.diff(within), [2 * np.pi - within[-1] + within[0]]])
+        steps = np.empty_like(angles)
+        steps[order] = (around + np.roll(around, 1)) / 2
+        return steps, True
     before, after = np.concatenate([gaps[:1], gaps]), np.concatenate([gaps, gaps[-1:]])
     return (before + after) / 2, False
 
@@ -147,6 +151,4 @@ def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
         f"the deviation of the step after view {{}} from the mean step of {gaps.mean():.3g} deg"
     )
     bound(gaps - gaps.mean(), UNEVEN * abs(float(gaps.mean())), "deg", uneven)
-    if np.degrees(circle.span) > 360.01 and not circle.full:
-        found.append(f"the arc is {np.degrees(circle.span):.1f} deg; at most one turn is allowed")
     return found
