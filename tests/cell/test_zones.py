@@ -9,7 +9,7 @@ import trimesh
 
 from twinct.core.errors import ScenarioError
 from twinct.geometry import Pose
-from twinct.robots.cell import Clearance, build_cell
+from twinct.robots.cell import Clearance, apart, build_cell
 from twinct.scenario import Cell, Detector, load_scenario, stage_digests
 
 BASE = {
@@ -74,7 +74,7 @@ def test_a_zone_that_covers_the_specimen_is_refused(head: trimesh.Trimesh) -> No
         shoulder={"shape": SHAPES["box"], "position_mm": [0, 0, -200]},
     )
     with pytest.raises(ScenarioError, match=r"cell.zones.1: zone 'shoulder' reaches 60.0 mm into"):
-        build_cell(cell, head, Pose.identity(), Detector().panel)
+        apart(build_cell(cell, head, Pose.identity(), Detector().panel))
 
 
 def test_names_are_unique() -> None:

@@ -54,6 +54,17 @@ def test_it_serves_more_inside_its_bounds(build: Callable[[Cell], CellModel]) ->
     assert found.overrides[0].startswith("cell.source_arm.base_position_mm=[")
 
 
+def test_a_base_is_never_placed_inside_the_table(build: Callable[[Cell], CellModel]) -> None:
+    inside = Cell(
+        source_arm=SourceArm(base_position_mm=(200.0, 300.0, -440.0)),
+        detector_arm=DetectorArm(base_position_mm=(200.0, -300.0, -440.0)),
+    )
+    poses = poses_of(fibonacci_directions(2), 300, 300, np.zeros(3), Detector().panel)
+    bounds = Bounds(x_mm=(150, 220), y_mm=(-300, 300), z_mm=(-460, -440))
+    with pytest.raises(InputError, match="no place was found"):
+        place(inside, build, MOTION, poses, bounds=bounds, samples=2)
+
+
 def test_bounds_are_ranges() -> None:
     with pytest.raises(InputError, match="z_mm: 3 to 2"):
         Bounds(z_mm=(3, 2))

@@ -15,6 +15,7 @@ from twinct.core.errors import InputError, TrajectoryError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, check_picture, storage_errors
 from twinct.geometry import fibonacci_directions
+from twinct.robots.cell import overlaps
 from twinct.robots.reach import (
     Bounds,
     Holder,
@@ -149,10 +150,7 @@ def place_command(
             seed=seed,
             progress=audience,
         )
-        before, after = (
-            Holder(builder.cell_of(one), loaded.motion, roll_free=free).held(judged).mean()
-            for one in (cell, found.cell)
-        )
+        before, after = (_share(builder, one, judged, free) for one in (cell, found.cell))
     what = "directions" if sphere else "views"
     say(
         f"both arms reach {100 * before:.1f} % of {len(judged)} {what} before, {100 * after:.1f} % "
@@ -166,6 +164,14 @@ def place_command(
         with storage_errors(save):
             write_scenario(save, scenario, [*set_, *found.overrides])
         say(f"wrote {save}")
+
+
+def _share(builder: SimulationBuilder, cell: Cell, poses: Poses, free: tuple[bool, bool]) -> float:
+    """Return the share of poses that both arms hold; 0 if fixed bodies overlap."""
+    model = builder.cell_of(cell)
+    if overlaps(model):
+        return 0.0
+    return float(Holder(model, builder.scenario.motion, roll_free=free).held(poses).mean())
 
 
 def _views_to_serve(
@@ -222,8 +228,13 @@ def draw_anyway(
     builder: SimulationBuilder, path: Path, view: int, width: int, height: int
 ) -> list[str]:
     """Draw a view, even if it is infeasible, and return its problems."""
-    from twinct.robots.cell import render_cell
+    from twinct.robots.cell import Marks, render_cell
 
+    if isinstance(builder.scenario.cell, Cell) and (found := overlaps(builder.room)):
+        red = tuple(body.body for one in found for body in (one.first, one.second))
+        still = np.zeros(len(builder.room.joint_names))
+        render_cell(builder.room, path, still, width, height, Marks(red=red))
+        return [one.words for one in found]
     try:
         builder.draw(path, view, width, height)
         return []

@@ -130,8 +130,14 @@ class SimulationBuilder:
 
     @cached_property
     def cell(self) -> CellModel:
-        """Operating room with the specimen as its convex hull, for simulation."""
-        return self._cell_with(self.hull)
+        """Operating room with the specimen as its convex hull, for simulation.
+
+        Raises:
+            ScenarioError: an arm cannot be built, or fixed bodies overlap.
+        """
+        from twinct.robots.cell import apart
+
+        return apart(self._cell_with(self.hull))
 
     @cached_property
     def hull(self) -> Trimesh:
@@ -161,7 +167,10 @@ class SimulationBuilder:
         return cell_urdf(self.cell if meshes is None else self.room, optical, meshes)
 
     def cell_of(self, section: Cell) -> CellModel:
-        """Return the operating room that another ``cell`` section describes."""
+        """Return the operating room that another ``cell`` section describes.
+
+        Fixed bodies may overlap: ``apart`` judges them.
+        """
         from twinct.robots.cell import build_cell
 
         pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel

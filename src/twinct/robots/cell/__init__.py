@@ -7,6 +7,7 @@ from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.bodies import BodyPlaces
 from twinct.robots.cell.chains import chains_of, nominal_chains
 from twinct.robots.cell.clearance import Clearance, Gap
+from twinct.robots.cell.fixed import Overlap, apart, overlaps
 from twinct.robots.cell.frames import LinkFrames
 from twinct.robots.cell.render import (
     Marks,
@@ -29,6 +30,8 @@ __all__ = [
     "Gap",
     "Marks",
     "Moment",
+    "Overlap",
+    "apart",
     "build_cell",
     "build_gantry",
     "cell_urdf",
@@ -37,6 +40,7 @@ __all__ = [
     "check_picture_size",
     "mujoco_module",
     "nominal_chains",
+    "overlaps",
     "render_cell",
     "room_pictures",
 ]

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinct.core.errors import ScenarioError
-from twinct.core.foreign_text import quoted
 from twinct.geometry import MM_PER_M, Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
@@ -113,7 +112,7 @@ class GantryModel:
 def build_cell(
     cell: Cell, specimen_mesh: trimesh.Trimesh | None, world_from_specimen: Pose, panel: Panel
 ) -> CellModel:
-    """Compose and compile the cell.
+    """Compose and compile the cell; ``apart`` judges its fixed bodies.
 
     Args:
         cell: arms, table, floor.
@@ -124,7 +123,7 @@ def build_cell(
 
     Raises:
         MissingExtraError: MuJoCo, or a requested Menagerie, is not installed.
-        ScenarioError: an arm or a dimension cannot be built, or a zone reaches into the specimen.
+        ScenarioError: an arm or a dimension cannot be built.
     """
     spec = _room(cell.floor_z_mm)
     spec.option.timestep = cell.timestep_ms / 1000
@@ -142,9 +141,7 @@ def build_cell(
     # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
     # plan from which the reference comes.
     spec.nuserdata = 3 * len(names) + 1
-    built = _compiled(spec, cell, panel, arms, names)
-    _specimen_outside_zones(built)
-    return built
+    return _compiled(spec, cell, panel, arms, names)
 
 
 def build_gantry(
@@ -285,30 +282,6 @@ def _zones(spec: mujoco.MjSpec, cell: Cell) -> None:
         )
         name = f"zone_{index}"
         body.add_geom(name=name, type=kind, size=size * MM, rgba=ZONE_RGBA, group=VISUAL_GROUP)
-
-
-def _specimen_outside_zones(built: CellModel) -> None:
-    """Check that no zone reaches into the specimen.
-
-    Raises:
-        ScenarioError: zones reach into the specimen; the message names them.
-    """
-    mujoco, model = mujoco_module(), built.model
-    data, line, problems = mujoco.MjData(model), np.zeros(6), []
-    mujoco.mj_kinematics(model, data)
-    hulls = [g for g in range(model.ngeom) if model.geom(g).name == "specimen"]
-    for index, zone in enumerate(built.cell.zones):
-        for hull in hulls:
-            geom = model.geom(f"zone_{index}").id
-            gap = mujoco.mj_geomDistance(model, data, geom, hull, 10.0, line)
-            if gap < 0:
-                problems.append(
-                    f"cell.zones.{index}: zone {quoted(zone.name)} reaches {-gap / MM:.1f} mm "
-                    "into the "
-                    "specimen: nothing could be imaged without entering the zone"
-                )
-    if problems:
-        raise ScenarioError(problems)
 
 
 def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:

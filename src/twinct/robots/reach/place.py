@@ -20,7 +20,7 @@ import numpy as np
 from twinct.core.errors import InputError, ScenarioError
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats
-from twinct.robots.cell import CellModel
+from twinct.robots.cell import CellModel, overlaps
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.reach.holding import Flags, Holder, Poses
 from twinct.scenario import Cell, Motion
@@ -57,6 +57,9 @@ ALONE_COUNTS = 0.05
 
 BASES_APART_MM = 450.0
 """Least distance between the two bases."""
+
+NOT_FREE = -1.0
+"""Score of places at which the cell cannot be built, or fixed bodies overlap."""
 
 STARTS = 8
 """Random starts of the search for a pose, for arms without closed form."""
@@ -137,6 +140,7 @@ def place(
     """Find the placement of the arms from which they hold the most given views.
 
     Base rotations change only about the vertical, so that each base faces the middle of the views.
+    No base or pillar is placed inside another fixed body.
 
     Args:
         cell: section of the cell, with the arms in their present places.
@@ -150,6 +154,7 @@ def place(
         progress: progress display.
 
     Raises:
+        InputError: fixed bodies overlap at every place that was tried.
         MissingExtraError: mink is not installed.
     """
     search = _Search(cell, build, motion, poses, roll_free, bounds or Bounds(), seed)
@@ -196,6 +201,11 @@ class _Search:
         with progress.stage("improved", len(best) * len(STEPS)) as step:
             best = [self._improved(pair, step) for pair in best]
         best = max(best, key=lambda pair: self._judged(pair)[0])
+        if self._judged(best)[0] == NOT_FREE:
+            raise InputError(
+                "no place was found within the bounds at which bases and pillars stand outside "
+                "every other fixed body; widen the bounds, or try more samples"
+            )
         return Placement(self._as_cell(best), before[1], self._judged(best)[1], len(self._known))
 
     def _spread(self, own: Floats, arm: int, samples: int) -> list[Floats]:
@@ -261,10 +271,13 @@ class _Search:
             arms[f"{SIDES[arm]}_arm"] = section
         return self._cell.model_copy(update=arms)
 
-    def _holder(self, cell: Cell) -> Holder | None:
+    def _holder(self, cell: Cell, besides: str | None = None) -> Holder | None:
+        """Return the checks of a cell; None if it cannot be, apart from one arm's fixed bodies."""
         try:
             model = self._build(cell)
         except ScenarioError:  # for example, the stand-off leaves no room for the housing
+            return None
+        if any(besides not in (o.first.owner, o.second.owner) for o in overlaps(model)):
             return None
         return Holder(
             model,
@@ -276,10 +289,13 @@ class _Search:
         )
 
     def _alone(self, point: Floats, arm: int, poses: Poses) -> Flags:
-        """Return flags of the views that an arm holds, ignoring the other arm's moving links."""
+        """Return flags of the views that an arm holds, ignoring the other arm's moving links.
+
+        The other arm's base and pillar count as obstacles, but may stand in a wrong place.
+        """
         pair = np.array([self._told(0), self._told(1)])
         pair[arm] = point
-        holder = self._holder(self._as_cell(pair))
+        holder = self._holder(self._as_cell(pair), SIDES[1 - arm])
         if holder is None:
             return np.zeros(len(poses), bool)
         return holder.can((poses.source, poses.detector)[arm], arm)
@@ -313,7 +329,7 @@ class _Search:
     def _judge(self, pair: Floats) -> tuple[float, Flags]:
         holder = self._holder(self._as_cell(pair))
         if holder is None:
-            return -1.0, np.zeros(len(self._poses), bool)
+            return NOT_FREE, np.zeros(len(self._poses), bool)
         held, alone = holder.held_by(self._poses)
         score = held.mean() + ALONE_COUNTS * alone.mean(axis=1).sum()
         return float(score), held

@@ -10,7 +10,7 @@ import numpy as np
 from twinct.core.errors import ScenarioError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Target
-from twinct.robots.cell import CellModel, Clearance, Gap, Marks
+from twinct.robots.cell import CellModel, Clearance, Gap, Marks, apart
 from twinct.robots.motion import Kinematics
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.feasible import Indices
@@ -152,8 +152,8 @@ def reasons(
     for words, changed, turned, scale in _changes(cell, roll_free):
         some = _scaled(poses[looked_at], scale)
         try:
-            now = Holder(build(changed), motion, roll_free=turned).held(some)
-        except ScenarioError:  # for example, a stand-off without room for the panel
+            now = Holder(apart(build(changed)), motion, roll_free=turned).held(some)
+        except ScenarioError:  # a stand-off without room for the panel, or a base in the table
             continue
         if now.all():
             return failing.tolist(), [f"cure: {words}; this cures the {scope}"]
