@@ -8,11 +8,15 @@ three quarters as the higher, in between in proportion. The measured line integr
 the prior's. The ratio is smooth and close to 1. It is interpolated from the rays beside the metal
 into the rays through metal, in both directions of the panel, by Laplace's equation, and multiplied
 by the prior's line integrals again.
+
+The metal is put back with the attenuation that fits the difference of the line integrals
+(``metal_density``), at most its own.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +28,7 @@ from twinct.core.errors import InputError
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import SPARE_BYTES, advice, refuse_if_short
+from twinct.recon.metal_density import fitted_excess
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
@@ -37,6 +42,15 @@ changed by 3 % of their size.
 """
 
 
+UNLIKE = 0.25
+"""Deviation of the metal's attenuation from that of the metal named, from which it is another."""
+
+_NO_EXCESS = np.empty(0, dtype=np.intp), np.empty(0, dtype=np.float32)
+
+Excess = Callable[[int, Singles], Singles]
+"""Function of a view and its line integrals without metal, (rows, columns): those of the metal."""
+
+
 @dataclass(frozen=True, eq=False)
 class WithoutMetal:
     """Line integrals as if there were no metal, and the metal.
@@ -44,24 +58,38 @@ class WithoutMetal:
     Attributes:
         line_integrals: (views, rows, columns), float32; the given ones where no ray passes metal.
         voxels: flat indices of the metal voxels in (z, y, x).
-        values: values of these voxels in the first volume, float32.
-        threshold: smallest value of a metal voxel, unit of the volume.
+        threshold: smallest value of a metal voxel in the first volume, 1/mm.
         densest: largest value of the first volume.
+        near: flat indices of the metal voxels and their neighbours.
+        excess: attenuation of the metal beyond its surroundings in these voxels, float32, 1/mm.
+        density_rel: mean attenuation of voxels surrounded by metal, relative to the metal's own;
+            None if there are none.
     """
 
     line_integrals: NDArray[Any]
     voxels: NDArray[np.intp]
-    values: Singles
     threshold: float
     densest: float
+    near: NDArray[np.intp]
+    excess: Singles
+    density_rel: float | None = None
+
+    @property
+    def quantitative(self) -> bool:
+        """False if the metal found attenuates otherwise than the metal named."""
+        return self.density_rel is None or abs(self.density_rel - 1) <= UNLIKE
 
     def put_back(self, volume: Volume) -> Volume:
-        """Return a volume with the metal put back; its extras hold ``metal_voxels``."""
-        array = volume.array
-        if self.voxels.size:
-            array = np.array(array)
-            array.flat[self.voxels] = self.values
-        return Volume(array, volume.grid, {**volume.extras, "metal_voxels": self.voxels.size})
+        """Return a volume with the metal put back, and ``metal_voxels`` in its extras.
+
+        If there is metal, the extras also hold ``metal_density_rel``.
+        """
+        extras = {**volume.extras, "metal_voxels": self.voxels.size}
+        if not self.voxels.size:
+            return Volume(volume.array, volume.grid, extras)
+        array = np.array(volume.array)
+        array.flat[self.near] += self.excess
+        return Volume(array, volume.grid, {**extras, "metal_density_rel": self.density_rel})
 
 
 def without_metal(
@@ -76,6 +104,7 @@ def without_metal(
     relaxation: float = 0.3,
     mask: ArrayLike | None = None,
     callback: Callback | None = None,
+    fit: Excess | bool = True,
 ) -> WithoutMetal:
     """Replace the line integrals of rays through metal (Meyer et al., Med Phys 37, 2010).
 
@@ -96,6 +125,9 @@ def without_metal(
         relaxation: relaxation of the first ``sart``.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns), bool.
         callback: callback of the first ``sart``.
+        fit: line integrals of the metal's excess over its surroundings, from which the metal's
+            attenuation is fitted; True for the difference of the line integrals, which is right
+            for one energy only; False leaves the metal out.
 
     Returns:
         The line integrals, and the metal for the volume that is reconstructed from them. Without
@@ -123,9 +155,9 @@ def without_metal(
     ).array
     least = math.sqrt(bone * metal) if threshold is None else threshold
     voxels = np.flatnonzero(first >= np.float32(least))
-    found = voxels, first.flat[voxels], least, float(first.max())
+    found = voxels, least, float(first.max())
     if not voxels.size:
-        return WithoutMetal(p, *found)
+        return WithoutMetal(p, *found, *_NO_EXCESS)
     prior = _classified(first, tissue, bone)
     prior.flat[voxels] = tissue
     del first
@@ -139,7 +171,21 @@ def without_metal(
             f"nothing is left to replace it with: {voxels.size} of {solid.size} voxels attenuate "
             f"by at least the threshold of {least:.3g} per mm, the densest by {found[-1]:.3g}"
         )
-    return WithoutMetal(replaced, *found)
+    if fit is False:
+        return WithoutMetal(replaced, *found, *_NO_EXCESS)
+
+    def excess(view: int) -> Singles:
+        given = replaced[view]
+        return masked_image(p, view, pixels) - given if fit is True else fit(view, given)
+
+    there = solid > 0
+    near, values = fitted_excess(A, there, excess, pixels)
+    inner = scipy.ndimage.binary_erosion(there).flat[near]
+    density = float(values[inner].mean() + tissue) / metal if inner.any() else None
+    done = WithoutMetal(replaced, *found, near, values, density)
+    if done.quantitative:
+        np.minimum(values, np.float32(metal - tissue), out=values)
+    return done
 
 
 def metal_bytes(voxels: int, pixels: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-FOUND = ("implants", "passes", "metal_voxels", "prior", "denoising")
+FOUND = ("implants", "passes", "metal_voxels", "metal_density_rel", "prior", "denoising")
 """Extras of a volume that ``metrics.json`` and the report list."""
 
 
@@ -21,6 +21,8 @@ def with_found(in_words: str, told: Mapping[str, Any]) -> str:
         words.append(f"{told['passes']} were best")
     if "metal_voxels" in told:
         words.append(f"{told['metal_voxels'] or 'no'} metal voxels")
+    if density := told.get("metal_density_rel"):
+        words.append(f"metal with {density:.2f} times the attenuation of the material named")
     if prior := told.get("prior"):
         words.append(
             f"prior moved by {prior['moved_mm']:.2f} mm, turned by {prior['turned_deg']:.2f} deg"

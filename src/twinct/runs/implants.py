@@ -144,7 +144,14 @@ def implants_taken_out(
     iterations = section.first_iterations
     metal = min(one.material.mu_per_mm(energy) for one in known)
     replaced = without_metal(
-        A, inner, **mus, metal=metal, first_iterations=iterations, mask=mask, callback=callback
+        A,
+        inner,
+        **mus,
+        metal=metal,
+        first_iterations=iterations,
+        mask=mask,
+        callback=callback,
+        fit=False,
     ).line_integrals
     del inner
     background = sart(

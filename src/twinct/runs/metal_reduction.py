@@ -6,32 +6,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
-from twinct.recon.metal import WithoutMetal, without_metal
+from twinct.recon.metal import Excess, WithoutMetal, without_metal
 from twinct.recon.projector import Projector
 from twinct.recon.steps import Callback
+from twinct.scan import Scan
+from twinct.scan.integrals import line_integrals
 from twinct.scenario import Nmar, Scenario
 
 _KEY = "reconstruction.metal"
 
 
 def metal_replaced(
-    scenario: Scenario,
+    scan: Scan,
     section: Nmar,
     integrals: NDArray[np.float32],
+    whole: NDArray[np.float32],
     A: Projector,
     mask: NDArray[np.bool_] | None,
     callback: Callback,
 ) -> WithoutMetal:
-    """Return line integrals without metal, (views, rows, columns), and the metal's voxels.
+    """Return line integrals without metal, (views, rows, columns), and the metal.
+
+    Args:
+        scan: the images, and the scenario.
+        section: its reduction of metal.
+        integrals: corrected line integrals of what lies in the grid.
+        whole: corrected line integrals of everything.
+        A: the projector.
+        mask: True where a pixel counts.
+        callback: callback of the first volume.
 
     Raises:
         InputError: see ``without_metal``, with the key.
     """
+    mus = _attenuations(scan.scenario, section)
     try:
         return without_metal(
             A,
             integrals,
-            **_attenuations(scenario, section),
+            **mus,
+            fit=_excess(scan, section, whole, integrals, mus["tissue"]),
             threshold=section.threshold_per_mm,
             first_iterations=section.first_iterations,
             mask=mask,
@@ -41,10 +55,51 @@ def metal_replaced(
         raise InputError(f"{_KEY}: {one}" for one in error.problems) from None
 
 
-def none_found(metal: WithoutMetal) -> str | None:
-    """Return a message if no metal was detected, else None."""
-    if metal.voxels.size:
+def _excess(
+    scan: Scan,
+    section: Nmar,
+    whole: NDArray[np.float32],
+    inner: NDArray[np.float32],
+    tissue: float,
+) -> Excess | bool:
+    """Return the function that takes the metal's line integrals from polychromatic images.
+
+    Everything else counts as a path in tissue that hardens the beam before the metal does.
+    """
+    source, detector = scan.scenario.source, scan.scenario.detector
+    if source.spectrum is None:
+        return True
+    from twinct.specimen.materials import material
+    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+    from twinct.xray.hardening import Hardening
+
+    energy = effective_energy_kev(source, detector)
+    known = build_spectrum(source), build_response(detector)
+    metal, soft = material(section.metal), material(section.tissue)
+    longest = float(whole.max()) / tissue
+    of_both = Hardening(*known, [metal, soft], energy, longest)
+    of_soft = Hardening(*known, [soft], energy)
+    corrected = scan.scenario.reconstruction.beam_hardening is not None
+
+    def excess(view: int, given: NDArray[np.float32]) -> NDArray[np.float32]:
+        rest = given + (whole[view] - inner[view])
+        rest = rest if corrected else of_soft.correct(rest)
+        measured = line_integrals(scan.transmission[view])
+        return of_both.correct(measured, rest / np.float32(tissue)) - rest
+
+    return excess
+
+
+def doubts(metal: WithoutMetal) -> str | None:
+    """Return a message if no metal was detected, or another than the one named; else None."""
+    if metal.voxels.size and metal.quantitative:
         return None
+    if metal.voxels.size:
+        return (
+            f"{_KEY}: the metal attenuates {metal.density_rel:.2f} times as much as the material "
+            f"named ({_KEY}.metal), so it is another one or photons ran out: its values in the "
+            "volume are not quantitative"
+        )
     return (
         f"{_KEY}: no metal was found and nothing replaced: the densest voxel of the first volume "
         f"attenuates by {metal.densest:.3g} per mm, but metal needs at least "

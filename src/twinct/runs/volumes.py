@@ -42,7 +42,7 @@ from twinct.recon.surroundings import (
 from twinct.recon.volume import Volume
 from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
-from twinct.runs.metal_reduction import metal_replaced, none_found
+from twinct.runs.metal_reduction import doubts, metal_replaced
 from twinct.scan import Scan, line_integrals
 from twinct.scenario import (
     SECTIONS,
@@ -226,17 +226,19 @@ def _corrected(
         integrals = metal.line_integrals
     else:
         integrals = hardening_corrected(scenario, integrals, A, pixels)
+    whole = integrals
     if section.around is not None:
         integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
     else:
         _warn_beyond(A, integrals, pixels, audience)
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
-            metal = metal_replaced(scenario, section.metal, integrals, A, pixels, lambda _: tick())
+            images = integrals, whole, A, pixels
+            metal = metal_replaced(scan, section.metal, *images, lambda _: tick())
         integrals = metal.line_integrals
-        if nothing := none_found(metal):
-            log.warning(nothing)
-            audience.say(nothing, warning=True)
+        if doubt := doubts(metal):
+            log.warning(doubt)
+            audience.say(doubt, warning=True)
     return integrals, metal
 
 
@@ -356,7 +358,8 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
         if algorithm.expects is not None:  # plus first line integrals, volume and its projection
             stages["surroundings"] += 8 * pixels + 4 * voxels
     if section.metal is not None:
-        stages["metal"] = held + metal_bytes(voxels, pixels)
+        # Plus the line integrals with the surroundings.
+        stages["metal"] = held + metal_bytes(voxels, pixels) + (4 * pixels if around else 0)
     if isinstance(section.metal, KnownImplants):
         # Plus measured and corrected line integrals, and path lengths in the dense material.
         stages["implants"] = held + 12 * pixels + implant_bytes(voxels, pixels)
