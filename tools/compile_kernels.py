@@ -39,6 +39,7 @@ def compile_rest() -> None:
     os.environ["TWINCT_ENGINE"] = "plain"
     _reconstruct("plain")
     _voxelise()
+    _paint()
     _cast_shadows()
     _cross()
     _expose()
@@ -84,6 +85,16 @@ def _voxelise() -> None:
         faces.setflags(write=writable)
         volume_fractions(mesh.vertices, faces, grid, Pose.identity())
     shaded(specimen, 0.0, 0.0, pixel_mm=5.0)
+
+
+def _paint() -> None:
+    from twinct.geometry import VolumeGrid
+    from twinct.specimen.phantom import Phantom
+    from twinct.specimen.phantom_bodies import Organ, ball
+
+    body = Phantom((Organ("ball", 40.0, (ball((0, 0, 0), 5.0),)),))
+    body.on(VolumeGrid((4, 5, 6), 2.0))
+    body.at(np.zeros((2, 3)))
 
 
 def _cast_shadows() -> None:

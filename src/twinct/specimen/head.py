@@ -54,7 +54,19 @@ def brain_surface(scale: float = 1.0, resolution_mm: float = 2.0) -> trimesh.Tri
 
 @lru_cache(maxsize=2)
 def _head(scale: float, resolution_mm: float) -> trimesh.Trimesh:
-    step = resolution_mm / scale
+    head = head_canvas(resolution_mm / scale)
+    for body in airways():
+        head.cut(body, 2)
+    return _placed(head, scale)
+
+
+@lru_cache(maxsize=2)
+def _brain(scale: float, resolution_mm: float) -> trimesh.Trimesh:
+    return _placed(brain_canvas(resolution_mm / scale), scale)
+
+
+def head_canvas(step: float) -> Canvas:
+    """Return the head without its airways on half a lattice, in the skull's design frame."""
     head = skull_canvas(step, margin_mm=BRIDGE_MM + 2 * SKIN_MM)
     head.add(vault())
     head.add(rod((0, 84, -34), (0, 97, -60), 4, 6))  # the nose
@@ -65,22 +77,20 @@ def _head(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     depth = scipy.ndimage.distance_transform_edt(away < BRIDGE_MM, sampling=step)
     outside = scipy.ndimage.gaussian_filter(BRIDGE_MM - SKIN_MM - depth, 1.0)
     head.field = np.asarray(outside[len(head.field) - 1 :], np.float32)
-    for body in _airways():
-        head.cut(body, 2)
-    return _placed(head, scale)
+    return head
 
 
-@lru_cache(maxsize=2)
-def _brain(scale: float, resolution_mm: float) -> trimesh.Trimesh:
+def brain_canvas(step: float) -> Canvas:
+    """Return the brain on half a lattice, in the skull's design frame."""
     outer = vault()
-    brain = Canvas(resolution_mm / scale, outer.low * (0, 1, 1), outer.high)
+    brain = Canvas(step, outer.low * (0, 1, 1), outer.high)
     brain.add(Body(lambda x, y, z: outer(x, y, z) + WALL_MM / 2, outer.low, outer.high))
     brain.cut(orbit(1.6))
     brain.cut(ear_canal(1.5))
-    return _placed(brain, scale)
+    return brain
 
 
-def _airways() -> tuple[Body, ...]:
+def airways() -> tuple[Body, ...]:
     """Return the airways; they leave about 1.5 mm of mucosa on the bone."""
     return (
         ellipsoid((6, 52, -52), (6.5, 21.5, 15.5)),  # nasal cavity with both openings

@@ -1,0 +1,171 @@
+"""The grey phantom's head, about the built-in skull and at its place.
+
+x is to the patient's right, y to the face, z up; the origin is the middle of the skull's bounds.
+HU of tissues follow ICRU-44 tissues at 120 kV, rounded; vessels carry a little contrast agent.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from twinct.core.draws import scan_rng
+from twinct.specimen.head import MIDDLE, airways, brain_canvas, head_canvas
+from twinct.specimen.implicit import Canvas, Point
+from twinct.specimen.phantom_bodies import Organ, Solid, ball, brick, drawn, oval, tube, tubes
+from twinct.specimen.skull import (
+    HIGHEST,
+    LOWER_CROWN_Z,
+    LOWEST,
+    UPPER_CROWN_Z,
+    skull_canvas,
+)
+
+SKULL_STEP_MM = 1.0
+SOFT_STEP_MM = 2.0
+"""Cells of the lattices of the skull with the airways, and of skin and brain."""
+
+LESION_PLACES: tuple[Point, ...] = ((-36, 2, 22), (34, -42, 18), (-20, -58, 8), (28, 30, 24))
+"""Where lesions lie in the brain, on average, in the phantom's frame, mm."""
+
+
+def head_organs(seed: int) -> tuple[Organ, ...]:
+    """Return the organs of the head; ``seed`` moves and sizes the lesions."""
+    head, brain, skull, air = _drawn()
+    return (
+        Organ("skin", 20, (head,), texture_hu=4, wavelength_mm=4),
+        Organ("fat", -95, (), "skin", 2.0, texture_hu=12, wavelength_mm=7, edge_mm=1.0),
+        Organ(
+            "muscle",
+            55,
+            (),
+            "skin",
+            4.5,
+            gradient=(0.0, -0.05, 0.0),
+            texture_hu=9,
+            wavelength_mm=4,
+            edge_mm=2.5,
+        ),
+        *_eyes(),
+        Organ("airways", -985, (air,), "skin"),
+        Organ("cerebrospinal_fluid", 8, (brain,), texture_hu=2, wavelength_mm=6),
+        Organ(
+            "brain",
+            39,
+            (),
+            "cerebrospinal_fluid",
+            2.0,
+            gradient=(0.0, 0.01, 0.02),
+            shell_mm=9.0,
+            core_hu=28.0,
+            texture_hu=3,
+            wavelength_mm=9,
+            edge_mm=2.0,
+        ),
+        Organ("ventricles", 7, _both(oval((9, 6, 19), (5, 24, 8), (-12, 0, 0))), edge_mm=1.0),
+        *_lesions(seed),
+        Organ("cerebral_vessels", 190, _vessels(), "cerebrospinal_fluid", edge_mm=0.6),
+        Organ(
+            "skull",
+            1450,
+            (skull,),
+            shell_mm=1.8,
+            core_hu=520.0,
+            texture_hu=170,
+            wavelength_mm=1.6,
+        ),
+        Organ(
+            "teeth",
+            2500,
+            _crowns(),
+            "skull",
+            shell_mm=1.5,
+            core_hu=1700.0,
+            texture_hu=40,
+            wavelength_mm=3,
+        ),
+    )
+
+
+@lru_cache(maxsize=1)
+def _drawn() -> tuple[Solid, Solid, Solid, Solid]:
+    """Return skin, brain, skull and airways."""
+    air = Canvas(SKULL_STEP_MM, np.subtract(LOWEST, (0, 0, 20)), np.add(HIGHEST, (0, 20, 0)))
+    for body in airways():
+        air.add(body, 2)
+    return (
+        drawn(head_canvas(SOFT_STEP_MM), MIDDLE),
+        drawn(brain_canvas(SOFT_STEP_MM), MIDDLE),
+        drawn(skull_canvas(SKULL_STEP_MM, margin_mm=2 * SKULL_STEP_MM), MIDDLE),
+        drawn(air, MIDDLE),
+    )
+
+
+def _design(x: float, y: float, z: float) -> Point:
+    """Return a point of the skull's design frame in the phantom's frame."""
+    return x - MIDDLE[0], y - MIDDLE[1], z - MIDDLE[2]
+
+
+def _both(solid: Solid) -> tuple[Solid, Solid]:
+    """Return a body and its mirror image."""
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    low, high = solid.low * (-1, 1, 1), solid.high * (-1, 1, 1)
+    twin = Solid(
+        *(solid.kind, solid.matrix @ mirror, solid.offset, solid.numbers),
+        *(np.minimum(low, high), np.maximum(low, high)),
+    )
+    return solid, twin
+
+
+def _eyes() -> tuple[Organ, ...]:
+    fat = tube((29, 66, 5), (14, 36, 6), 17, 5)
+    nerve = tube((28, 56, 5), (14, 34, 6), 2.5, 2.0)
+    return (
+        Organ("orbital_fat", -85, _both(fat), "skin", 5.0, texture_hu=8, wavelength_mm=5),
+        Organ("optic_nerve", 35, _both(nerve)),
+        Organ("eye", 10, _both(ball((31, 68.3, 5), 12)), shell_mm=1.0, core_hu=6.0),
+        Organ("eye_lens", 75, _both(oval((31, 75.3, 5), (4.5, 2, 4.5)))),
+    )
+
+
+def _lesions(seed: int) -> tuple[Organ, ...]:
+    """Return a bleeding, an infarct, a tumour with a soft core, and a low-contrast spot."""
+    rng = scan_rng(seed, "phantom lesions of the head")
+    places = np.array(LESION_PLACES) + rng.uniform(-6, 6, (4, 3))
+    radii = np.array([7.0, 10.0, 8.0, 5.0])[:, None] * rng.uniform(0.8, 1.2, (4, 3))
+    bodies = [
+        oval(tuple(p), tuple(r)) for p, r in zip(places.tolist(), radii.tolist(), strict=True)
+    ]
+    return (
+        Organ("lesion_bleeding", 66, (bodies[0],), texture_hu=3, wavelength_mm=4, edge_mm=1.5),
+        Organ("lesion_infarct", 20, (bodies[1],), edge_mm=6.0),
+        Organ("lesion_tumour", 52, (bodies[2],), shell_mm=4.0, core_hu=18.0, edge_mm=1.5),
+        Organ("lesion_spot", 46, (bodies[3],), edge_mm=1.0),
+    )
+
+
+def _vessels() -> tuple[Solid, ...]:
+    """Return the basilar artery, the middle and front cerebral arteries, and the upper sinus."""
+    arcs = np.radians(np.linspace(-10, 170, 13))
+    sinus = [(0.0, float(-10 + 82 * np.cos(t)), float(38 + 58 * np.sin(t))) for t in arcs]
+    middle: list[Point] = [(5, 22, 6), (18, 24, 4), (32, 18, 8), (44, 6, 18), (52, -12, 30)]
+    front: list[Point] = [(2, 26, 6), (2, 46, 14), (2, 54, 34), (2, 40, 56)]
+    paired = [
+        *tubes(middle, [1.6, 1.5, 1.3, 1.0, 0.7]),
+        *tubes(front, [1.2, 1.1, 0.9, 0.7]),
+    ]
+    return (
+        tube((0, 4, -36), (0, 14, 0), 1.7),
+        *tubes(sinus, [3.5] * len(sinus)),
+        *(twin for solid in paired for twin in _both(solid)),
+    )
+
+
+def _crowns() -> tuple[Solid, ...]:
+    """Return the slabs in which the skull's body is teeth."""
+    slabs: list[Solid] = []
+    for z0, z1 in (UPPER_CROWN_Z, LOWER_CROWN_Z):
+        half = abs(z1 - z0) / 2
+        slabs.append(brick(_design(0, 62, (z0 + z1) / 2), (42, 32, half), 0.5))
+    return tuple(slabs)

@@ -1,0 +1,134 @@
+"""The built-in grey phantom: what is where, and how a grid samples it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinct.geometry import Pose, VolumeGrid
+from twinct.specimen.phantom import Phantom, phantom
+from twinct.specimen.phantom_bodies import CELLS_PER_WAVE, TILE, Organ, ball, random_field
+from twinct.specimen.skull import skull_surface
+
+
+@pytest.fixture(scope="module")
+def head():
+    return phantom("head", 1)
+
+
+@pytest.fixture(scope="module")
+def trunk():
+    return phantom("trunk", 1)
+
+
+def centres(grid: VolumeGrid, shift=(0.0, 0.0, 0.0)):
+    """Voxel centres (nz, ny, nx, 3), shifted by a share of a voxel."""
+    z, y, x = np.indices(grid.shape)
+    index = np.stack([x, y, z], axis=-1) + np.asarray(shift)
+    return index @ grid.affine[:3, :3].T + grid.affine[:3, 3]
+
+
+@pytest.mark.parametrize("name", ["head", "trunk"])
+def test_a_grid_holds_the_values_at_its_points_in_any_order(name, head, trunk):
+    """Blocks of voxels look up few bodies, points in random order many: the values are the same."""
+    body = {"head": head, "trunk": trunk}[name]
+    turned = VolumeGrid((30, 24, 27), 5.7, Pose.from_euler((8, -3, 5), (20, -35, 50)))
+    volume, points = body.on(turned, samples=1), centres(turned).reshape(-1, 3)
+    shuffled = np.random.default_rng(0).permutation(len(points))
+    hu, labels = body.at(points[shuffled])
+    assert np.array_equal(labels, volume.labels.ravel()[shuffled])
+    assert np.abs(hu - volume.hu.ravel()[shuffled]).max() < 0.01
+    assert len(np.unique(labels)) > 15
+
+
+def test_voxels_at_surfaces_hold_means_and_others_hardly_differ(head):
+    grid = VolumeGrid((36, 36, 36), 1.5, Pose.from_euler((40, 30, 10), (0, 0, 0)))
+    shifts = [(a, b, c) for a in (-0.25, 0.25) for b in (-0.25, 0.25) for c in (-0.25, 0.25)]
+    means = np.mean([head.at(centres(grid, shift))[0] for shift in shifts], axis=0)
+    found, single = head.on(grid).hu, head.on(grid, samples=1).hu
+    assert np.sqrt(np.mean((found - means) ** 2)) < 0.02 * np.sqrt(np.mean((single - means) ** 2))
+    assert np.abs(found - means).max() < 25
+
+
+def test_a_ball_has_its_volume():
+    radius, hu = 9.3, 250.0
+    body = Phantom((Organ("ball", hu, (ball((1, 2, 3), radius),), edge_mm=0),))
+    volume = body.on(VolumeGrid((24, 24, 24), 1.0), samples=4)
+    share = (volume.hu + 1000) / (hu + 1000)
+    assert share.sum() == pytest.approx(4 / 3 * np.pi * radius**3, rel=2e-3)
+    assert volume.names == ("background", "ball")
+    assert body.bounds == pytest.approx(np.add([[1, 2, 3]], [[-radius], [radius]]), abs=4)
+
+
+def test_the_skull_is_the_built_in_one_at_its_place(head):
+    mesh = skull_surface(1.0, 2.0)
+    labels = head.on(head.grid(2.5), samples=1).labels
+    bone = np.isin(labels, [head.names.index(name) for name in ("skull", "teeth")])
+    assert bone.sum() * 2.5**3 == pytest.approx(mesh.volume, rel=0.02)
+    inside = mesh.triangles_center - 1.2 * mesh.face_normals
+    told = head.at(inside)[1]
+    assert np.mean([head.names[i] in ("skull", "teeth") for i in told]) > 0.95
+
+
+@pytest.mark.parametrize(
+    ("name", "point", "label", "low", "high"),
+    [
+        ("head", (20, -20, 45), "brain", 20, 45),
+        ("head", (9, 6, 19), "ventricles", 0, 14),
+        ("head", (31, 68, 5), "eye", 0, 14),
+        ("head", (0, 6, -70), "airways", -1000, -970),
+        ("head", (0, 300, 0), "background", -1000, -1000),
+        ("trunk", (75, 0, 60), "lung_right", -950, -740),
+        ("trunk", (70, 20, -92), "liver", 75, 125),
+        ("trunk", (-38, 26, -6), "heart_chambers", 170, 190),
+        ("trunk", (-56, 48, -88), "stomach_gas", -1000, -940),
+        ("trunk", (0, -44.8, -196), "vertebrae_L4", -60, 520),
+        ("trunk", (0, -108, 0), "fat", -160, -40),
+    ],
+)
+def test_tissues_lie_where_they_should(name, point, label, low, high, head, trunk):
+    body = {"head": head, "trunk": trunk}[name]
+    hu, index = body.at(point)
+    assert body.names[index] == label
+    assert low <= hu <= high
+
+
+def test_every_organ_is_somewhere(head, trunk):
+    for body in (head, trunk):
+        seen = np.unique(body.on(body.grid(3.0), samples=1).labels)
+        assert [body.names[i] for i in range(len(body.names)) if i not in seen] == []
+
+
+def test_bone_is_a_continuous_texture_between_hard_walls(trunk):
+    """No piecewise constant body: half a voxel away the density is similar, but not the same."""
+    grid = VolumeGrid((60, 90, 110), 0.5, Pose.from_euler((0, -45, -196), (0, 0, 0)))
+    volume = trunk.on(grid, samples=1)
+    bone = volume.labels == trunk.names.index("vertebrae_L4")
+    values = volume.hu[bone]
+    assert len(np.unique(values)) > 0.99 * len(values)
+    assert np.quantile(values, 0.99) > 600 > 350 > np.median(values) > 130
+    core = volume.hu[24:-24, 35:-35, 45:-45]
+    steps = np.diff(core, axis=2).std() / core.std()
+    assert 0.2 < steps < 1.0
+
+
+def test_the_texture_has_its_band_and_its_seed():
+    field = random_field(3)
+    assert np.array_equal(field, random_field(3))
+    assert not np.allclose(field, random_field(4), atol=0.5)
+    assert field.std() == pytest.approx(1, abs=1e-4)
+    power = np.abs(np.fft.fftn(field)) ** 2
+    waves = np.sqrt(sum(f * f for f in np.meshgrid(*[np.fft.fftfreq(TILE)] * 3, indexing="ij")))
+    short, long = CELLS_PER_WAVE
+    assert power[(waves > 1.001 / short) | (waves < 0.999 / long)].sum() < 1e-6 * power.sum()
+
+
+def test_a_seed_changes_lesions_and_texture_but_no_anatomy(head):
+    other, grid = phantom("head", 2), head.grid(3.0)
+    one, two = head.on(grid, samples=1), other.on(grid, samples=1)
+    lesions = [i for i, name in enumerate(head.names) if name.startswith("lesion")]
+    same = ~np.isin(one.labels, lesions) & ~np.isin(two.labels, lesions)
+    assert np.array_equal(one.labels[same], two.labels[same])
+    assert not np.array_equal(one.labels, two.labels)
+    bone = one.labels == head.names.index("skull")
+    assert 20 < (one.hu - two.hu)[bone].std() < 400
