@@ -74,6 +74,7 @@ def _specimen():
 
 def _voxelise() -> None:
     from twinct.geometry import Pose, VolumeGrid
+    from twinct.specimen.grey_part import add_means
     from twinct.specimen.preview import shaded
     from twinct.specimen.voxels import volume_fractions
 
@@ -85,6 +86,14 @@ def _voxelise() -> None:
         faces.setflags(write=writable)
         volume_fractions(mesh.vertices, faces, grid, Pose.identity())
     shaded(specimen, 0.0, 0.0, pixel_mm=5.0)
+    field = np.ones((3, 3, 3), np.float32)
+    add_means(
+        field,
+        VolumeGrid((3, 3, 3), 9.0),
+        grid,
+        Pose.identity(),
+        np.zeros_like(field, shape=(4, 5, 6)),
+    )
 
 
 def _paint() -> None:

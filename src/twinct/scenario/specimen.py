@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from twinct.core.foreign_text import quoted
 from twinct.core.settings import (
@@ -23,6 +23,7 @@ from twinct.core.settings import (
 )
 from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
+from twinct.scenario.grey_volume import GreyVolume, HuLine
 
 Scale = Annotated[float, Field(gt=0, le=1000)]
 
@@ -124,20 +125,6 @@ class MeshFile(Section):
     centre: bool = setting(False, "Move the centre of its bounding box to the part's origin.")
 
 
-class HuLine(Section):
-    """Line from a file's values to HU: slope times value plus intercept."""
-
-    slope: Finite = setting(1.0, "HU per unit of the file's values, not 0.")
-    intercept: Finite = setting(0.0, "HU of the value 0.")
-
-    @field_validator("slope")
-    @classmethod
-    def _rises_or_falls(cls, slope: float) -> float:
-        if slope == 0:
-            raise ValueError("must not be 0, which makes all values equal")
-        return slope
-
-
 class CtVolume(Section):
     """A CT volume, segmented at a threshold into a closed surface."""
 
@@ -161,19 +148,29 @@ class CtVolume(Section):
 
 
 Shape = Annotated[
-    Skull | Head | Brain | Sphere | Ellipsoid | Cylinder | Box | BallHelix | MeshFile | CtVolume,
+    Skull
+    | Head
+    | Brain
+    | Sphere
+    | Ellipsoid
+    | Cylinder
+    | Box
+    | BallHelix
+    | MeshFile
+    | CtVolume
+    | GreyVolume,
     Field(discriminator="kind"),
 ]
 
 
 class Part(Section):
-    """One body of one material. Where parts overlap, the later one wins."""
+    """One body of one material, or of grey voxels. Where parts overlap, the later one wins."""
 
     name: str = setting("", "Name in messages; empty: the kind of its shape.")
     shape: Annotated[Shape, ReadBy("surface")] = Field(description="Shape of the part.")
     material: str | Composition = setting(
         "bone",
-        "A name, or a composition with its density.",
+        "A name, or a composition with its density. Figures of a grey part are relative to it.",
         source="attenuation: xraylib",
         read_by="images",
     )
@@ -198,10 +195,13 @@ class Part(Section):
 class Specimen(Section):
     """Specimen and its pose."""
 
-    parts: tuple[Part, ...] = Field(min_length=1, description="Bodies, each of one material.")
+    parts: tuple[Part, ...] = Field(
+        min_length=1, description="Bodies, each of one material or of grey voxels."
+    )
     reference: str = setting(
         "",
-        "Name of the part to whose attenuation figures are relative; empty: the largest part.",
+        "Name of the part, or of the label of a grey part, to whose attenuation figures are "
+        "relative; empty: the largest part.",
         read_by="volume",
     )
     position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the world.", read_by="plan")
@@ -212,7 +212,9 @@ class Specimen(Section):
     @model_validator(mode="after")
     def _reference_is_a_part(self) -> Specimen:
         names = [part.label for part in self.parts]
-        if self.reference and self.reference not in names:
+        # Files of labels state their names themselves; the built specimen checks those.
+        labels = any(getattr(part.shape, "labels", None) for part in self.parts)
+        if self.reference and self.reference not in names and not labels:
             told = quoted(self.reference), quoted(names, 300)
             message = "reference: no part is called {}; the parts are {}".format(*told)
             raise ConflictError(Conflict(message, ("reference",)))

@@ -15,7 +15,9 @@ from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, VolumeGrid
-from twinct.specimen.materials import Material, material
+from twinct.specimen.grey_part import GreyPart
+from twinct.specimen.grey_volume import grey_part
+from twinct.specimen.materials import BUILT_IN, Material, material
 from twinct.specimen.shapes import shape_surface
 from twinct.specimen.surface import enclosed_volume, solids_once, subtract, surface
 from twinct.specimen.voxels import volume_fractions
@@ -51,16 +53,54 @@ class BuiltPart:
         """Enclosed volume, mm^3."""
         return enclosed_volume(self.mesh)
 
+    @property
+    def bulk(self) -> Material:
+        """Material with the largest mass."""
+        return self.material
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Names of labels within the part: none."""
+        return ()
+
+    def add_truth(
+        self,
+        grid: VolumeGrid,
+        energy_kev: float,
+        world_from_specimen: Pose,
+        out: NDArray[np.float32],
+    ) -> None:
+        """Add the mean attenuation in each voxel of a grid, 1/mm, to ``out`` (nz, ny, nx)."""
+        mu, mesh = self.material.mu_per_mm(energy_kev), self.mesh
+        volume_fractions(mesh.vertices, mesh.faces, grid, world_from_specimen, weight=mu, out=out)
+
+    def shares(
+        self, grid: VolumeGrid, world_from_specimen: Pose
+    ) -> list[tuple[Material, NDArray[np.float32]]]:
+        """Return the volume fractions of the material in the voxels of a grid."""
+        mesh = self.mesh
+        share = volume_fractions(mesh.vertices, mesh.faces, grid, world_from_specimen)
+        return [(self.material, share)]
+
+    def update(self, digest: hashlib._Hash) -> None:
+        """Feed the surface to a digest."""
+        for array in (self.mesh.vertices, self.mesh.faces):
+            digest.update(repr((array.shape, array.dtype.str)).encode())
+            digest.update(np.ascontiguousarray(array).data)
+
+
+AnyPart = BuiltPart | GreyPart
+
 
 @dataclass(frozen=True, eq=False)
 class BuiltSpecimen:
-    """A specimen ready to be imaged: images and true volume come from the same closed meshes.
+    """A specimen ready to be imaged: images and true volume come from the same bodies.
 
     Its parts are disjoint. Where two overlapped in the scenario, the overlap belongs to the later
-    one.
+    one. Parts of one material are closed meshes; grey parts are voxels.
     """
 
-    parts: tuple[BuiltPart, ...]
+    parts: tuple[AnyPart, ...]
     world_from_specimen: Pose
     reference: str = ""
 
@@ -71,29 +111,83 @@ class BuiltSpecimen:
         return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
     @property
-    def largest_part(self) -> BuiltPart:
+    def solids(self) -> tuple[BuiltPart, ...]:
+        """Parts of one material, whose meshes are imaged."""
+        return tuple(part for part in self.parts if isinstance(part, BuiltPart))
+
+    @property
+    def greys(self) -> tuple[GreyPart, ...]:
+        """Parts of voxels, whose fields are imaged."""
+        return tuple(part for part in self.parts if isinstance(part, GreyPart))
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """All materials that attenuate: of solids, then basis materials, each once."""
+        basis = (m for part in self.greys for m in part.field.materials)
+        return tuple(dict.fromkeys([*(part.material for part in self.solids), *basis]))
+
+    @property
+    def largest_part(self) -> AnyPart:
         """The part with the largest volume."""
         return max(self.parts, key=lambda part: part.volume_mm3)
 
     @property
-    def reference_part(self) -> BuiltPart:
-        """The part for relative figures of merit: the named one, or the largest."""
+    def reference_part(self) -> AnyPart:
+        """The part for relative figures of merit: the named one, or the largest.
+
+        A label names its part.
+        """
+        if not self.reference:
+            return self.largest_part
         named = (part for part in self.parts if part.name == self.reference)
-        return next(named, self.largest_part) if self.reference else self.largest_part
+        return next(named, None) or self.labelled(self.reference) or self.largest_part
+
+    @property
+    def reference_name(self) -> str:
+        """The material, or the label, to whose attenuation figures are relative."""
+        part = self.reference_part
+        return self.reference if self._by_label else part.material.name
+
+    @property
+    def _by_label(self) -> bool:
+        named = any(part.name == self.reference for part in self.parts)
+        return bool(self.reference) and not named and self.labelled(self.reference) is not None
+
+    def require_names(self) -> None:
+        """Raise if no part and no label has the name of the reference.
+
+        Raises:
+            SpecimenError: the name is unknown.
+        """
+        names = [n for part in self.parts for n in (part.name, *part.label_names)]
+        if self.reference and self.reference not in names:
+            raise SpecimenError(
+                f"specimen.reference: no part or label is called {quoted(self.reference)}; there "
+                f"are {quoted(names, 300)}"
+            )
+
+    def labelled(self, label: str) -> GreyPart | None:
+        """Return the grey part with a label, if any."""
+        return next((part for part in self.greys if label in part.label_names), None)
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of all surfaces, in their order."""
+        """SHA-256 of all surfaces and voxels, in their order."""
         digest = hashlib.sha256()
         for part in self.parts:
-            for array in (part.mesh.vertices, part.mesh.faces):
-                digest.update(repr((array.shape, array.dtype.str)).encode())
-                digest.update(np.ascontiguousarray(array).data)
+            part.update(digest)
         return digest.hexdigest()
 
     def reference_mu(self, energy_kev: float) -> float:
-        """Return the attenuation of the reference part (mu of bone for a skull), 1/mm."""
-        return self.reference_part.material.mu_per_mm(energy_kev)
+        """Return the attenuation of the reference part (mu of bone for a skull), 1/mm.
+
+        A label has the mean of its voxels.
+        """
+        part = self.reference_part
+        if self._by_label:
+            assert isinstance(part, GreyPart)
+            return part.mean_mu(self.reference, energy_kev)
+        return part.material.mu_per_mm(energy_kev)
 
     @cached_property
     def hull(self) -> trimesh.Trimesh:
@@ -125,7 +219,7 @@ class BuiltSpecimen:
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None
     ) -> NDArray[np.float32]:
-        """Return the attenuation per voxel: volume fraction of each part times its mu.
+        """Return the mean attenuation in each voxel, over all parts.
 
         Args:
             grid: voxel grid to sample.
@@ -138,8 +232,7 @@ class BuiltSpecimen:
         volume = np.zeros(grid.shape, dtype=np.float32)
         pose = world_from_specimen or self.world_from_specimen
         for part in self.parts:
-            mesh, mu_per_mm = part.mesh, part.material.mu_per_mm(energy_kev)
-            volume_fractions(mesh.vertices, mesh.faces, grid, pose, weight=mu_per_mm, out=volume)
+            part.add_truth(grid, energy_kev, pose, volume)
         return volume
 
 
@@ -150,27 +243,41 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
         SpecimenError: with one sentence for each part that cannot be built.
     """
     problems: list[str] = []
-    built: list[BuiltPart] = []
+    built: list[AnyPart] = []
     for i, part in enumerate(section.parts):
+        key = f"specimen.parts.{i}"
         try:
-            substance = material(part.material, origin=f"specimen.parts.{i}.material")
+            substance = material(part.material, origin=f"{key}.material")
         except SpecimenError as error:
             problems.extend(error.problems)
             substance = None
         try:
-            mesh = shape_surface(part.shape, part.label)
+            made = _made(part, substance, f"{key}.shape")
         except SpecimenError as error:
             problems.extend(error.problems)
             continue
-        if substance is not None:
-            placed = surface(part.specimen_from_part.apply(mesh.vertices), mesh.faces)
-            if why := _no_body(placed):
-                problems.append(f"specimen.parts.{i}.shape: part {quoted(part.label)} {why}")
-                continue
-            built.append(BuiltPart(part.label, substance, placed))
+        if made is not None and (why := _no_body(made.mesh)):
+            problems.append(f"{key}.shape: part {quoted(part.label)} {why}")
+        elif made is not None:
+            built.append(made)
     if problems:
         raise SpecimenError(problems)
-    return BuiltSpecimen(_disjoint(built), section.world_from_specimen, section.reference)
+    specimen = BuiltSpecimen(_disjoint(built), section.world_from_specimen, section.reference)
+    specimen.require_names()
+    return specimen
+
+
+def _made(part: scenario.Part, substance: Material | None, key: str) -> AnyPart | None:
+    """Return a part in the specimen's frame; None if its material is unknown."""
+    pose = part.specimen_from_part
+    if isinstance(part.shape, scenario.GreyVolume):
+        known = substance or BUILT_IN["bone"]
+        grey = grey_part(part.shape, part.label, known, pose, key)
+        return None if substance is None else grey
+    mesh = shape_surface(part.shape, part.label)
+    if substance is None:
+        return None
+    return BuiltPart(part.label, substance, surface(pose.apply(mesh.vertices), mesh.faces))
 
 
 def _no_body(mesh: trimesh.Trimesh) -> str:
@@ -218,14 +325,21 @@ def _sphere_directions(count: int) -> Floats:
     return np.concatenate([spiral, np.eye(3), -np.eye(3)])
 
 
-def _disjoint(parts: list[BuiltPart]) -> tuple[BuiltPart, ...]:
-    disjoint: list[BuiltPart] = []
+def _disjoint(parts: list[AnyPart]) -> tuple[AnyPart, ...]:
+    """Return parts without the volume of later ones; grey parts lose voxels, not their skin."""
+    disjoint: list[AnyPart] = []
     problems: list[str] = []
     solid = solids_once()
     for i, part in enumerate(parts):
-        mesh = subtract(part.mesh, [later.mesh for later in parts[i + 1 :]], part.name, solid)
-        disjoint.append(replace(part, mesh=mesh))
-        if not len(mesh.faces):
+        later = [other.mesh for other in parts[i + 1 :]]
+        if isinstance(part, GreyPart):
+            rest: AnyPart = part.displaced(later)
+            empty = rest is not part and not rest.field.amounts.any()
+        else:
+            mesh = subtract(part.mesh, later, part.name, solid)
+            rest, empty = replace(part, mesh=mesh), not len(mesh.faces)
+        disjoint.append(rest)
+        if empty:
             problems.append(
                 f"part {quoted(part.name)} is empty: later parts cover it completely. Where parts "
                 "overlap, the later one wins; list the outer part first"

@@ -1,7 +1,11 @@
-"""A built specimen in a file of arrays: its meshes, without materials, which the scenario names."""
+"""A built specimen in a file of arrays: its meshes and voxels.
+
+Materials of parts are those that the scenario names; basis materials of voxels are in the file.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,19 +16,22 @@ from numpy.typing import NDArray
 from twinct import scenario
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
-from twinct.specimen.build import BuiltPart, BuiltSpecimen
-from twinct.specimen.materials import material
+from twinct.geometry import Pose, VolumeGrid
+from twinct.specimen.build import AnyPart, BuiltPart, BuiltSpecimen
+from twinct.specimen.grey import GreyField
+from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
+from twinct.specimen.materials import Material, material
 from twinct.specimen.surface import surface
 
 LARGEST_BYTES = 2**34
-"""Largest total size of the arrays in a file; 20 million triangles have a twentieth of this."""
+"""Largest total size of the arrays in a file: 512^3 voxels of six basis materials have 13 GB."""
 
 _HULL = "hull"
 """Name of the hull, also where ``cached_property`` keeps it."""
 
 
 def save_built(specimen: BuiltSpecimen, path: Path) -> None:
-    """Write the meshes of a specimen, and its hull if it is known, to a file."""
+    """Write the parts of a specimen, and its hull if it is known, to a file."""
     meshes = {str(i): part.mesh for i, part in enumerate(specimen.parts)}
     if _HULL in vars(specimen):
         meshes[_HULL] = specimen.hull
@@ -32,6 +39,9 @@ def save_built(specimen: BuiltSpecimen, path: Path) -> None:
     for name, mesh in meshes.items():
         arrays[f"{name}.vertices"] = np.asarray(mesh.vertices, np.float64)
         arrays[f"{name}.faces"] = np.asarray(mesh.faces, np.int64)
+    for i, part in enumerate(specimen.parts):
+        if isinstance(part, GreyPart):
+            arrays |= {f"{i}.{name}": array for name, array in _voxels(part).items()}
     with path.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 
@@ -40,18 +50,59 @@ def load_built(section: scenario.Specimen, path: Path) -> BuiltSpecimen:
     """Read the file that ``save_built`` wrote for the specimen of a scenario.
 
     Raises:
-        InputError: the file does not hold this specimen's meshes.
+        InputError: the file does not hold this specimen.
     """
     where = f"{path}: the cached specimen"
     arrays = read_npz(path, where, LARGEST_BYTES)
-    parts = [
-        BuiltPart(part.label, material(part.material), _mesh(arrays, str(i), where))
-        for i, part in enumerate(section.parts)
-    ]
+    parts = [_part(part, arrays, str(i), where) for i, part in enumerate(section.parts)]
     specimen = BuiltSpecimen(tuple(parts), section.world_from_specimen, section.reference)
     if any(name.startswith(f"{_HULL}.") for name in arrays):
         vars(specimen)[_HULL] = _mesh(arrays, _HULL, where)
     return specimen
+
+
+def _part(
+    section: scenario.Part, arrays: Mapping[str, NDArray[Any]], name: str, where: str
+) -> AnyPart:
+    substance, mesh = material(section.material), _mesh(arrays, name, where)
+    if f"{name}.amounts" not in arrays:
+        return BuiltPart(section.label, substance, mesh)
+    try:
+        told = json.loads(arrays[f"{name}.told"].tobytes())
+        pose = Pose(np.array(told["position"]), np.array(told["quat"]))
+        amounts = arrays[f"{name}.amounts"]
+        grid = VolumeGrid(amounts.shape[:3], told["voxel"], pose)
+        basis = tuple(Material(*row) for row in told["materials"])
+        labels = None
+        if told["labels"]:
+            labels = VoxelLabels(tuple(told["labels"]), arrays[f"{name}.labels"])
+        cuts = tuple(
+            CutFace(axis, high, arrays[f"{name}.cut{k}"])
+            for k, (axis, high) in enumerate(told["cuts"])
+        )
+        field = GreyField(basis, amounts, grid)
+        return GreyPart(section.label, substance, mesh, field, labels, cuts)
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{where}: part {name} is damaged: {error}") from None
+
+
+def _voxels(part: GreyPart) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a grey part; ``told`` is JSON in bytes."""
+    grid = part.field.grid
+    told = {
+        "position": grid.world_from_grid.position.tolist(),
+        "quat": grid.world_from_grid.quat.tolist(),
+        "voxel": grid.voxel.tolist(),
+        "materials": [
+            [m.name, m.density_g_cm3, dict(m.mass_fractions)] for m in part.field.materials
+        ],
+        "labels": part.label_names,
+        "cuts": [[cut.axis, cut.high] for cut in part.cuts],
+    }
+    arrays: dict[str, NDArray[Any]] = {f"cut{k}": cut.tissue for k, cut in enumerate(part.cuts)}
+    arrays |= {"told": np.frombuffer(json.dumps(told).encode(), np.uint8)}
+    arrays |= {"labels": part.labels.values} if part.labels else {}
+    return arrays | {"amounts": part.field.amounts}
 
 
 def _mesh(arrays: Mapping[str, NDArray[Any]], name: str, where: str) -> Any:

@@ -1,11 +1,12 @@
 """CT volumes from the folder of one DICOM series, of single images or of frames.
 
 Every slice must lie where the others let expect it: parallel, on one straight line, at one
-distance.
+distance, unless slices may be interpolated.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from twinct.specimen.ct_image import RAS_FROM_LPS, STATE_HU, CtImage
 from twinct.specimen.dicom_files import DicomImage, dicom_images, silent_library
 from twinct.specimen.dicom_values import require_grey, require_hu, values_hu
 
+log = logging.getLogger(__name__)
+
 GAP_TOLERANCE = 0.02
 """Maximum relative deviation of evenly spaced slices: headers are rounded."""
 
@@ -33,6 +36,9 @@ one series: headers are rounded."""
 
 AXES_TOLERANCE = 1e-3
 """Maximum deviation of the direction vectors from length 1 and from a right angle."""
+
+MOST_FINER = 4
+"""Largest number of interpolated slices for each slice of a series."""
 
 TILT_TOLERANCE_DEG = 0.5
 """Maximum difference between the shear of a stack and the tilt of the gantry that explains it."""
@@ -54,8 +60,10 @@ class _Plane:
     spacing: Floats
 
 
-def read_dicom_series(folder: Path, where: str, line: scenario.HuLine | None = None) -> CtImage:
-    """Read the folder of one CT series.
+def read_dicom_series(
+    folder: Path, where: str, line: scenario.HuLine | None = None, *, interpolate: bool = False
+) -> CtImage:
+    """Read the folder of one CT series; unevenly spaced slices are interpolated or refused.
 
     Raises:
         SpecimenError: a file is damaged, the images are no evenly spaced stack of one series, or
@@ -71,7 +79,7 @@ def read_dicom_series(folder: Path, where: str, line: scenario.HuLine | None = N
         if line is None:
             for image in images:
                 require_hu(image)
-        planes, affine = _stack(planes, where)
+        planes, affine, heights = _stack(planes, where, interpolate)
         rows, columns = _size(shapes, where)
         require_memory(where, 16 * rows * columns * len(planes), SpecimenError)
         values = np.empty((len(planes), rows, columns), dtype=np.float32)
@@ -79,6 +87,8 @@ def read_dicom_series(folder: Path, where: str, line: scenario.HuLine | None = N
         for image in images:
             for frame, picture in enumerate(values_hu(image, shapes[image.name], line)):
                 values[place[image.name, frame]] = picture
+    if heights is not None:
+        values, affine = _evened(values, affine, heights, where)
     # (slice, row, column) to (column, row, slice).
     return CtImage(values.transpose(2, 1, 0), RAS_FROM_LPS @ affine)
 
@@ -145,8 +155,13 @@ def _planes(image: DicomImage, frames: int) -> Iterable[_Plane]:
         yield _Plane(image, frame, name, position, axes, spacing)
 
 
-def _stack(planes: list[_Plane], where: str) -> tuple[list[_Plane], Floats]:
-    """Return the slices in their order, and the matrix from (column, row, slice) to mm."""
+def _stack(
+    planes: list[_Plane], where: str, interpolate: bool
+) -> tuple[list[_Plane], Floats, Floats | None]:
+    """Return the slices in their order, and the matrix from (column, row, slice) to mm.
+
+    With ``interpolate``, uneven slices also have heights: their distances from the first, mm.
+    """
     if len(planes) < 2:
         raise SpecimenError(f"{where}: only one image; expected a series of slices")
     axes = _common(np.array([plane.axes for plane in planes]), 1.0, planes, where)
@@ -157,19 +172,55 @@ def _stack(planes: list[_Plane], where: str) -> tuple[list[_Plane], Floats]:
     order = np.argsort(positions @ normal, kind="stable")
     planes, positions = [planes[k] for k in order], positions[order]
     names = [plane.name for plane in planes]
-    _require_even(np.diff(positions @ normal), names, where)
-    first, step = _line(positions)
+    gaps = np.diff(positions @ normal)
+    heights = None
+    if interpolate and gaps.min() > 0 and _uneven(gaps).max() > GAP_TOLERANCE:
+        heights = (positions - positions[0]) @ normal
+        first, step = positions[0], (positions[-1] - positions[0]) / heights[-1] * gaps.min()
+        off = positions - first - np.outer(heights / gaps.min(), step)
+    else:
+        _require_even(gaps, names, where)
+        first, step = _line(positions)
+        off = positions - first - np.outer(np.arange(len(planes)), step)
     edge = min(spacing.min(), float(step @ normal))
-    _require_straight(
-        positions - first - np.outer(np.arange(len(planes)), step), edge, names, where
-    )
+    _require_straight(off, edge, names, where)
     _require_explained(planes[0].image, step, normal, where)
     affine = np.eye(4)
     affine[:3, 0] = axes[0] * spacing[1]
     affine[:3, 1] = axes[1] * spacing[0]
     affine[:3, 2] = (positions[-1] - positions[0]) / (len(planes) - 1)
     affine[:3, 3] = positions[0]
-    return planes, affine
+    return planes, affine, heights
+
+
+def _evened(
+    values: NDArray[np.float32], affine: Floats, heights: Floats, where: str
+) -> tuple[NDArray[np.float32], Floats]:
+    """Interpolate slices (slice, row, column) linearly to the smallest of their distances."""
+    gaps = np.diff(heights)
+    count = round(float(heights[-1] / gaps.min())) + 1
+    told = f"slices are {gaps.min():.4g} to {gaps.max():.4g} mm apart"
+    if count > MOST_FINER * len(values):
+        raise SpecimenError(
+            f"{where}: {told}; {count} slices would be needed to interpolate {len(values)}"
+        )
+    require_memory(where, 8 * values[0].size * count, SpecimenError)
+    log.warning("%s: %s; they are interpolated", where, told)
+    found = np.empty((count, *values.shape[1:]), dtype=np.float32)
+    places = np.interp(np.linspace(0, heights[-1], count), heights, np.arange(len(heights)))
+    for k, place in enumerate(places):
+        below = min(int(place), len(values) - 2)
+        share = np.float32(place - below)
+        found[k] = (1 - share) * values[below] + share * values[below + 1]
+    even = affine.copy()
+    even[:3, 2] *= (len(values) - 1) / (count - 1)
+    return found, even
+
+
+def _uneven(gaps: Floats) -> Floats:
+    """Return the relative deviations of distances from their median."""
+    gap = float(np.median(gaps))
+    return np.abs(gaps - gap) / gap
 
 
 def _common(values: Floats, size: float, planes: list[_Plane], where: str) -> Floats:

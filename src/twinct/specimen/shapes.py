@@ -62,6 +62,11 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
             return _from_file(shape, name)
         case scenario.CtVolume():
             return ct_surface(shape, name)
+        case scenario.GreyVolume():
+            raise SpecimenError(
+                f"part {quoted(name)}: voxels (kind: volume) have no single material, which is "
+                "needed here; use kind: ct, which cuts the CT at a threshold, or a mesh"
+            )
     raise AssertionError(f"no surface for {shape!r}")
 
 

@@ -63,10 +63,16 @@ def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
     return mesh
 
 
-def read_ct(path: Path, where: str, line: scenario.HuLine | None = None) -> CtImage:
+def read_ct(
+    path: Path, where: str, line: scenario.HuLine | None = None, *, interpolate: bool = False
+) -> CtImage:
     """Read a NIfTI or MetaImage file, the folder of one DICOM series, or an InVesalius project.
 
-    The line is what the part states of the file's values; None if they are HU.
+    Args:
+        path: file or folder.
+        where: beginning of messages.
+        line: line that the part states from the file's values to HU; None if they are HU.
+        interpolate: interpolate unevenly spaced slices of a series.
 
     Raises:
         SpecimenError: the file does not exist, is damaged, has another format, is not one volume,
@@ -76,7 +82,7 @@ def read_ct(path: Path, where: str, line: scenario.HuLine | None = None) -> CtIm
     if why := no_file(path, folder=True):
         raise SpecimenError(f"{where} {why}")
     if path.is_dir():
-        image = read_dicom_series(path, where, line)
+        image = read_dicom_series(path, where, line, interpolate=interpolate)
     elif name.endswith((".nii", ".nii.gz")):
         image = read_ct_nifti(path, where, line)
     elif name.endswith((".mha", ".mhd")):

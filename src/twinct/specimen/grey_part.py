@@ -1,0 +1,243 @@
+"""Grey parts: bodies of voxels that are mixtures, with their skin and their named labels."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry import Pose, VolumeGrid
+from twinct.geometry.arrays import lock
+from twinct.specimen.grey import GreyField
+from twinct.specimen.materials import Material
+from twinct.specimen.surface import enclosed_volume
+from twinct.specimen.voxels import volume_fractions
+
+if TYPE_CHECKING:
+    import trimesh
+
+SAMPLES_PER_VOXEL = 2
+"""Samples along each edge of a voxel of the field, for means in voxels of another grid."""
+
+MOST_SAMPLES = 16
+"""Largest number of samples along an edge of a voxel of that grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelLabels:
+    """Named labels of the voxels of a grey part.
+
+    Attributes:
+        names: names of the labels; label i has the value i + 1.
+        values: label of each voxel, (nz, ny, nx), uint16; 0 is none.
+    """
+
+    names: tuple[str, ...]
+    values: NDArray[np.uint16]
+
+    def __post_init__(self) -> None:
+        """Lock the values."""
+        lock(self, "values")
+
+    def mask(self, name: str) -> NDArray[np.bool_]:
+        """Return the voxels of a label, (nz, ny, nx)."""
+        return self.values == self.names.index(name) + 1
+
+
+@dataclass(frozen=True, eq=False)
+class CutFace:
+    """Face of a CT volume that cuts the body.
+
+    Attributes:
+        axis: axis of the field's grid, 0 for x.
+        high: True for the face at its upper end.
+        tissue: voxels of the face that hold tissue: the field's layer without this axis, in the
+            order of its array, bool.
+    """
+
+    axis: int
+    high: bool
+    tissue: NDArray[np.bool_]
+
+    @property
+    def name(self) -> str:
+        """Name of the face, such as -z."""
+        return ("+" if self.high else "-") + "xyz"[self.axis]
+
+
+@dataclass(frozen=True, eq=False)
+class GreyPart:
+    """One body of voxels, each a mixture of a few basis materials.
+
+    Attributes:
+        name: name for messages.
+        material: reference material of its figures, such as bone.
+        mesh: skin, a closed surface in the specimen's frame, mm, for pictures, sizes and
+            collisions. It takes no part in images and truth.
+        field: mixtures, without the volume that later parts displace; nothing in the outermost
+            layer of voxels.
+        labels: named labels on the field's grid, if any.
+        cuts: faces of the CT that cut the body.
+    """
+
+    name: str
+    material: Material
+    mesh: trimesh.Trimesh
+    field: GreyField
+    labels: VoxelLabels | None = None
+    cuts: tuple[CutFace, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that the labels fit the field.
+
+        Raises:
+            ValueError: labels have another shape.
+        """
+        if self.labels and self.labels.values.shape != self.field.grid.shape:
+            raise ValueError(
+                f"the labels have the shape {self.labels.values.shape}, the field "
+                f"{self.field.grid.shape}"
+            )
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume within the skin, mm^3."""
+        return enclosed_volume(self.mesh)
+
+    @property
+    def bulk(self) -> Material:
+        """Basis material with the largest mass."""
+        layers = (layer.sum(axis=(0, 1), dtype=np.float64) for layer in self.field.amounts)
+        mass = sum(layers) * [m.density_g_cm3 for m in self.field.materials]
+        return self.field.materials[int(np.argmax(mass))]
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Names of the labels."""
+        return self.labels.names if self.labels else ()
+
+    def mean_mu(self, label: str, energy_kev: float) -> float:
+        """Return the mean attenuation of a label at a photon energy, 1/mm."""
+        assert self.labels is not None
+        amounts = self.field.amounts[self.labels.mask(label)].mean(axis=0, dtype=np.float64)
+        return float(amounts @ [m.mu_per_mm(energy_kev) for m in self.field.materials])
+
+    def displaced(self, meshes: Iterable[trimesh.Trimesh]) -> GreyPart:
+        """Return the part without the volume inside closed meshes, in the specimen's frame."""
+        grid, lost = self.field.grid, None
+        for mesh in meshes:
+            if _apart(mesh.bounds, self.mesh.bounds):
+                continue
+            lost = volume_fractions(mesh.vertices, mesh.faces, grid, Pose.identity(), out=lost)
+        if lost is None:
+            return self
+        left = np.maximum(1 - lost, 0)
+        amounts = self.field.amounts * left[..., None]
+        labels = self.labels
+        if labels:
+            values = np.where(left > 0.5, labels.values, np.uint16(0))
+            labels = replace(labels, values=values)
+        return replace(self, field=replace(self.field, amounts=amounts), labels=labels)
+
+    def add_truth(
+        self,
+        grid: VolumeGrid,
+        energy_kev: float,
+        world_from_specimen: Pose,
+        out: NDArray[np.float32],
+    ) -> None:
+        """Add the mean attenuation in each voxel of a grid, 1/mm, to ``out`` (nz, ny, nx)."""
+        values = self.field.mu_per_mm(energy_kev)
+        add_means(values, self.field.grid, grid, world_from_specimen, out)
+
+    def shares(
+        self, grid: VolumeGrid, world_from_specimen: Pose
+    ) -> list[tuple[Material, NDArray[np.float32]]]:
+        """Return the mean amount of each basis material in the voxels of a grid."""
+        found = []
+        for m, substance in enumerate(self.field.materials):
+            share = np.zeros(grid.shape, dtype=np.float32)
+            values = np.ascontiguousarray(self.field.amounts[..., m])
+            add_means(values, self.field.grid, grid, world_from_specimen, share)
+            found.append((substance, share))
+        return found
+
+    def label_on(self, name: str, grid: VolumeGrid, world_from_specimen: Pose) -> NDArray[np.bool_]:
+        """Return the voxels of a grid that a label fills by half at least."""
+        assert self.labels is not None
+        share = np.zeros(grid.shape, dtype=np.float32)
+        values = self.labels.mask(name).astype(np.float32)
+        add_means(values, self.field.grid, grid, world_from_specimen, share)
+        return share >= 0.5
+
+    def update(self, digest: hashlib._Hash) -> None:
+        """Feed everything that images and truth depend on to a digest."""
+        grid, field = self.field.grid, self.field
+        pose = [*grid.world_from_grid.position.tolist(), *grid.world_from_grid.quat.tolist()]
+        told = [grid.shape, grid.voxel.tolist(), pose, self.label_names]
+        told += [
+            [m.name, m.density_g_cm3, sorted(m.mass_fractions.items())] for m in field.materials
+        ]
+        digest.update(repr(told).encode())
+        digest.update(field.amounts.data)
+        if self.labels:
+            digest.update(np.ascontiguousarray(self.labels.values).data)
+
+
+def add_means(
+    values: NDArray[np.float32],
+    of: VolumeGrid,
+    grid: VolumeGrid,
+    world_from_field: Pose,
+    out: NDArray[np.float32],
+) -> None:
+    """Add the mean of a linear field in each voxel of a grid to ``out``.
+
+    The field is sampled at least ``SAMPLES_PER_VOXEL`` times along each edge of its own voxels, up
+    to ``MOST_SAMPLES`` times along those of the grid.
+
+    Args:
+        values: field at the voxel centres of its grid, (nz, ny, nx).
+        of: grid of the field; its world is the specimen's frame.
+        grid: grid of the means; it may be shifted and rotated.
+        world_from_field: pose of the specimen.
+        out: (nz, ny, nx) float32.
+    """
+    from twinct.specimen import _grey_kernels
+
+    field_from_grid = (world_from_field @ of.world_from_grid).inverse() @ grid.world_from_grid
+    # Index coordinates of the field: rows are the steps along x, y and z of the grid.
+    steps = (field_from_grid.rotation * grid.voxel).T / of.voxel
+    corner = grid.first_voxel_mm - grid.voxel / 2
+    first = (field_from_grid.apply(corner) - of.first_voxel_mm) / of.voxel
+    counts = np.ceil(SAMPLES_PER_VOXEL * np.abs(steps).max(axis=1) - 1e-9)
+    counts = np.clip(counts, 1, MOST_SAMPLES).astype(np.int64)
+    box = _touched(values.shape, first, steps, grid.shape)
+    if any(side.start >= side.stop for side in box):
+        return
+    first = first + np.array([side.start for side in box[::-1]]) @ steps
+    found = np.zeros(out[box].shape, dtype=np.float32)
+    values = np.require(values, requirements=["C", "W"])  # one type for numba
+    _grey_kernels.add_means(values, first, steps, counts, found)
+    out[box] += found
+
+
+def _touched(
+    of: tuple[int, ...], first: NDArray[np.float64], steps: NDArray[np.float64], shape: tuple
+) -> tuple[slice, slice, slice]:
+    """Return the box of the grid outside of which the field is 0."""
+    ends = itertools.product(*((-1.0, float(n)) for n in of[::-1]))
+    corners = (np.array(list(ends)) - first) @ np.linalg.inv(steps)
+    low = np.clip(np.floor(corners.min(axis=0)), 0, shape[::-1]).astype(int)
+    high = np.clip(np.ceil(corners.max(axis=0)), 0, shape[::-1]).astype(int)
+    x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
+    return z, y, x
+
+
+def _apart(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    return bool((a[0] > b[1]).any() or (b[0] > a[1]).any())
