@@ -9,7 +9,9 @@ from typing import Any
 import nibabel
 import numpy as np
 import pytest
-from ct_files import Truth, nifti, save, slices
+from ct_files import Truth, save, slices
+from grey_head import SHAPE, SPACING, grid_of_ct, head, labels, write
+from pydantic import ValidationError
 
 from twinct.core.errors import SpecimenError
 from twinct.geometry import Pose, VolumeGrid
@@ -20,23 +22,7 @@ from twinct.specimen.grey_part import GreyPart, add_means
 from twinct.specimen.materials import BUILT_IN
 from twinct.specimen.volumes import read_ct
 
-SPACING = np.array([1.0, 1.25, 2.0])
-SHAPE = (40, 36, 30)
 KEV = 71.6
-
-
-def head(turn: Any = None) -> Truth:
-    """A ball of soft tissue in air with a bone bar at +x, and a couch below (-y), off centre."""
-    i, j, k = np.indices(SHAPE)
-    x, y, z = ((n - c) * s for n, c, s in zip((i, j, k), (19, 20, 14), SPACING, strict=True))
-    values = np.full(SHAPE, -1000.0)
-    values[x * x + y * y + z * z < 15**2] = 40.0
-    values[(np.abs(x - 8) <= 2) & (np.abs(y) <= 4) & (np.abs(z) <= 6)] = 1000.0
-    values[:, 1:3, :] = 200.0
-    affine = np.eye(4)
-    affine[:3, :3] = np.diag(SPACING) if turn is None else turn @ np.diag(SPACING)
-    affine[:3, 3] = affine[:3, :3] @ [-19, -20, -14]
-    return Truth(values, affine)
 
 
 def section(path: Path, more: tuple[dict[str, Any], ...] = (), **keys: Any) -> Specimen:
@@ -50,11 +36,6 @@ def section(path: Path, more: tuple[dict[str, Any], ...] = (), **keys: Any) -> S
 
 def build(path: Path, *more: dict[str, Any], **keys: Any) -> BuiltSpecimen:
     return build_specimen(section(path, more, **keys))
-
-
-def write(path: Path, truth: Truth, kind: str = "<i2") -> Path:
-    nibabel.save(nifti(truth, kind), path)
-    return path
 
 
 @pytest.fixture
@@ -82,13 +63,6 @@ def test_truth_on_the_grid_of_the_ct_is_its_attenuation(file: Path) -> None:
     assert kept[14, 1:3, 20].mean() > 0.5 * mu_of(200)
 
 
-def grid_of_ct() -> VolumeGrid:
-    middle = (np.array(SHAPE) - 1) / 2
-    return VolumeGrid(
-        SHAPE[::-1], SPACING, Pose.from_euler((middle - [19, 20, 14]) * SPACING, (0, 0, 0))
-    )
-
-
 def linear(points: np.ndarray, values: np.ndarray, grid: VolumeGrid) -> np.ndarray:
     from scipy.ndimage import map_coordinates
 
@@ -112,7 +86,7 @@ def test_means_on_a_turned_grid() -> None:
     exact = linear(points, values, of).reshape(5, 10, 6, 10, 4, 10).mean(axis=(1, 3, 5))
     assert exact.max() > 0.3
     assert np.sqrt(np.mean((found - exact) ** 2)) < 0.008  # white noise has the largest errors
-    assert found.sum() == pytest.approx(exact.sum(), rel=1e-3)
+    assert found.sum() == pytest.approx(exact.sum(), rel=5e-3)
 
 
 def test_a_mesh_displaces_voxels_by_fractions(file: Path) -> None:
@@ -190,15 +164,6 @@ def test_uneven_slices_are_interpolated_with_the_key(tmp_path: Path) -> None:
     assert built.bounds == pytest.approx(build(tmp_path / "even").bounds, abs=2)
 
 
-def labels(tmp_path: Path, **replaced: Any) -> Path:
-    truth = head()
-    values = np.zeros(SHAPE)
-    values[truth.values == 40] = 3
-    values[truth.values == 1000] = 7
-    affine = replaced.get("affine", truth.affine)
-    return write(tmp_path / "labels.nii", Truth(values, affine), "<u2")
-
-
 def test_labels_name_voxels(file: Path, tmp_path: Path) -> None:
     path = labels(tmp_path)
     named = {"path": str(path), "names": {"bone": 7, "brain": 3}}
@@ -212,8 +177,10 @@ def test_labels_name_voxels(file: Path, tmp_path: Path) -> None:
     assert grey_of(build(file, labels={"path": str(path)})).label_names == ("label_3", "label_7")
     only = build(file, keep="labelled", labels=named).truth(grid_of_ct(), KEV)
     assert only[14, 20, 27] == pytest.approx(mu_of(1000), rel=1e-3)
-    with pytest.raises(SpecimenError, match="no part or label is called 'liver'"):
+    with pytest.raises(ValidationError, match="no part is called 'liver'"):
         build(file, labels=named, reference="liver")
+    with pytest.raises(SpecimenError, match="no part or label is called 'liver'"):
+        build(file, labels={"path": str(path)}, reference="liver")
     with pytest.raises(SpecimenError, match=r"no voxel of 'liver' \(5\); its labels are \[3, 7\]"):
         build(file, labels=named | {"names": {"liver": 5}})
 

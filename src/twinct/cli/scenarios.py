@@ -168,9 +168,12 @@ def specimen(
         for index, part in enumerate(built.parts):
             with complete(out / f"{index}-{part.name}.stl") as draft:
                 part.mesh.export(draft)
-            material, mesh = part.material, part.mesh
-            figures = f"{material.mu_per_mm(energy):.5f}", f"{len(mesh.faces)}"
-            table.add_row(part.name, material.name, *figures, f"{mesh.volume / 1000:.1f}")
+            figures = (
+                f"{part.mean_mu(energy):.5f}",
+                f"{len(part.mesh.faces)}",
+                f"{part.volume_mm3 / 1000:.1f}",
+            )
+            table.add_row(part.name, part.in_words, *figures)
         preview_specimen(built, out / "specimen.png", title=loaded.name)
         Volume(built.truth(grid, energy), grid).write(out / "truth.nii", "twinct truth, 1/mm")
     Console().print(table)

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from twinct.core.errors import ScanExistsError
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.images import write_tiff
 from twinct.core.files.writing import storage_errors, write_json
+from twinct.core.foreign_text import quoted
 from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
 from twinct.ctsimu.writing import (
     Json,
@@ -65,6 +66,7 @@ def export_scan(
 
     Raises:
         InputError: the scan has no geometry of this name.
+        InputError: the specimen has grey voxels.
         InputError: source or detector have a feature without a CTSimU equivalent; names it.
         ScanExistsError: the folder already holds an export.
         StorageError: the folder cannot be written.
@@ -75,6 +77,11 @@ def export_scan(
     files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json", options)
     if taken := [p.name for p in (files.scenario, files.trajectory) if p.exists()]:
         raise ScanExistsError(f"{folder} already holds {', '.join(taken)}: choose another --out")
+    if specimen.greys:
+        raise InputError(
+            f"specimen: part {quoted(specimen.greys[0].name)} has grey voxels; CTSimU describes "
+            "samples by meshes of one material each"
+        )
     if not ideal:
         refuse_unsaid(scan.scenario, uneven_mas=scan.mas is not None)
     make_folder(folder)
@@ -100,7 +107,7 @@ def _scenario(
     source = _moving(known.source, scan.executed.source)
     substances: list[Json] = []
     samples = []
-    for index, part in enumerate(specimen.parts):
+    for index, part in enumerate(specimen.solids):
         file = folder / f"{name}_{index}_{part.name}.obj"
         middle = write_mesh(part.mesh, file)
         shift = Pose(middle, np.array([0.0, 0.0, 0.0, 1.0]))

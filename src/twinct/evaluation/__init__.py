@@ -25,7 +25,16 @@ from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
 from twinct.evaluation.observer import detectability
 from twinct.evaluation.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
 from twinct.evaluation.region import region_of_interest
-from twinct.evaluation.region_voxels import Voxels, ball, centres, cuboid, cylinder, part_of, shell
+from twinct.evaluation.region_voxels import (
+    Voxels,
+    ball,
+    centres,
+    cuboid,
+    cylinder,
+    part_of,
+    shell,
+    whole,
+)
 from twinct.evaluation.streaks import around_axis, streak_index
 from twinct.evaluation.visibility import Sight, sight
 
@@ -64,6 +73,7 @@ __all__ = [
     "reprojection_px",
     "rmse_by_depth",
     "shell",
+    "whole",
     "sight",
     "streak_index",
     "tool_speeds",

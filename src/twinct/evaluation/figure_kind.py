@@ -81,6 +81,7 @@ class Measurement:
         truth: true attenuation on the grid, (z, y, x), 1/mm.
         mu_reference: attenuation to which figures are relative, 1/mm.
         signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
+        mu_water: attenuation of water, 1/mm; NaN if it is unknown.
     """
 
     places: NamedPlaces
@@ -88,6 +89,7 @@ class Measurement:
     truth: NDArray[Any]
     mu_reference: float
     signal_rel: float = math.nan
+    mu_water: float = math.nan
     _known: dict[Any, Any] = field(default_factory=dict[Any, Any], init=False, repr=False)
 
     @property

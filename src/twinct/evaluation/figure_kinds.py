@@ -8,6 +8,7 @@ from typing import Any
 from twinct.core.extensions import Offers, offers
 from twinct.evaluation.figure_kind import FigureKind
 from twinct.evaluation.kinds.contrasts import CONTRASTS
+from twinct.evaluation.kinds.hounsfield import HOUNSFIELD
 from twinct.evaluation.kinds.mtf import MTF
 from twinct.evaluation.kinds.nps import NPS
 from twinct.evaluation.kinds.regions import REGIONS
@@ -15,7 +16,7 @@ from twinct.evaluation.kinds.streaks import STREAKS
 from twinct.evaluation.kinds.tasks import TASKS
 
 BUILT_IN: dict[str, FigureKind[Any]] = {
-    kind.name: kind for kind in (REGIONS, CONTRASTS, MTF, NPS, TASKS, STREAKS)
+    kind.name: kind for kind in (REGIONS, CONTRASTS, MTF, NPS, TASKS, STREAKS, HOUNSFIELD)
 }
 
 

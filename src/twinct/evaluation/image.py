@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -132,6 +132,7 @@ class ImageReference:
         mu_reference: mu(bone), 1/mm.
         grid: the lattice of both.
         bone_distance_mm: largest distance of voxels "near bone".
+        body: voxels that count as bone and as pure bone, (z, y, x), bool; None: by their truth.
     """
 
     truth: NDArray[Any]
@@ -139,6 +140,7 @@ class ImageReference:
     mu_reference: float
     grid: VolumeGrid
     bone_distance_mm: float = 3.0
+    body: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Check the arguments.
@@ -149,6 +151,8 @@ class ImageReference:
         """
         self._require_shape("truth", self.truth)
         self._require_shape("roi", self.roi)
+        if self.body is not None:
+            self._require_shape("body", self.body)
         mu = self.mu_reference
         if not (mu > 0 and math.isfinite(mu)):
             raise ValueError(f"mu_reference is {mu}, expected a positive attenuation in 1/mm")
@@ -163,7 +167,11 @@ class ImageReference:
     @cached_property
     def near_bone(self) -> Bits:
         """Voxels within ``bone_distance_mm`` of a bone voxel, between centres."""
-        bone = Bits.where(lambda planes: self.truth[planes] >= self._bone, self.grid.shape)
+        body = self.body
+        if body is None:
+            bone = Bits.where(lambda planes: self.truth[planes] >= self._bone, self.grid.shape)
+        else:
+            bone = Bits.where(lambda planes: body[planes], self.grid.shape)
         return near(bone, self.bone_distance_mm, self.grid.voxel)
 
     @cached_property
@@ -184,7 +192,7 @@ class ImageReference:
         """
         volume, mu = np.asarray(volume), self.mu_reference
         self._require_shape("volume", volume)
-        sums = _VoxelSums(*self._voxel_sums(volume))
+        sums = self._in_body(_VoxelSums(*self._voxel_sums(volume)), volume)
         if sums.not_finite:
             raise TwinctError("the reconstructed volume holds values that are not finite")
         windows, ssim, zero_ssim, windows_near, ssim_near, zero_near = self._window_sums(volume)
@@ -209,6 +217,14 @@ class ImageReference:
             },
         )
         return figures.honest()
+
+    def _in_body(self, sums: _VoxelSums, volume: NDArray[Any]) -> _VoxelSums:
+        """Return the sums with bone and pure bone as the body defines them, if it does."""
+        if self.body is None:
+            return sums
+        inside = self.body & self.roi
+        bone, value = float(inside.sum()), float(volume[inside].sum(dtype=np.float64))
+        return replace(sums, bone=bone, pure=bone, pure_value=value)
 
     def _require_shape(self, name: str, array: NDArray[Any]) -> None:
         if array.shape != self.grid.shape:

@@ -41,6 +41,11 @@ class Voxels:
         return grid.world_from_grid.apply(local)
 
 
+def whole(mask: NDArray[np.bool_]) -> Voxels:
+    """Return the voxels of a mask on the whole grid."""
+    return Voxels((slice(0, mask.shape[0]), slice(0, mask.shape[1]), slice(0, mask.shape[2])), mask)
+
+
 def ball(grid: VolumeGrid, world_from_ball: Pose, radius_mm: float) -> Voxels:
     """Return the voxels whose centres lie in a ball."""
     return _inside(

@@ -22,7 +22,7 @@ from twinct.report.measured import (
 from twinct.report.physics import physics_in_words
 from twinct.report.style import Picture
 from twinct.report.template import rendered
-from twinct.scenario import AnyCell, GantryCell
+from twinct.scenario import AnyCell, GantryCell, Part
 
 PAPER = (
     "Freiling, Schaar, Stille, Kundrat: A Twin Robotic CT System Simulation using MuJoCo and gVXR "
@@ -189,16 +189,19 @@ def _machine(cell: AnyCell) -> dict[str, str]:
     return {"Arms": f"{cell.source_arm.label} (source), {cell.detector_arm.label} (detector)"}
 
 
+def _made_of(part: Part) -> str:
+    if part.is_grey:
+        return "grey voxels"
+    return part.material if isinstance(part.material, str) else "own material"
+
+
 def _setting(report: ReportData) -> dict[str, str]:
     """Return the experiment in a few lines."""
     scenario = report.scenario
     grid = scenario.reconstruction.volume_grid
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
     return {
-        "Specimen": ", ".join(
-            f"{part.label} ({part.material if isinstance(part.material, str) else 'own material'})"
-            for part in scenario.specimen.parts
-        ),
+        "Specimen": ", ".join(f"{p.label} ({_made_of(p)})" for p in scenario.specimen.parts),
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),

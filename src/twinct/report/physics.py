@@ -40,7 +40,7 @@ def physics_in_words(
     size += f", each binned from {n} × {n}" if n > 1 else ""
     return {
         "Source": "; ".join(words),
-        "Detector": "; ".join([size, *_signal(scenario.detector), *_raw(scenario.detector)]),
+        "Detector": "; ".join([size, *_signal(scenario), *_raw(scenario.detector)]),
     }
 
 
@@ -96,14 +96,17 @@ def _response(detector: Detector) -> list[str]:
             return []
 
 
-def _signal(detector: Detector) -> Iterator[str]:
-    """Describe the signal up to the readout."""
+def _signal(scenario: Scenario) -> Iterator[str]:
+    """Describe the signal up to the readout; of a patient, also what it leaves out."""
+    detector = scenario.detector
     yield from _response(detector)
     spread, noise = detector.point_spread, detector.noise
     if (n := detector.pixel_samples) > 1:
         yield f"{n} × {n} samples a pixel"
     if detector.scatter is not None:
         yield f"scatter × {detector.scatter.scale:g}"
+    elif any(part.is_grey for part in scenario.specimen.parts):
+        yield "without scatter"
     if detector.lag:
         yield f"lag {100 * detector.lag:g} %"
     if isinstance(spread, sections.GaussianSpread):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from twinct.core.errors import InputError, MissingExtraError, TrajectoryError
 from twinct.core.extras import require
 from twinct.core.foreign_text import quoted
@@ -15,7 +17,11 @@ from twinct.runs.metal_reduction import check_metal
 from twinct.runs.regions import Places
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario, stage_digests
+from twinct.specimen.cut_rays import cut_share
 from twinct.specimen.size import SpecimenSize, specimen_size
+
+MOST_CUT = 0.01
+"""Share of a view's rays that may cross a cut face of a CT without a warning."""
 
 
 def check_sight(builder: SimulationBuilder) -> list[str]:
@@ -55,6 +61,7 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
     if seen.blind:
         warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")
     warnings += _size(builder).warnings
+    warnings += _cut(builder)
     if not seen.in_region:
         warnings.append(
             f"{where} lies outside the voxels that every view sees: the image figures will "
@@ -81,6 +88,23 @@ def _size(builder: SimulationBuilder) -> SpecimenSize:
     scenario = builder.scenario
     grid = scenario.reconstruction.volume_grid
     return specimen_size(scenario.specimen, builder.specimen, builder.commanded, grid)
+
+
+def _cut(builder: SimulationBuilder) -> list[str]:
+    """Return a warning for each grey part that the edge of its CT cuts within the views."""
+    specimen, warnings = builder.specimen, []
+    seen = specimen.world_from_specimen.inverse() @ builder.commanded
+    for part in specimen.greys:
+        shares = cut_share(part, seen)
+        views = tuple(np.flatnonzero(shares > MOST_CUT).tolist())
+        if views:
+            faces = ", ".join(face.name for face in part.cuts)
+            warnings.append(
+                f"part {quoted(part.name)}: its CT cuts the body ({faces}); in {_views(views)} up "
+                f"to {100 * shares.max():.0f} % of its rays cross the cut, where tissue is "
+                "missing; shape.extend_mm repeats the slices at both ends"
+            )
+    return warnings
 
 
 def _views(views: tuple[int, ...]) -> str:
@@ -146,7 +170,7 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
-    parts = (f"{part.name} of {part.material.name}" for part in builder.specimen.parts)
+    parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
         "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",
         **{name.lower(): words for name, words in physics.items()},

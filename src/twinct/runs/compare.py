@@ -156,6 +156,6 @@ def _compared(
         seconds={"reconstruction": kept.seconds} if kept else metrics["seconds"],
         slices=slices,
         mu_reference=specimen.reference_mu(energy),
-        reference=specimen.reference_part.material.name,
+        reference=specimen.reference_name,
         truth=truth,
     )

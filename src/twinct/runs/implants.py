@@ -297,7 +297,7 @@ def _beam(
         materials = [material("soft_tissue")]
         energy = None
     elif not materials:
-        materials = [SimulationBuilder(scenario).specimen.largest_part.material]
+        materials = [SimulationBuilder(scenario).specimen.largest_part.bulk]
     metals = [one.material for one in known]
     model = MetalModel(spectrum, response, materials, metals, energy)
     if section is None or section.kind == "one_material":

@@ -47,7 +47,7 @@ def hardening_corrected(
     known = build_spectrum(source), build_response(detector)
     materials = materials_of(section)
     if section.kind == "one_material":
-        substances = materials or [SimulationBuilder(scenario).specimen.largest_part.material]
+        substances = materials or [SimulationBuilder(scenario).specimen.largest_part.bulk]
         return _each(Hardening(*known, substances, energy), integrals)
 
     base = materials[0]

@@ -12,7 +12,7 @@ from twinct.core.threads import threads
 from twinct.runs.acquisition import Link
 from twinct.runs.volumes import memory_needed
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Brain, CtVolume, Head, MeshFile, Scenario, Shape, Skull
+from twinct.scenario import Brain, CtVolume, GreyVolume, Head, MeshFile, Scenario, Shape, Skull
 from twinct.specimen.shapes import triangles
 
 PROCESS_BYTES = 400 * 2**20
@@ -29,6 +29,9 @@ HEAD_MM = 320.0
 
 FILE_FACTOR = 24
 """Peak bytes in memory for each byte of a mesh file or a compressed CT volume."""
+
+GREY_FACTOR = 40
+"""Peak bytes in memory for each byte of a compressed CT volume that stays grey."""
 
 BYTES_PER_TRIANGLE = 200
 """Bytes of a generated body, its library's share included; measured with ``ball_helix``."""
@@ -129,7 +132,8 @@ def _part_bytes(shape: Shape) -> int:
     if isinstance(shape, Skull | Head | Brain):
         edge = HEAD_MM if isinstance(shape, Head) else SKULL_MM
         return int(SKULL_BYTES_PER_CELL * (edge * shape.scale / shape.mesh_resolution_mm) ** 3)
-    if isinstance(shape, MeshFile | CtVolume):
+    if isinstance(shape, MeshFile | CtVolume | GreyVolume):
         files = shape.path.rglob("*") if shape.path.is_dir() else [shape.path]
-        return FILE_FACTOR * sum(file.stat().st_size for file in files if file.is_file())
+        factor = GREY_FACTOR if isinstance(shape, GreyVolume) else FILE_FACTOR
+        return factor * sum(file.stat().st_size for file in files if file.is_file())
     return BYTES_PER_TRIANGLE * triangles(shape)

@@ -20,10 +20,11 @@ from twinct.evaluation import (
     figure_kinds,
     part_of,
     shell,
+    whole,
 )
 from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import Evaluation, Scenario
-from twinct.specimen import BuiltSpecimen
+from twinct.specimen import BuiltSpecimen, GreyPart
 from twinct.specimen.voxels import volume_fractions
 
 
@@ -61,10 +62,15 @@ class Places:
                 return cuboid(self.grid, pose, shape.size_mm)
             case scenario.Shell():
                 return shell(self.part(shape.part), self.grid, shape.from_mm, shape.to_mm)
+            case scenario.WholePart():
+                return self.part(shape.part)
 
     def part(self, name: str) -> Voxels:
-        """Return all voxels that a part fills, even partly."""
-        mesh = next(part.mesh for part in self.specimen.parts if part.name == name)
+        """Return all voxels that a part fills, even partly, or that a label fills by half."""
+        part = self.specimen.named(name, "evaluation")
+        if part.name != name and isinstance(part, GreyPart):
+            return whole(part.label_on(name, self.grid, self.world_from_specimen))
+        mesh = part.mesh
         low, high = np.asarray(mesh.bounds)
         middle = Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
         place = self.world_from_specimen
@@ -91,7 +97,8 @@ class Places:
         found: dict[str, str] = {}
         for i, region in enumerate(self.section.regions):
             # A shell is covered if its part is: see below.
-            if not (isinstance(region.shape, scenario.Shell) or len(self.region(region.name))):
+            of_part = isinstance(region.shape, scenario.Shell | scenario.WholePart)
+            if not (of_part or len(self.region(region.name))):
                 found[f"regions.{i}"] = f"{quoted(region.name)} covers no voxel of the grid"
         for key, name, target in self.section.references():
             if target == "part" and not len(self.part(name)):
@@ -103,7 +110,12 @@ class Places:
         return [f"evaluation.{key}: {why}" for key, why in found.items()]
 
     def figures(
-        self, volume: Any, truth: Any, mu_reference: float, signal_rel: float = math.nan
+        self,
+        volume: Any,
+        truth: Any,
+        mu_reference: float,
+        signal_rel: float = math.nan,
+        mu_water: float = math.nan,
     ) -> dict[str, Any]:
         """Compute all requested figures and curves, by kind and name.
 
@@ -112,8 +124,9 @@ class Places:
             truth: true attenuation on the grid, (z, y, x), 1/mm.
             mu_reference: attenuation to which figures are relative, 1/mm.
             signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
+            mu_water: attenuation of water, 1/mm; NaN if it is unknown.
         """
-        at = Measurement(self, volume, truth, mu_reference, signal_rel)
+        at = Measurement(self, volume, truth, mu_reference, signal_rel, mu_water)
         return {
             kind.name: {one.label: kind.measured(at, one) for one in entries}
             for kind in figure_kinds().values()

@@ -67,7 +67,7 @@ def judge(
     if scenario.evaluation is not None:
         built = specimen or build_specimen(scenario.specimen)
         further |= Places(scenario, built, scan.stands, grid).figures(
-            array, truth.volume, mu, figures.signal_rel
+            array, truth.volume, mu, figures.signal_rel, truth.mu_water
         )
     return replace(figures, further=further).honest()
 
@@ -148,7 +148,7 @@ def write_results(
             for kept in others.values()
         },
         geometries=_geometries(scan),
-        reference_material=builder.specimen.reference_part.material.name,
+        reference_material=builder.specimen.reference_name,
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
@@ -229,7 +229,7 @@ def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> Re
         projections=[(int(view), scan.transmission[view]) for view in shown],
         slices=cross_sections(results.volume.array, truth.volume, truth.region, grid),
         mu_reference=truth.mu_reference,
-        reference=builder.specimen.reference_part.material.name,
+        reference=builder.specimen.reference_name,
         room_png=_room(builder),
         nearest=plan.nearest[int(plan.clearance_mm.argmin())] if plan else (),
         mas=scan.mas,

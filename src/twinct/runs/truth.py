@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,7 +28,7 @@ from twinct.geometry.arrays import lock
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
 from twinct.scan import Scan, SimulationBuilder
-from twinct.specimen import BuiltSpecimen
+from twinct.specimen import BuiltSpecimen, material
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +50,8 @@ class Truth:
         grid: grid of volume and region.
         executed: executed geometry of the views, relative to the specimen.
         note: note in the volume's file, which identifies it.
+        mu_water: attenuation of water at the energy of the volume, 1/mm.
+        body: voxels of the label to which figures are relative, (z, y, x), bool, if it is one.
     """
 
     volume: NDArray[np.float32]
@@ -57,10 +60,12 @@ class Truth:
     grid: VolumeGrid
     executed: ScanGeometry
     note: str = "twinct truth, 1/mm"
+    mu_water: float = math.nan
+    body: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         """Lock the arrays, which a process keeps for others."""
-        lock(self, "volume", "region")
+        lock(self, "volume", "region", *(["body"] if self.body is not None else []))
 
     @cached_property
     def depth(self) -> RegionDepth:
@@ -75,7 +80,9 @@ class Truth:
     @cached_property
     def reference(self) -> ImageReference:
         """Truth with the masks of the image figures."""
-        return ImageReference(self.volume, self.region, self.mu_reference, self.grid)
+        return ImageReference(
+            self.volume, self.region, self.mu_reference, self.grid, body=self.body
+        )
 
     def write(self, path: Path) -> None:
         """Write the volume as NIfTI, unless the file holds it already."""
@@ -118,7 +125,10 @@ def truth_of(
             step()
             region = region_of_interest(executed, grid)
             step()
-        return Truth(volume, region, specimen.reference_mu(energy), grid, executed, note)
+        body = specimen.reference_voxels(grid, scan.stands)
+        mu = specimen.reference_mu(energy)
+        water = material("water").mu_per_mm(energy)
+        return Truth(volume, region, mu, grid, executed, note, water, body)
 
     if 5 * np.prod(grid.shape, dtype=np.int64) > _MOST_KEPT:
         forget("truth")
@@ -127,6 +137,7 @@ def truth_of(
     for array in (executed.source, executed.detector, executed.u, executed.v):
         views.update(np.ascontiguousarray(array).data)
     told = [note, views.hexdigest(), repr(executed.panel), specimen.reference_mu(energy)]
+    told += [specimen.reference] if specimen.greys else []
     return once("truth", json.dumps(told), make)
 
 
@@ -135,6 +146,7 @@ def _digest(
 ) -> str:
     """Return the SHA-256 of all inputs of a true volume."""
     mu = [part.material.mu_per_mm(energy_kev) for part in specimen.parts]
+    mu += [m.mu_per_mm(energy_kev) for part in specimen.greys for m in part.field.materials]
     poses = [
         [*pose.position.tolist(), *pose.quat.tolist()]
         for pose in (world_from_specimen, grid.world_from_grid)

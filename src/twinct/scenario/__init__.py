@@ -41,7 +41,7 @@ from twinct.scenario.detector import (
     SnrNoise,
 )
 from twinct.scenario.digests import specimen_digest, stage_digests
-from twinct.scenario.evaluation import Evaluation, Region, Shell
+from twinct.scenario.evaluation import Evaluation, Region, Shell, WholePart
 from twinct.scenario.grey_volume import (
     AttenuationValues,
     Calibration,
@@ -198,6 +198,7 @@ __all__ = [
     "TubeSpectrum",
     "TwoMaterialHardening",
     "Uncertainty",
+    "WholePart",
     "ViewErrors",
     "ViewTask",
     "Xray",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
@@ -30,7 +30,7 @@ class Shell(Section):
     """Shell around a part of the specimen."""
 
     kind: Literal["shell"]
-    part: str = Field(description="Name of the part.")
+    part: str = Field(description="Name of the part or label.")
     from_mm: NonNegative = setting(0.0, "Distance from the part at which the shell begins.")
     to_mm: Length = Field(description="Distance from the part at which the shell ends.")
 
@@ -41,11 +41,18 @@ class Shell(Section):
         return self
 
 
+class WholePart(Section):
+    """All voxels of a part or of a label of the specimen."""
+
+    kind: Literal["part"]
+    part: str = Field(description="Name of the part or label.")
+
+
 class Region(NamedRegion):
     """Named region of all voxels whose centres lie in it."""
 
-    shape: Annotated[Sphere | Cylinder | Box | Shell, Field(discriminator="kind")] = Field(
-        description="Shape of the region; a shell is placed around its part."
+    shape: Annotated[Sphere | Cylinder | Box | Shell | WholePart, Field(discriminator="kind")] = (
+        Field(description="Shape of the region; a shell is placed around its part or label.")
     )
     position_mm: Vector = setting((0.0, 0.0, 0.0), "Origin in the specimen's frame.")
     rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
@@ -86,8 +93,8 @@ class EvaluationSection(Section):
         regions = {region.name: region.shape for region in self.regions}
         parts = {part.label: part.shape for part in specimen.parts}
         bodies = parts | regions
-        known = {
-            "part": ("part", parts),
+        known: dict[str, tuple[str, Collection[str]]] = {
+            "part": ("part or label", specimen.names),
             "region": ("region", regions),
             "round body": ("part or region", bodies),
         }
@@ -112,7 +119,7 @@ class EvaluationSection(Section):
     def references(self) -> Iterator[tuple[str, str, str]]:
         """Yield each key that names something, the name, and its target: see ``FigureKind``."""
         for i, region in enumerate(self.regions):
-            if isinstance(region.shape, Shell):
+            if isinstance(region.shape, Shell | WholePart):
                 yield f"regions.{i}.shape.part", region.shape.part, "part"
         for kind in figure_kinds().values():
             for key, target in kind.names.items():
@@ -120,7 +127,7 @@ class EvaluationSection(Section):
                     if (name := getattr(one, key)) is not None:
                         yield f"{kind.name}.{i}.{key}", name, target
 
-    def _entries_named(self, target: str) -> tuple[str, dict[str, object]]:
+    def _entries_named(self, target: str) -> tuple[str, Collection[str]]:
         kind, _, key = target.partition(".")
         return f"entry of evaluation.{kind}", {getattr(e, key): e for e in self.entries(kind)}
 

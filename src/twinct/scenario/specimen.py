@@ -163,6 +163,10 @@ Shape = Annotated[
 ]
 
 
+GREY = (GreyVolume,)
+"""Shapes of grey voxels."""
+
+
 class Part(Section):
     """One body of one material, or of grey voxels. Where parts overlap, the later one wins."""
 
@@ -187,9 +191,22 @@ class Part(Section):
         return Pose.from_euler(self.position_mm, self.rotation_deg)
 
     @property
+    def is_grey(self) -> bool:
+        """True for a body of grey voxels, which has no single material."""
+        return isinstance(self.shape, GREY)
+
+    @property
     def label(self) -> str:
         """Name of the part in messages."""
         return self.name or self.shape.kind
+
+
+class OpenNames(list[str]):
+    """Names of parts and labels where files of labels state further names: any name may be one."""
+
+    def __contains__(self, _: object) -> bool:
+        """Return True: the built specimen checks names."""
+        return True
 
 
 class Specimen(Section):
@@ -211,14 +228,21 @@ class Specimen(Section):
 
     @model_validator(mode="after")
     def _reference_is_a_part(self) -> Specimen:
-        names = [part.label for part in self.parts]
-        # Files of labels state their names themselves; the built specimen checks those.
-        labels = any(getattr(part.shape, "labels", None) for part in self.parts)
-        if self.reference and self.reference not in names and not labels:
+        names = self.names
+        if self.reference and self.reference not in names:
             told = quoted(self.reference), quoted(names, 300)
             message = "reference: no part is called {}; the parts are {}".format(*told)
             raise ConflictError(Conflict(message, ("reference",)))
         return self
+
+    @property
+    def names(self) -> list[str]:
+        """Names of all parts and labels; if only files state some, every name is in it."""
+        sections = [part.shape.labels for part in self.parts if isinstance(part.shape, GreyVolume)]
+        found = [part.label for part in self.parts]
+        found += [name for section in sections if section for name in section.names]
+        is_open = any(section and not section.names for section in sections)
+        return OpenNames(found) if is_open else found
 
     @property
     def world_from_specimen(self) -> Pose:

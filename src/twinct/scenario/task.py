@@ -185,7 +185,7 @@ class ViewTask(_Objectives):
             if one.key in [other.key for other in family[:i]]:
                 message = f"{key}.key: {quoted(one.key)} is listed twice"
                 found.append(Conflict(message, (f"{key}.key",)))
-        parts = [part.label for part in specimen.parts]
+        parts = specimen.names
         for one, section in self.goals.values():
             found += one.conflicts(section, parts)
         return found

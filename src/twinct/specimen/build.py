@@ -58,6 +58,19 @@ class BuiltPart:
         """Material with the largest mass."""
         return self.material
 
+    def mean_mu(self, energy_kev: float) -> float:
+        """Return the attenuation at a photon energy, 1/mm."""
+        return self.material.mu_per_mm(energy_kev)
+
+    def mixture(self) -> Material:
+        """Return the material."""
+        return self.material
+
+    @property
+    def in_words(self) -> str:
+        """Name of the material."""
+        return self.material.name
+
     @property
     def label_names(self) -> tuple[str, ...]:
         """Names of labels within the part: none."""
@@ -159,12 +172,22 @@ class BuiltSpecimen:
         Raises:
             SpecimenError: the name is unknown.
         """
-        names = [n for part in self.parts for n in (part.name, *part.label_names)]
-        if self.reference and self.reference not in names:
+        if self.reference:
+            self.named(self.reference, "specimen.reference")
+
+    def named(self, name: str, key: str) -> AnyPart:
+        """Return the part with a name, or with a label of this name.
+
+        Raises:
+            SpecimenError: there is none; begins with the key.
+        """
+        found = next((part for part in self.parts if part.name == name), None)
+        if (part := found or self.labelled(name)) is None:
+            names = [n for part in self.parts for n in (part.name, *part.label_names)]
             raise SpecimenError(
-                f"specimen.reference: no part or label is called {quoted(self.reference)}; there "
-                f"are {quoted(names, 300)}"
+                f"{key}: no part or label is called {quoted(name)}; there are {quoted(names, 300)}"
             )
+        return part
 
     def labelled(self, label: str) -> GreyPart | None:
         """Return the grey part with a label, if any."""
@@ -186,8 +209,17 @@ class BuiltSpecimen:
         part = self.reference_part
         if self._by_label:
             assert isinstance(part, GreyPart)
-            return part.mean_mu(self.reference, energy_kev)
+            return part.mean_mu(energy_kev, self.reference)
         return part.material.mu_per_mm(energy_kev)
+
+    def reference_voxels(
+        self, grid: VolumeGrid, world_from_specimen: Pose
+    ) -> NDArray[np.bool_] | None:
+        """Return the voxels of the label that is the reference; None if a part is."""
+        part = self.reference_part
+        if not self._by_label or not isinstance(part, GreyPart):
+            return None
+        return part.label_on(self.reference, grid, world_from_specimen)
 
     @cached_property
     def hull(self) -> trimesh.Trimesh:
@@ -271,7 +303,7 @@ def _made(part: scenario.Part, substance: Material | None, key: str) -> AnyPart 
     """Return a part in the specimen's frame; None if its material is unknown."""
     pose = part.specimen_from_part
     if isinstance(part.shape, scenario.GreyVolume):
-        known = substance or BUILT_IN["bone"]
+        known = substance or BUILT_IN["bone"]  # the file's own problems are reported, too
         grey = grey_part(part.shape, part.label, known, pose, key)
         return None if substance is None else grey
     mesh = shape_surface(part.shape, part.label)

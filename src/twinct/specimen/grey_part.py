@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Pose, VolumeGrid
+from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.geometry.arrays import lock
 from twinct.specimen.grey import GreyField
 from twinct.specimen.materials import Material
@@ -117,15 +117,47 @@ class GreyPart:
         return self.field.materials[int(np.argmax(mass))]
 
     @property
+    def in_words(self) -> str:
+        """Names of the basis materials."""
+        *names, last = (m.name for m in self.field.materials)
+        return f"voxels of {', '.join(names)} and {last}" if names else f"voxels of {last}"
+
+    @property
     def label_names(self) -> tuple[str, ...]:
         """Names of the labels."""
         return self.labels.names if self.labels else ()
 
-    def mean_mu(self, label: str, energy_kev: float) -> float:
-        """Return the mean attenuation of a label at a photon energy, 1/mm."""
+    def mean_mu(self, energy_kev: float, label: str = "") -> float:
+        """Return the mean attenuation of a label, or of all voxels, at a photon energy, 1/mm."""
+        return self.mixture(label).mu_per_mm(energy_kev)
+
+    def mixture(self, label: str = "") -> Material:
+        """Return the mean mixture in the voxels of a label, or in all that are not empty."""
+        amounts = self.field.amounts
+        if label:
+            assert self.labels is not None
+            there = self.labels.mask(label)
+        else:
+            there = amounts.any(axis=-1)
+        mean = amounts[there].mean(axis=0, dtype=np.float64)
+        masses = [
+            (a * m.density_g_cm3, m) for a, m in zip(mean, self.field.materials, strict=True) if a
+        ]
+        density = sum(mass for mass, _ in masses)
+        shares: dict[str, float] = {}
+        for mass, substance in masses:
+            for symbol, share in substance.mass_fractions.items():
+                shares[symbol] = shares.get(symbol, 0.0) + mass / density * share
+        return Material(label or self.name, float(density), shares)
+
+    def points(self, label: str, most: int, rng: np.random.Generator) -> Floats:
+        """Return centres of voxels of a label in the specimen's frame, (points, 3), mm."""
         assert self.labels is not None
-        amounts = self.field.amounts[self.labels.mask(label)].mean(axis=0, dtype=np.float64)
-        return float(amounts @ [m.mu_per_mm(energy_kev) for m in self.field.materials])
+        index = np.argwhere(self.labels.mask(label))[:, ::-1]
+        if len(index) > most:
+            index = rng.permutation(index)[:most]
+        grid = self.field.grid
+        return grid.world_from_grid.apply(index * grid.voxel + grid.first_voxel_mm)
 
     def displaced(self, meshes: Iterable[trimesh.Trimesh]) -> GreyPart:
         """Return the part without the volume inside closed meshes, in the specimen's frame."""

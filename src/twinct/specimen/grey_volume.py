@@ -40,6 +40,12 @@ SLOPE_VOXELS = 2
 SMALLEST_RANGE_HU = 50.0
 """Range of values below which they are no HU of a body in air."""
 
+PADDING_HU = -1100.0
+"""Values below this are padding outside the scanner's field of view."""
+
+LARGEST_EDGE_CM2 = 5.0
+"""Area of tissue beside such padding that is named."""
+
 SMALLEST_CUT = 1e-3
 """Share of a face that must hold tissue, so that the face cuts the body."""
 
@@ -76,6 +82,7 @@ def grey_part(
     image = read_ct(shape.path, where, told, interpolate=shape.interpolate_slices)
     image = canonical(image)
     _require_plausible(image, shape, where)
+    _warn_of_edge(image, shape, where)
     voxels = _counting(image, shape, where)
     if shape.extend_mm:
         voxels = _extended(voxels, shape.extend_mm)
@@ -112,6 +119,25 @@ def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -
     if low > AIR_HU / 2:
         log.warning(
             "%s: its lowest value is %g HU, so that it holds no air; are its values HU?", where, low
+        )
+
+
+def _warn_of_edge(image: CtImage, shape: scenario.GreyVolume, where: str) -> None:
+    """Warn if tissue reaches the padding around a round field of view, as cut shoulders do."""
+    padding = image.values < PADDING_HU
+    if not padding.any():
+        return
+    tissue, area = image.values > shape.surface_hu, 0.0
+    for axis in (0, 1):
+        other = np.delete(image.voxel_mm, axis)
+        a, b = (np.moveaxis(mask, axis, 0) for mask in (tissue, padding))
+        touching = np.count_nonzero(a[1:] & b[:-1]) + np.count_nonzero(a[:-1] & b[1:])
+        area += touching * float(other[0] * other[1]) / 100
+    if area > LARGEST_EDGE_CM2:
+        log.warning(
+            "%s: its field of view cuts the body: %.0f cm2 of tissue touch the padding around it",
+            where,
+            area,
         )
 
 

@@ -93,7 +93,7 @@ def preview_specimen(specimen: BuiltSpecimen, path_png: Path | str, title: str =
         panel.set_axis_off()
     size = " x ".join(f"{edge:.1f}" for edge in specimen.bounds[1] - specimen.bounds[0])
     parts = ", ".join(
-        f"{p.name} ({p.material.name}, {p.volume_mm3 / 1e3:.1f} cm3)" for p in specimen.parts
+        f"{p.name} ({p.in_words}, {p.volume_mm3 / 1e3:.1f} cm3)" for p in specimen.parts
     )
     figure.suptitle(f"{title}\n" if title else "")
     figure.text(0.5, 0.02, f"{parts}; x, y, z: {size} mm", ha="center")

@@ -37,7 +37,7 @@ from twinct.runs.reporting import figures_of
 from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
 from twinct.scenario.reading import key_of
-from twinct.specimen import BuiltSpecimen
+from twinct.specimen import BuiltSpecimen, material
 from twinct.specimen.built_file import load_built, save_built
 from twinct.study.cache import Cache
 from twinct.study.estimate import bytes_below
@@ -353,6 +353,8 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
             specimen.reference_mu(energy),
             section.volume_grid,
             executed,
+            mu_water=material("water").mu_per_mm(energy),
+            body=specimen.reference_voxels(section.volume_grid, stands),
         )
 
     return once("truth", f"{of_truth} {of_region}", both)

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 from twinct.recon.shadow import Body
 from twinct.recon.volume import Volume
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
-from twinct.specimen import BuiltPart, Material, material
+from twinct.specimen import AnyPart, GreyPart, Material, material
 from twinct.specimen.voxels import volume_fractions
 from twinct.view_planning.candidates import seconds_between
 from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
@@ -56,33 +57,34 @@ class Patient:
         return self.builder.specimen.reference_mu(self.energy_kev)
 
     @cached_property
-    def _fractions(self) -> tuple[VolumeGrid, list[tuple[BuiltPart, NDArray[np.float32]]]]:
-        """Volume fractions of each part, on a coarse grid that holds all parts."""
+    def _fractions(self) -> tuple[VolumeGrid, list[tuple[Material, NDArray[np.float32]]]]:
+        """Amounts of each material, on a coarse grid that holds all parts."""
         specimen = self.builder.specimen
         low, high = specimen.bounds
         pose = specimen.world_from_specimen @ Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
         count = np.maximum(np.ceil((high - low) / self.voxel_mm).astype(int) + 2, 2)[::-1]
         grid = VolumeGrid(count.tolist(), self.voxel_mm, pose)
         place = specimen.world_from_specimen
-        return grid, [
-            (part, volume_fractions(part.mesh.vertices, part.mesh.faces, grid, place))
-            for part in specimen.parts
-        ]
+        return grid, [one for part in specimen.parts for one in part.shares(grid, place)]
 
     def attenuation(self, energy_kev: float) -> Volume:
         """See ``PatientModel``."""
         grid, fractions = self._fractions
         total = np.zeros(grid.shape, np.float32)
-        for part, share in fractions:
-            total += np.float32(part.material.mu_per_mm(energy_kev)) * share
+        for substance, share in fractions:
+            total += np.float32(substance.mu_per_mm(energy_kev)) * share
         return Volume(total, grid)
 
-    def _part(self, name: str) -> BuiltPart:
-        return next(part for part in self.builder.specimen.parts if part.name == name)
+    def _part(self, name: str) -> AnyPart:
+        return self.builder.specimen.named(name, "task")
 
     def points_of(self, part: str) -> Floats:
         """See ``PatientModel``."""
-        mesh, rng = self._part(part).mesh, np.random.default_rng([self.seed, 15])
+        found, rng = self._part(part), np.random.default_rng([self.seed, 15])
+        if isinstance(found, GreyPart) and found.name != part:
+            place = self.builder.specimen.world_from_specimen
+            return place.apply(found.points(part, PART_POINTS, rng))
+        mesh = found.mesh
         low, high = np.asarray(mesh.bounds)
         step = float(np.cbrt(mesh.volume / PART_POINTS))
         count = np.maximum(np.ceil((high - low) / step).astype(int), 2)[::-1]
@@ -135,12 +137,21 @@ class Patient:
 
     def body(self, part: str) -> tuple[Body, Pose]:
         """See ``PatientModel``."""
-        mesh = self._part(part).mesh
-        return Body(mesh.vertices, mesh.faces), self.builder.specimen.world_from_specimen
+        found = self._part(part)
+        if isinstance(found, GreyPart):
+            raise InputError(
+                f"task: {quoted(part)} is made of voxels; a shadow needs a part of one material"
+            )
+        return Body(
+            found.mesh.vertices, found.mesh.faces
+        ), self.builder.specimen.world_from_specimen
 
     def material_of(self, part: str) -> Material:
         """See ``PatientModel``."""
-        return self._part(part).material
+        found = self._part(part)
+        if isinstance(found, GreyPart) and found.name != part:
+            return found.mixture(part)
+        return found.mixture()
 
     def material(self, name: str, key: str) -> Material:
         """See ``PatientModel``."""
