@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Pose, VolumeGrid
+from twinct.scenario import Specimen
+from twinct.specimen import build_specimen, material
 from twinct.specimen.phantom import Phantom, phantom
 from twinct.specimen.phantom_bodies import CELLS_PER_WAVE, TILE, Organ, ball, random_field
 from twinct.specimen.skull import skull_surface
@@ -132,3 +134,43 @@ def test_a_seed_changes_lesions_and_texture_but_no_anatomy(head):
     assert not np.array_equal(one.labels, two.labels)
     bone = one.labels == head.names.index("skull")
     assert 20 < (one.hu - two.hu)[bone].std() < 400
+
+
+def test_a_scenario_scans_the_phantom_with_its_labels(trunk):
+    told = {"kind": "volume", "phantom": "trunk", "voxel_mm": 4, "seed": 1, "centre": False}
+    section = Specimen.model_validate({"parts": [{"shape": told}], "reference": "vertebrae_L1"})
+    specimen = build_specimen(section)
+    (part,) = specimen.greys
+    grid = part.field.grid
+    hu, labels = trunk.at(centres(grid))
+    assert part.labels is not None
+    names = np.array(["background", *part.labels.names])
+    assert np.array_equal(names[part.labels.values], np.array(trunk.names)[labels])
+    water = material("water").mu_per_mm(70)
+    found = part.field.mu_per_mm(70) / water * 1000 - 1000
+    lung = labels == trunk.names.index("lung_left")
+    assert found[lung].mean() == pytest.approx(hu[lung].mean(), abs=30)  # hu are at centres
+    assert part.mesh.bounds == pytest.approx(trunk.bounds, abs=4)
+    assert not part.cuts
+    assert specimen.reference_mu(70) > 1.1 * water
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({}, "path and phantom are both null"),
+        ({"phantom": "head", "path": "a.nii"}, "path and phantom exclude each other"),
+        ({"path": "a.nii", "seed": 3}, "seed: only allowed with phantom"),
+        ({"phantom": "head", "interpolate_slices": True}, "interpolate_slices: only allowed"),
+        ({"phantom": "head", "labels": {"path": "b.nii"}}, "labels: only allowed with path"),
+        ({"phantom": "leg"}, "head"),
+        ({"phantom": "head", "voxel_mm": 0.01}, "0.3"),
+        (
+            {"phantom": "head", "calibration": {"kind": "attenuation", "energy_kev": 60}},
+            "values are HU",
+        ),
+    ],
+)
+def test_keys_that_do_not_fit_are_refused(keys, message):
+    with pytest.raises(ValueError, match=message):
+        Specimen.model_validate({"parts": [{"shape": {"kind": "volume", **keys}}]})

@@ -33,6 +33,10 @@ FILE_FACTOR = 24
 GREY_FACTOR = 40
 """Peak bytes in memory for each byte of a compressed CT volume that stays grey."""
 
+PHANTOM_BYTES_PER_VOXEL = 60
+PHANTOM_MM3 = {"head": 162.0 * 210.0 * 222.0, "trunk": 338.0 * 238.0 * 480.0}
+"""Volume of the built-in grey phantom's box, mm^3."""
+
 BYTES_PER_TRIANGLE = 200
 """Bytes of a generated body, its library's share included; measured with ``ball_helix``."""
 
@@ -132,7 +136,10 @@ def _part_bytes(shape: Shape) -> int:
     if isinstance(shape, Skull | Head | Brain):
         edge = HEAD_MM if isinstance(shape, Head) else SKULL_MM
         return int(SKULL_BYTES_PER_CELL * (edge * shape.scale / shape.mesh_resolution_mm) ** 3)
+    if isinstance(shape, GreyVolume) and shape.phantom:
+        return int(PHANTOM_BYTES_PER_VOXEL * PHANTOM_MM3[shape.phantom] / shape.voxel_mm**3)
     if isinstance(shape, MeshFile | CtVolume | GreyVolume):
+        assert shape.path is not None
         files = shape.path.rglob("*") if shape.path.is_dir() else [shape.path]
         factor = GREY_FACTOR if isinstance(shape, GreyVolume) else FILE_FACTOR
         return factor * sum(file.stat().st_size for file in files if file.is_file())

@@ -127,11 +127,20 @@ class Mask(Section):
 
 
 class GreyVolume(Section):
-    """A CT volume with its grey values: every voxel is a mixture of a few basis materials."""
+    """Grey values of a CT or of the phantom: every voxel is a mixture of a few basis materials."""
 
     kind: Literal["volume"]
-    path: Path = Field(
-        description="NIfTI or MetaImage file, folder of one DICOM series, or InVesalius .inv3 file."
+    path: Path | None = setting(
+        None,
+        "NIfTI or MetaImage file, folder of one DICOM series, or InVesalius .inv3 file; null: the "
+        "phantom.",
+    )
+    phantom: Literal["head", "trunk"] | None = setting(
+        None, "Instead of path: the built-in grey phantom, with its labels."
+    )
+    voxel_mm: Annotated[float, Field(ge=0.3, le=20)] = setting(1.0, "Voxel edge of the phantom.")
+    seed: int = setting(
+        0, "Seed of the phantom's texture, lesions and branches of vessels.", ge=0, lt=2**63
     )
     hu: HuLine | None = setting(
         None,
@@ -164,8 +173,36 @@ class GreyVolume(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> GreyVolume:
-        if self.keep == "labelled" and self.labels is None:
+        if (self.path is None) == (self.phantom is None):
+            told = "are both null" if self.path is None else "exclude each other"
+            raise ValueError(f"path and phantom {told}: give one")
+        if self.phantom:
+            self._fits_a_phantom()
+        elif wrong := {"voxel_mm", "seed"} & self.model_fields_set:
+            raise ValueError(f"{' and '.join(sorted(wrong))}: only allowed with phantom")
+        if self.keep == "labelled" and not self.labelled:
             raise ValueError("keep: labelled needs labels")
         if self.hu is not None and self.calibration.kind == "attenuation":
             raise ValueError("hu is a line to HU, but the calibration states attenuation values")
         return self
+
+    def _fits_a_phantom(self) -> None:
+        """Raise if a key describes a file."""
+        given = {"hu": self.hu, "mask": self.mask, "labels": self.labels}
+        wrong = [name for name, value in given.items() if value is not None]
+        if self.interpolate_slices:
+            wrong.append("interpolate_slices")
+        if wrong:
+            raise ValueError(f"{' and '.join(wrong)}: only allowed with path, not with a phantom")
+        if self.calibration.kind == "attenuation":
+            raise ValueError("the phantom's values are HU, but the calibration states attenuation")
+
+    @property
+    def labelled(self) -> bool:
+        """Whether voxels have labels."""
+        return self.labels is not None or self.phantom is not None
+
+    @property
+    def source(self) -> str:
+        """File or phantom, for messages."""
+        return f"the {self.phantom} phantom" if self.phantom else f"CT volume {self.path}"

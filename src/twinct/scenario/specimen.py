@@ -237,11 +237,12 @@ class Specimen(Section):
 
     @property
     def names(self) -> list[str]:
-        """Names of all parts and labels; if only files state some, every name is in it."""
-        sections = [part.shape.labels for part in self.parts if isinstance(part.shape, GreyVolume)]
+        """Names of all parts and labels; if files or a phantom state some, every name is in it."""
+        greys = [part.shape for part in self.parts if isinstance(part.shape, GreyVolume)]
+        sections = [grey.labels for grey in greys]
         found = [part.label for part in self.parts]
         found += [name for section in sections if section for name in section.names]
-        is_open = any(section and not section.names for section in sections)
+        is_open = any(grey.phantom or (grey.labels and not grey.labels.names) for grey in greys)
         return OpenNames(found) if is_open else found
 
     @property

@@ -19,6 +19,7 @@ from twinct.specimen.grey import GreyField
 from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
 from twinct.specimen.hounsfield import TissueLine, line_of, values_line
 from twinct.specimen.materials import Material
+from twinct.specimen.phantom import phantom_ct
 from twinct.specimen.surface import isosurface, simplified, surface
 from twinct.specimen.volumes import read_ct
 from twinct.specimen.voxel_labels import read_labels, read_mask
@@ -76,14 +77,9 @@ def grey_part(
     Raises:
         SpecimenError: a file cannot be used, or nothing of it counts; names the part.
     """
-    where = f"part {name!r}: CT volume {shape.path}"
+    where = f"part {name!r}: {shape.source}"
     line = line_of(shape.calibration, f"{key}.calibration")
-    told = shape.hu or values_line(shape.calibration)
-    image = read_ct(shape.path, where, told, interpolate=shape.interpolate_slices)
-    image = canonical(image)
-    _require_plausible(image, shape, where)
-    _warn_of_edge(image, shape, where)
-    voxels = _counting(image, shape, where)
+    voxels = _counting(*_read(shape, where), shape, where)
     if shape.extend_mm:
         voxels = _extended(voxels, shape.extend_mm)
     cuts = _cuts(voxels, shape.surface_hu)
@@ -94,6 +90,21 @@ def grey_part(
     skin = surface(specimen_from_part.apply(skin.vertices), skin.faces)
     field, labels, cuts = _field(voxels, line, cuts, specimen_from_part, where)
     return GreyPart(name, reference, skin, field, labels, cuts)
+
+
+def _read(
+    shape: scenario.GreyVolume, where: str
+) -> tuple[CtImage, tuple[str, ...], NDArray[np.uint16] | None]:
+    """Return a file's CT volume or the phantom, with names and labels, if any."""
+    if shape.phantom:
+        return phantom_ct(shape.phantom, shape.seed, shape.voxel_mm)
+    assert shape.path is not None
+    told = shape.hu or values_line(shape.calibration)
+    image = read_ct(shape.path, where, told, interpolate=shape.interpolate_slices)
+    image = canonical(image)
+    _require_plausible(image, shape, where)
+    _warn_of_edge(image, shape, where)
+    return image, *(read_labels(shape.labels, image, where) if shape.labels else ((), None))
 
 
 def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -> None:
@@ -141,9 +152,14 @@ def _warn_of_edge(image: CtImage, shape: scenario.GreyVolume, where: str) -> Non
         )
 
 
-def _counting(image: CtImage, shape: scenario.GreyVolume, where: str) -> _Voxels:
+def _counting(
+    image: CtImage,
+    names: tuple[str, ...],
+    numbers: NDArray[np.uint16] | None,
+    shape: scenario.GreyVolume,
+    where: str,
+) -> _Voxels:
     """Return the voxels that count; all others are air."""
-    names, numbers = read_labels(shape.labels, image, where) if shape.labels else ((), None)
     values = np.maximum(image.values, np.float32(AIR_HU))
     kept = np.ones(values.shape, dtype=np.bool_)
     if shape.above_hu is not None:

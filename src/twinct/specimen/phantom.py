@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.specimen.ct_image import CtImage
 from twinct.specimen.phantom_bodies import Organ, Table, label_names, table
 from twinct.specimen.phantom_head import head_organs
 from twinct.specimen.phantom_trunk import trunk_organs
@@ -119,3 +120,26 @@ def phantom(name: PhantomName, seed: int = 0) -> Phantom:
     """Return the head or the trunk; ``seed`` selects texture, lesions and branches of vessels."""
     organs = {"head": head_organs, "trunk": trunk_organs}[name](seed)
     return Phantom(organs, seed)
+
+
+def phantom_ct(
+    name: PhantomName, seed: int, voxel_mm: float
+) -> tuple[CtImage, tuple[str, ...], NDArray[np.uint16]]:
+    """Return a phantom as a CT image on its own grid, with names and labels as ``VoxelLabels`` has.
+
+    Args:
+        name: head or trunk.
+        seed: seed of texture, lesions and branches of vessels.
+        voxel_mm: voxel edge, mm.
+
+    Returns:
+        The image (x, y, z), the names of all labels with a voxel, and the labels (x, y, z).
+    """
+    body = phantom(name, seed)
+    volume = body.on(body.grid(voxel_mm))
+    there = np.flatnonzero(np.bincount(volume.labels.ravel(), minlength=len(body.names)))
+    there = there[there > 0]
+    renumbered = np.zeros(len(body.names), np.uint16)
+    renumbered[there] = np.arange(1, len(there) + 1)
+    names = tuple(body.names[i] for i in there)
+    return CtImage(volume.hu.T, volume.grid.affine), names, renumbered[volume.labels].T
