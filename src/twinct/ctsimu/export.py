@@ -71,17 +71,17 @@ def export_scan(
         ScanExistsError: the folder already holds an export.
         StorageError: the folder cannot be written.
     """
+    if specimen.greys:
+        raise InputError(
+            f"specimen: part {quoted(specimen.greys[0].name)} has grey voxels; CTSimU describes "
+            "samples by meshes of one material each"
+        )
     known = scan.poses(geometry)
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
     options = "" if ideal else render_options(scan.scenario)
     files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json", options)
     if taken := [p.name for p in (files.scenario, files.trajectory) if p.exists()]:
         raise ScanExistsError(f"{folder} already holds {', '.join(taken)}: choose another --out")
-    if specimen.greys:
-        raise InputError(
-            f"specimen: part {quoted(specimen.greys[0].name)} has grey voxels; CTSimU describes "
-            "samples by meshes of one material each"
-        )
     if not ideal:
         refuse_unsaid(scan.scenario, uneven_mas=scan.mas is not None)
     make_folder(folder)
