@@ -15,7 +15,8 @@ from pydantic import ValidationError
 
 from twinct.core.errors import SpecimenError
 from twinct.geometry import Pose, VolumeGrid
-from twinct.scenario import Specimen
+from twinct.recon.volume import Volume
+from twinct.scenario import Specimen, load_scenario
 from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.specimen.built_file import load_built, save_built
 from twinct.specimen.grey_part import GreyPart, add_means
@@ -23,6 +24,7 @@ from twinct.specimen.materials import BUILT_IN
 from twinct.specimen.volumes import read_ct
 
 KEV = 71.6
+DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
 
 def section(path: Path, more: tuple[dict[str, Any], ...] = (), **keys: Any) -> Specimen:
@@ -270,3 +272,14 @@ def test_labels_and_masks_on_another_grid(file: Path, tmp_path: Path) -> None:
         build(file, labels={"path": str(path)})
     with pytest.raises(SpecimenError, match="mask .* is on another grid than the CT"):
         build(file, mask={"path": str(path)})
+
+
+def test_a_volume_of_a_program(file: Path) -> None:
+    """An array of HU on a grid is a specimen, by a file of this process."""
+    hu = head().values.transpose(2, 1, 0).astype(np.float32)
+    scenario = load_scenario(DEMO, {"specimen": Volume(hu, grid_of_ct())})
+    (part,) = scenario.specimen.parts
+    assert part.shape.kind == "volume" and part.is_grey
+    built = build_specimen(scenario.specimen)
+    wanted = build(file, keep="all", centre=True)
+    assert built.digest == wanted.digest

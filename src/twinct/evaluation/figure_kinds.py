@@ -8,10 +8,9 @@ from typing import Any
 from twinct.core.extensions import Offers, offers
 from twinct.evaluation.figure_kind import FigureKind
 from twinct.evaluation.kinds.contrasts import CONTRASTS
-from twinct.evaluation.kinds.hounsfield import HOUNSFIELD
 from twinct.evaluation.kinds.mtf import MTF
 from twinct.evaluation.kinds.nps import NPS
-from twinct.evaluation.kinds.regions import REGIONS
+from twinct.evaluation.kinds.regions import HOUNSFIELD, REGIONS
 from twinct.evaluation.kinds.streaks import STREAKS
 from twinct.evaluation.kinds.tasks import TASKS
 

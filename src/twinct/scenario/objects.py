@@ -1,4 +1,4 @@
-"""Meshes and views that a program holds, in place of the files that a scenario names.
+"""Meshes, volumes and views that a program holds, in place of the files that a scenario names.
 
 They are written as files of this process, named by their content. So a scenario is plain data at
 all times. What lasts longer than the process, such as a run's folder, takes these files along.
@@ -28,11 +28,12 @@ from twinct.trajectory import rows_of_views, write_rows
 
 
 def as_settings(key: str, value: Any) -> Any:
-    """Return a mesh or an array of views as the section that names its file, else the value itself.
+    """Return an object of a program as the section that names its file, else the value itself.
 
     Args:
         key: last step of the value's key. A closed mesh, such as ``trimesh.Trimesh``, in mm, may be
-            a ``shape``, or the whole ``specimen`` of bone. ``trajectory`` may be a ``ScanGeometry``
+            a ``shape``, or the whole ``specimen`` of bone; so may a ``Volume`` of HU be, whose
+            voxels stay grey. ``trajectory`` may be a ``ScanGeometry``
             or what ``rows_of_views`` takes.
         value: the value of the key.
 
@@ -45,6 +46,10 @@ def as_settings(key: str, value: Any) -> Any:
         read_mesh(path, f"{key}: the mesh")
         shape = {"kind": "mesh", "path": str(path)}
         return shape if key == "shape" else {"parts": [{"shape": shape}]}
+    if key in ("shape", "specimen") and _is_volume(value):
+        path = _file("volume", ".nii", lambda draft: value.write(draft, "HU"))
+        shape = {"kind": "volume", "path": str(path)}
+        return shape if key == "shape" else {"parts": [{"shape": shape}]}
     if key == "trajectory" and _views(value):
         try:
             rows = rows_of_views(value)
@@ -53,6 +58,14 @@ def as_settings(key: str, value: Any) -> Any:
         path = _file("views", ".csv", lambda draft: write_rows(draft, rows))
         return {"kind": "file", "path": str(path)}
     return value
+
+
+def _is_volume(value: object) -> bool:
+    if isinstance(value, Mapping | str):
+        return False
+    from twinct.recon.volume import Volume  # plain data need no arrays
+
+    return isinstance(value, Volume)
 
 
 def _views(value: object) -> bool:
