@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-SKIN_MM = 2.0
+SKIN_MM = 3.0
 """Voxel edge up to which voxels are averaged for the skin: finer triangles show nothing more."""
 
 SKIN_TRIANGLES = 200_000
