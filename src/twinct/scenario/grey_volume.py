@@ -199,7 +199,7 @@ class GreyVolume(Section):
 
     @property
     def labelled(self) -> bool:
-        """Whether voxels have labels."""
+        """True if voxels have labels."""
         return self.labels is not None or self.phantom is not None
 
     @property
