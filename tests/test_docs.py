@@ -38,7 +38,7 @@ def test_the_scenario_reference_is_up_to_date() -> None:
 
 def test_every_effect_on_the_image_has_its_picture_in_the_scenario_reference() -> None:
     page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
-    without = {"columns", "rows", "pixel_pitch_mm", "keep"}
+    without = {"columns", "rows", "pixel_pitch_mm", "keep", "frame_ms"}
     for title, section in (("source", Source), ("detector", Detector)):
         text = page.split(f"\n## {title}\n")[1].split("\n## ")[0]
         captions = [line for line in text.splitlines() if line.startswith("`")]

@@ -55,7 +55,7 @@ def changed(one: dict[str, str], other: dict[str, str]) -> set[str]:
         ("cell.timestep_ms=1", MOVED),
         (BLUR, MOVED),
         ("source.energy_kev=70", IMAGED),
-        ("source.exposure_ms=20", IMAGED),
+        ("source.exposure_ms=20", MOVED),
         ("detector.response={kind: counting}", IMAGED),
         ("detector.readout={}", IMAGED),
         ("detector.lag=0.1", IMAGED),

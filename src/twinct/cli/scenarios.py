@@ -30,8 +30,9 @@ def check(
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
     set_: Overrides = (),
 ) -> None:
-    """Validate a scenario, build its specimen and plan its motion, without running it.
+    """Validate a scenario, build its specimen, plan its motion and rehearse it, without running it.
 
+    The arms' motion is simulated without images, so that a view that a run would miss is told.
     Lists every view that an arm cannot reach or that would collide, suggests a remedy, and draws
     the first of these views.
 
@@ -47,6 +48,7 @@ def check(
         check_physics,
         check_sight,
         findings,
+        rehearse,
         require_extras,
         require_feasible,
         require_memory,
@@ -73,6 +75,7 @@ def check(
             say(warning, warning=True)
         with remedy():
             _ = builder.plan
+        rehearse(builder)
         table = Table(title=f"{loaded.name}: can be run", show_header=False)
         for name, words in findings(builder).items():
             table.add_row(name, words.replace("×", "x"))

@@ -6,6 +6,7 @@ from twinct.runs.checks import (
     check_physics,
     check_sight,
     findings,
+    rehearse,
     require_extras,
 )
 from twinct.runs.compare import compare
@@ -49,6 +50,7 @@ __all__ = [
     "require_memory",
     "reconstruct",
     "reconstruct_again",
+    "rehearse",
     "report_again",
     "require_extras",
     "require_feasible",

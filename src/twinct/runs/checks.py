@@ -4,10 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct.core.errors import InputError, MissingExtraError, TrajectoryError
+from twinct.core.errors import (
+    InputError,
+    MissingExtraError,
+    TargetRefusedError,
+    TrajectoryError,
+)
 from twinct.core.extras import require
 from twinct.core.foreign_text import quoted
 from twinct.evaluation import sight
@@ -22,6 +28,8 @@ from twinct.specimen.size import SpecimenSize, specimen_size
 
 MOST_CUT = 0.01
 """Share of a view's rays that may cross a cut face of a CT without a warning."""
+if TYPE_CHECKING:
+    from twinct.robots.motion import MotionPlan
 
 
 def check_sight(builder: SimulationBuilder) -> list[str]:
@@ -163,9 +171,7 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         clearance = {"motion": "a gantry, exactly at its commanded poses"}
     else:
         worst = int(plan.clearance_mm.argmin())
-        clearance = (
-            {} if builder.followed is None else {"motion": f"{plan.duration_s:.1f} s, planned"}
-        )
+        clearance = {} if builder.followed is None else {"motion": _duration(builder, plan)}
         clearance |= {
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
@@ -182,6 +188,42 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         "reconstruction": scenario.reconstruction.in_words,
         "digest": stage_digests(scenario)["images"],
     }
+
+
+LIMITS = 3
+"""Largest number of limits of the scan time that are named."""
+
+NAMED_SHARE = 0.05
+"""Share of the scan time from which a limit is named."""
+
+
+def _duration(builder: SimulationBuilder, plan: MotionPlan) -> str:
+    """Describe the duration of a plan, and the limits that determine it."""
+    from twinct.robots.motion import limiting
+
+    shares = limiting(plan, builder.cell, builder.scenario.motion, builder.shutter)
+    named = [
+        f"{key} ({100 * share:.0f} %)" for key, share in shares.items() if share >= NAMED_SHARE
+    ]
+    return f"{plan.duration_s:.1f} s, planned; limited by {', '.join(named[:LIMITS])}"
+
+
+def rehearse(builder: SimulationBuilder) -> None:
+    """Simulate the arms' motion of a scan without images, to find views that would be missed.
+
+    Raises:
+        TrajectoryError: a view is missed; the message names the cause.
+    """
+    if builder.scenario.cell.kind != "arms":
+        return
+    robots = builder.robots()
+    try:
+        for view, target in enumerate(builder.targets):
+            robots.move(view, target)
+    except TargetRefusedError as error:
+        raise TrajectoryError(str(error)) from None
+    finally:
+        robots.close()
 
 
 def check_geometries(scenario: Scenario, derived: Path | None = None) -> None:

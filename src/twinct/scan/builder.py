@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
     from twinct.robots.cell import CellModel
-    from twinct.robots.motion import MotionPlan, RobotSimulation
+    from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter
     from twinct.xray import Imager
 
 
@@ -196,14 +196,26 @@ class SimulationBuilder:
             return self.kept_plan
         from twinct.robots.motion import Asked, checked_plan, load_plan, plan_motion
 
-        scenario, source = self.scenario, self.scenario.source
-        exposure_s = source.exposure_ms / 1000 if source.motion_samples > 1 else 0.0
+        scenario = self.scenario
         targets = PosePairs.from_geometry(self.asked).targets()
         if file := scenario.motion.plan:
-            asked = Asked(targets, self.roll_free, any_order=scenario.motion.order != "given")
+            asked = Asked(targets, self.roll_free, scenario.motion.order != "given", self.shutter)
             return checked_plan(load_plan(file), self.cell, scenario.motion, asked, str(file))
         return plan_motion(
-            self.cell, scenario.motion, targets, roll_free=self.roll_free, exposure_s=exposure_s
+            self.cell, scenario.motion, targets, roll_free=self.roll_free, shutter=self.shutter
+        )
+
+    @property
+    def shutter(self) -> Shutter:
+        """Duration of an exposure, and least time from one image to the next."""
+        from twinct.robots.motion import Shutter
+
+        source, detector = self.scenario.source, self.scenario.detector
+        return Shutter(
+            source.exposure_ms / 1000,
+            source.motion_samples,
+            remember=detector.lag > 0,
+            frame_s=(detector.frame_ms or 0.0) / 1000,
         )
 
     @property
@@ -252,12 +264,11 @@ class SimulationBuilder:
         if isinstance(scenario.cell, GantryCell):
             place = scenario.specimen.world_from_specimen
             return Gantry(scenario.cell, source, place, remember=lags, true_cell=self.true_cell)
-        from twinct.robots.motion import RobotSimulation, Shutter
+        from twinct.robots.motion import RobotSimulation
 
-        shutter = Shutter(source.exposure_ms / 1000, source.motion_samples, lags)
         plan = None if planned else self.plan
         return RobotSimulation(
-            self.cell, scenario.motion, plan, shutter, self._roll_free, self.true_cell
+            self.cell, scenario.motion, plan, self.shutter, self._roll_free, self.true_cell
         )
 
     def imager(self) -> Imager:

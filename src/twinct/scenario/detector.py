@@ -244,6 +244,14 @@ class Detector(Section):
     bad_pixels: BadPixels | None = setting(
         None, "Dead pixels; correction fills them from their neighbours.", read_by="volume"
     )
+    frame_ms: float | None = setting(
+        None,
+        "Least time from one image to the next that the detector needs, 1000 / frames per second; "
+        "null: the exposure alone. The plan of the arms respects both.",
+        gt=0,
+        le=60_000,
+        read_by="executed",
+    )
     lag: float = setting(
         0.0,
         "Share of a view's signal that remains in the next view. It doubles the cost.",
@@ -273,5 +281,5 @@ class Detector(Section):
 
         The response is ignored: it cancels out of the transmission at a single energy.
         """
-        kept = ("columns", "rows", "pixel_pitch_mm", "response", "keep")
+        kept = ("columns", "rows", "pixel_pitch_mm", "response", "keep", "frame_ms")
         return self == Detector(**{name: getattr(self, name) for name in kept})

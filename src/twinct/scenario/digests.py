@@ -126,7 +126,8 @@ def _reads(scenario: Scenario, stage: StageName, key: str, readers: frozenset[st
     if any(f"{key}.".startswith(f"{one}.") for one in (("cell.kind",) if arms else _OF_ARMS)):
         return False
     if key == "source.exposure_ms" and stage == "executed":
-        return scenario.source.motion_samples > 1  # otherwise, an exposure takes no time
+        # A plan of the arms respects the exposure in any case.
+        return arms or scenario.source.motion_samples > 1
     return key not in _SEEDS and stage in readers
 
 

@@ -105,7 +105,7 @@ class Scenario(Section):
         found = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
-            self._arms_to_err(),
+            *(self._arms_to_err(), self._time_of_a_frame()),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
             *(self.task.conflicts(self.specimen) if self.task else ()),
         )
@@ -162,6 +162,16 @@ class Scenario(Section):
             f"source.exposure_ms ({source.exposure_ms:g}) must be at most the time of a view, "
             f"{1000 * cell.view_s:g} ms (cell.view_s), as source.motion_samples is above 1",
             ("source.exposure_ms", "source.motion_samples", "cell.view_s"),
+        )
+
+    def _time_of_a_frame(self) -> Conflict | None:
+        cell, frame_ms = self.cell, self.detector.frame_ms
+        if not isinstance(cell, GantryCell) or frame_ms is None or frame_ms <= 1000 * cell.view_s:
+            return None
+        return Conflict(
+            f"detector.frame_ms ({frame_ms:g}) must be at most the time of a view, "
+            f"{1000 * cell.view_s:g} ms (cell.view_s)",
+            ("detector.frame_ms", "cell.view_s"),
         )
 
     def _arms_to_err(self) -> Conflict | None:

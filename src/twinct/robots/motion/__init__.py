@@ -6,6 +6,7 @@ MuJoCo, mink and Ruckig are imported on first use, not together with this packag
 from twinct.core.renamed import old_names
 from twinct.robots.motion.kinematics import IkResult, Kinematics
 from twinct.robots.motion.layers import speeds_of
+from twinct.robots.motion.limits import limiting
 from twinct.robots.motion.path_search import JointPath, find_joint_path
 from twinct.robots.motion.plan import MotionPlan, plan_motion
 from twinct.robots.motion.plan_check import Asked, checked_plan
@@ -37,6 +38,7 @@ __all__ = [
     "load_plan",
     "moving_seconds",
     "plan_arrays",
+    "limiting",
     "plan_motion",
     "plan_of_arrays",
     "roll_free",

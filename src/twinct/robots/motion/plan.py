@@ -25,6 +25,7 @@ from twinct.robots.cell import CellModel, Clearance, Gap
 from twinct.robots.motion.follow import branch_way, gaps_along
 from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
 from twinct.robots.motion.refusals import late_problems, readable
+from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import FINE_S, Law, TimeLaw
 from twinct.scenario import Motion
 
@@ -39,6 +40,9 @@ KNOT_RAD = 0.1
 
 FINER = 4
 """Largest number of plans; each halves the knot spacing where the last one came too close."""
+
+COARSE_STEPS = 50
+"""Steps of a simulation coarser than the law, for which the arms rest after an exposure."""
 
 WATCH_S = 0.004
 """Time step at which the clearance of a plan is checked, s."""
@@ -129,7 +133,7 @@ def plan_motion(
     targets: Sequence[Target],
     *,
     roll_free: tuple[bool, bool] = (False, False),
-    exposure_s: float = 0.0,
+    shutter: Shutter | None = None,
 ) -> MotionPlan:
     """Plan a path through all targets, and its timing.
 
@@ -138,7 +142,7 @@ def plan_motion(
         motion: scheme, tolerances, limits, and the required clearance.
         targets: one for each view.
         roll_free: whether source and panel may roll about their own axes.
-        exposure_s: exposure time of a view that is taken at rest.
+        shutter: duration of an exposure, and least time from view to view; None for none.
 
     Raises:
         TrajectoryError: views are out of reach, in collision or not connected by a path; every
@@ -150,11 +154,12 @@ def plan_motion(
         # A lower bound, because servos take longer: views late by it are late for certain.
         speeds = cell.speed_limits * cell.speed_scales
         least_s = (np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1)
+        least_s = np.maximum(least_s, (shutter or Shutter()).interval_s(cell.model.opt.timestep))
         if late := late_problems(least_s.tolist(), motion.timeout_s):
             raise TrajectoryError(late)
         return _unhurried(cell, way)
     way = find_joint_path(cell, motion, targets, roll_free=roll_free)
-    return timed(cell, motion, way, exposure_s)
+    return timed(cell, motion, way, shutter)
 
 
 def _unhurried(cell: CellModel, way: JointPath) -> MotionPlan:
@@ -166,19 +171,22 @@ def _unhurried(cell: CellModel, way: JointPath) -> MotionPlan:
     return with_gaps(plan, gaps_along(cell, plan.joints))
 
 
-def timed(cell: CellModel, motion: Motion, way: JointPath, exposure_s: float = 0.0) -> MotionPlan:
+def timed(
+    cell: CellModel, motion: Motion, way: JointPath, shutter: Shutter | None = None
+) -> MotionPlan:
     """Compute the motion plan along a path; views are numbered in the order of the path.
 
     Raises:
         TrajectoryError: the arms cannot follow the path within their limits and the clearance.
     """
-    law = TimeLaw(cell, motion)
+    shutter = shutter or Shutter()
+    law = TimeLaw(cell, motion, shutter.interval_s(cell.model.opt.timestep))
     # The view at the end of each segment of the path.
     leads_to = np.cumsum(way.views >= 0)[:-1]
     spacing = np.full(len(leads_to), KNOT_RAD)
     problems: dict[int, str] = {}
     for _ in range(FINER):
-        plan = _compose(cell, motion, way, _laws(law, motion, way, spacing), exposure_s)
+        plan = _compose(cell, motion, way, _laws(law, motion, way, spacing), shutter)
         problems = too_close(plan, kept_mm(motion))
         if not problems:
             return plan
@@ -202,7 +210,9 @@ def _laws(
             parts = max(1, math.ceil(np.abs(step).max() / spacing[k]))
             knots += [way.joints[k] + share / parts * step for share in range(1, parts + 1)]
             own.append(len(knots) - 1)
-        found.append((law.through(np.array(knots)), own))
+        passed = [] if motion.trigger == "settled" else way.views[first : last + 1]
+        views = [knot for knot, view in zip(own, passed, strict=False) if view >= 0]
+        found.append((law.through(np.array(knots), views), own))
     return found
 
 
@@ -211,11 +221,12 @@ def _compose(
     motion: Motion,
     way: JointPath,
     laws: list[tuple[Law, list[int]]],
-    exposure_s: float,
+    shutter: Shutter,
 ) -> MotionPlan:
     """Join the time laws of all stretches into one plan, with rests between if views settle."""
     times, states, knots_s = [], [], [0.0]
-    start = 0.0
+    start, last_view_s, timestep_s = 0.0, -np.inf, cell.model.opt.timestep
+    interval_s = shutter.interval_s(timestep_s)
     every = round(WAYPOINT_S / FINE_S)
     for law, own in laws:
         kept = np.unique(np.append(np.arange(0, len(law.time_s), every), len(law.time_s) - 1))
@@ -224,8 +235,9 @@ def _compose(
         knots_s += (start + law.knots_s[own[1:]]).tolist()
         start = times[-1][-1]
         if motion.trigger == "settled":
-            knots_s[-1] = start + motion.settle_s
-            start += motion.settle_s + exposure_s + FINE_S
+            settle_s = max(motion.settle_s, last_view_s + interval_s - start)
+            knots_s[-1] = last_view_s = start + settle_s
+            start += settle_s + shutter.open_s + _grace_s(timestep_s)
     exposed = way.views >= 0
     order, views_s = way.views[exposed], np.array(knots_s)[exposed]
     draft = MotionPlan(
@@ -245,6 +257,11 @@ def _compose(
     state[[0, -1], 1:] = 0.0  # zero already, up to rounding
     plan = replace(draft, time_s=time_s, state=state, views=views)
     return with_gaps(plan, gaps_of(cell, plan))
+
+
+def _grace_s(timestep_s: float) -> float:
+    """Return the rest beyond the exposure: servos with long steps come to rest later."""
+    return FINE_S if timestep_s <= FINE_S else COARSE_STEPS * timestep_s
 
 
 def with_gaps(plan: MotionPlan, gaps: list[Gap]) -> MotionPlan:

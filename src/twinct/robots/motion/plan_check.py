@@ -16,6 +16,7 @@ from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.path_search import kept_mm
 from twinct.robots.motion.plan import MotionPlan, gaps_of, too_close, with_gaps
 from twinct.robots.motion.refusals import named, runs
+from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import FINE_S, TimeLaw
 from twinct.scenario import Motion
 
@@ -24,6 +25,9 @@ SAME_MM, SAME_DEG = 1e-3, 1e-3
 
 OVER = 1.02
 """Factor by which a limit may be exceeded, because joints follow polynomials between waypoints."""
+
+HURRIED_S = 1e-6
+"""Time by which a view may come too soon, for rounding."""
 
 RESTS_RAD_S = 1e-9
 """Speed below which a joint rests, up to rounding: a thousandth of a micrometre per second."""
@@ -37,11 +41,13 @@ class Asked:
         targets: one for each view.
         roll_free: whether source and panel may roll about their own axes.
         any_order: whether the plan may take the views in another order.
+        shutter: duration of an exposure, and least time from view to view.
     """
 
     targets: Sequence[Target]
     roll_free: tuple[bool, bool] = (False, False)
     any_order: bool = False
+    shutter: Shutter = Shutter()
 
 
 def checked_plan(
@@ -67,7 +73,7 @@ def checked_plan(
         )
     problems = _other_views(plan, asked) or _elsewhere(plan, cell, motion)
     if not problems:
-        problems = _limits(plan, cell, motion)
+        problems = _limits(plan, cell, motion) + _hurried(plan, cell, asked.shutter)
     if not problems:
         plan = with_gaps(plan, gaps_of(cell, plan))
         problems = list(too_close(plan, kept_mm(motion)).values())
@@ -156,6 +162,18 @@ def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
             f"{named(*run)}: the arms do not rest, but motion.trigger is settled" for run in moving
         ]
     return problems
+
+
+def _hurried(plan: MotionPlan, cell: CellModel, shutter: Shutter) -> list[str]:
+    """Return messages for views that follow the view before too soon."""
+    least_s = shutter.interval_s(cell.model.opt.timestep)
+    between_s = np.diff(plan.exposures_s)
+    soon = np.flatnonzero(between_s < least_s - HURRIED_S) + 1
+    return [
+        f"{named(first, last)}: {1000 * between_s[first - 1 : last].min():.1f} ms after the view "
+        f"before; {shutter.limit} needs {1000 * least_s:g} ms"
+        for first, last in runs(soon.tolist())
+    ]
 
 
 def _moving(plan: MotionPlan) -> list[tuple[int, int]]:

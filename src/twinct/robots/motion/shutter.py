@@ -20,11 +20,13 @@ class Shutter:
         exposure_s: time from the trigger until the shutter closes.
         samples: instants of the exposure; with one sample the exposure is instantaneous.
         remember: whether each view also reports the poses of the previous view.
+        frame_s: least time from one image to the next that the detector needs.
     """
 
     exposure_s: float = 0.0
     samples: int = 1
     remember: bool = False
+    frame_s: float = 0.0
 
     def steps(self, timestep_s: float) -> int:
         """Return the number of simulation steps after the trigger."""
@@ -32,10 +34,32 @@ class Shutter:
             return 0
         return math.ceil(self.exposure_s / timestep_s - 1e-9)
 
+    def interval_steps(self, timestep_s: float) -> int:
+        """Return the least number of simulation steps from one trigger to the next."""
+        least_s = max(self.frame_s, self.exposure_s)
+        # The next trigger follows at the earliest one step after the shutter has closed.
+        return max(math.ceil(least_s / timestep_s - 1e-9), self.steps(timestep_s) + 1)
+
+    def interval_s(self, timestep_s: float) -> float:
+        """Return the least time from one trigger to the next, in whole steps."""
+        return self.interval_steps(timestep_s) * timestep_s
+
+    @property
+    def open_s(self) -> float:
+        """Simulated time for which the shutter is open; 0 if everything stands still meanwhile."""
+        return self.exposure_s if self.samples > 1 else 0.0
+
+    @property
+    def limit(self) -> str:
+        """Scenario key, with its value, that sets the least time from trigger to trigger."""
+        if self.frame_s >= self.exposure_s:
+            return f"detector.frame_ms = {1000 * self.frame_s:g}"
+        return f"source.exposure_ms = {1000 * self.exposure_s:g}"
+
     @property
     def middle_s(self) -> float:
         """Time from the trigger to the middle of the exposure."""
-        return self.exposure_s / 2 if self.samples > 1 else 0.0
+        return self.open_s / 2
 
     def middle(self, steps: Floats, timestep_s: float) -> Floats:
         """Return values at the middle of the exposure, interpolated linearly between steps.

@@ -149,6 +149,13 @@ class RobotSimulation:
         """Current joint positions, rad, (n,)."""
         return self._data.qpos.copy()
 
+    @property
+    def _unready_steps(self) -> int:
+        """Steps from the end of the last exposure for which the detector takes no new image."""
+        if not self._taken:
+            return 0
+        return self._shutter.interval_steps(self._model.opt.timestep) - self._open_steps - 1
+
     def close(self) -> None:
         """Free MuJoCo's memory; a closed simulation cannot be used."""
         del self._data, self._reactive, self._clearance
@@ -249,12 +256,25 @@ class RobotSimulation:
         steps = max(0, math.floor(armed_to_s / timestep) - taken)
         rows = plan.at((taken + np.arange(1, steps + self._open_steps + 2)) * timestep)
         rows[: len(lead)] = lead
-        shut = len(lead)
+        shut = max(len(lead), self._unready_steps)
         if settled is None and self._motion.trigger == "settled":
             # Arms at rest for the previous view may already be within this view's tolerance.
             shut = max(shut, math.floor(exposures_s[view] / timestep) - taken)
-        target, what = plan.targets[view], f"{name} was missed"
+        target, what = plan.targets[view], f"{name} was missed{self._cause(exposures_s[view])}"
         return self._run(rows.__getitem__, steps, target, what, on_step, shut, settled)
+
+    def _cause(self, due_s: float) -> str:
+        """Return the reason why a view that was due at a time may be missed, for messages."""
+        late_ms = 1000 * (self.time_s - self._begun_s - due_s)
+        late_ms += 1000 * self._unready_steps * self._model.opt.timestep
+        if late_ms > 0 and self._taken:
+            return (
+                f" (it was due {late_ms:.1f} ms before the detector was ready again, "
+                f"{self._shutter.limit})"
+            )
+        if self._motion.trigger == "settled":
+            return f" (the arms were not at rest after motion.settle_s = {self._motion.settle_s:g})"
+        return ""
 
     def _plan_from(self, make: Callable[[Floats], MotionPlan]) -> Floats:
         """Make a plan from the joints at which the arms come to rest, and follow it from there.
@@ -302,9 +322,10 @@ class RobotSimulation:
         """
         n, timestep = self._n, self._model.opt.timestep
         path = self._reference.towards(self._data.userdata[: 3 * n].reshape(3, n), goal)
-        steps = round(self._motion.timeout_s / timestep)
+        shut = self._unready_steps
+        steps = shut + round(self._motion.timeout_s / timestep)
         what = f"the arms did not arrive within {self._motion.timeout_s:g} s of simulated time"
-        return self._run(lambda k: path.at((k + 1) * timestep), steps, target, what, on_step)
+        return self._run(lambda k: path.at((k + 1) * timestep), steps, target, what, on_step, shut)
 
     def _run(
         self,

@@ -5,15 +5,20 @@ complete equal shares of their paths at equal times. The speed of s stays below 
 speed, curvature and tool speed, rises and falls within the acceleration limits, and is smoothed
 over time, which bounds the jerk. Where the result still exceeds a limit, torques included, it is
 slowed down and computed again.
+
+Views that are taken in passing limit the speed, too: the detector needs its time from view to view,
+and a view must not pass between two steps of the control.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
@@ -45,6 +50,12 @@ SLOWER = 1.01
 ALLOWED = 1.001
 """Factor by which a limit may be exceeded."""
 
+INTERVAL_SHARE = 1.002
+"""Factor of the least time between views, more than ALLOWED, as it must not be exceeded at all."""
+
+STEP_SHARE = 0.9
+"""Share of the trigger's tolerance that a tool may travel in a step of the control at a view."""
+
 
 @dataclass(frozen=True, eq=False)
 class Law:
@@ -61,12 +72,62 @@ class Law:
     knots_s: Floats
 
 
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """Limits of the path parameter s at views that are taken in passing.
+
+    Attributes:
+        knots: indices of the knots of the views, (views,).
+        s: their values of s, rising, (views,).
+        at_views: largest speed of s at each view, (views,).
+        interval_s: least time from view to view.
+    """
+
+    knots: NDArray[np.intp]
+    s: Floats
+    at_views: Floats
+    interval_s: float
+
+    def most(self, s: Floats) -> Floats:
+        """Return the largest speed of s at each value of s."""
+        most = np.full(len(s), np.inf)
+        if self.interval_s and len(self.s) > 1:
+            # The speed of each stretch from view to view, and none outside.
+            of_stretch = np.concatenate([[np.inf], np.diff(self.s) / self.interval_s, [np.inf]])
+            # Values of s at a view belong to both stretches.
+            before, after = (np.searchsorted(self.s, s, side) for side in ("left", "right"))
+            most = np.minimum(of_stretch[before], of_stretch[after])
+        at = np.searchsorted(s, self.s)
+        most[at] = np.minimum(most[at], self.at_views)
+        return most
+
+    def excess(self, law: Law, progress: Floats) -> Floats:
+        """Return the factor by which s is too fast at each time of a law, 0 if free, (times,)."""
+        excess, at = np.zeros(len(law.time_s)), law.knots_s[self.knots]
+        steps = np.rint(at / FINE_S).astype(int)
+        speeds = np.interp(at, law.time_s, np.gradient(progress, FINE_S))
+        np.maximum.at(excess, steps, speeds / self.at_views)
+        if self.interval_s:
+            short = self.interval_s / np.diff(at)
+            for first, last, share in zip(steps[:-1], steps[1:], short, strict=True):
+                np.maximum(excess[first : last + 1], share, out=excess[first : last + 1])
+        return excess
+
+
 class TimeLaw:
     """Computation of time laws for one cell."""
 
-    def __init__(self, cell: CellModel, motion: Motion) -> None:
-        """Store the limits of cell and motion."""
-        self._cell = cell
+    def __init__(self, cell: CellModel, motion: Motion, interval_s: float = 0.0) -> None:
+        """Store the limits of cell and motion.
+
+        Args:
+            cell: robot cell.
+            motion: limits, and the tolerance of the trigger.
+            interval_s: least time from view to view.
+        """
+        self._cell, self._interval_s = cell, INTERVAL_SHARE * interval_s
+        step_s = cell.model.opt.timestep
+        self._tool_at_view_m_s = STEP_SHARE * motion.tolerance_mm / MM_PER_M / step_s
         self._data = mujoco.MjData(cell.model)
         self._speed = cell.speed_limits * cell.speed_scales
         self._acceleration = float(np.radians(motion.acceleration_deg_s2))
@@ -75,11 +136,12 @@ class TimeLaw:
         # A window of this length turns the largest jump of acceleration into the largest jerk.
         self._window = max(1, round(self._acceleration / self._jerk / FINE_S))
 
-    def through(self, knots: Floats) -> Law:
+    def through(self, knots: Floats, views: Sequence[int] = ()) -> Law:
         """Return the fastest law through some knots that this method finds.
 
         Args:
             knots: joint positions, rad, (knots, n); at least two, neighbours different.
+            views: indices of the knots at which a view is taken in passing.
 
         Raises:
             TrajectoryError: a joint cannot even hold the arm, or no law kept the limits.
@@ -98,9 +160,11 @@ class TimeLaw:
         share = np.arange(LOOK) / LOOK
         s = np.append((passed[:-1, None] + share * spans[:, None]).ravel(), passed[-1])
         most, gain = self._allowed(way, s)
+        passing = self._passing(way, passed, views)
+        most = np.minimum(most, passing.most(s))
         law = self._law(way, s, most, gain, passed)
         for _ in range(ROUNDS):
-            excess = self._excess(law)
+            excess = np.maximum(self._excess(law), passing.excess(law, self._progress))
             if excess.max() <= ALLOWED:
                 return law
             # Slow down where a limit was exceeded, and within one smoothing window of it.
@@ -142,20 +206,41 @@ class TimeLaw:
             gain = (1 - CURVE_SHARE) * self._acceleration / first.max(axis=1)
         return most, gain
 
+    def _passing(self, way: CubicSpline, passed: Floats, views: Sequence[int]) -> Passing:
+        """Return the limits at views that are taken in passing."""
+        knots = np.array(views, dtype=np.intp)
+        with np.errstate(divide="ignore"):
+            at_views = self._tool_at_view_m_s / self._slopes(way, passed[knots])
+        return Passing(knots, passed[knots], at_views, self._interval_s)
+
     def _tool_slopes(self, way: CubicSpline, s: Floats) -> Floats:
+        """Return ``_slopes`` if the tools' speed is limited, else zeros."""
+        return self._slopes(way, s) if np.isfinite(self._tool_m_s) else np.zeros(len(s))
+
+    def _slopes(self, way: CubicSpline, s: Floats) -> Floats:
         """Return the distance that the faster tool travels per unit of s, m."""
-        if not np.isfinite(self._tool_m_s):
-            return np.zeros(len(s))
+        return self.tool_speeds_m_s(way(s), way(s, 1))
+
+    def tool_speeds_m_s(self, joints: Floats, velocity: Floats) -> Floats:
+        """Return the speed of the faster tool.
+
+        Args:
+            joints: rad, (times, n).
+            velocity: rad/s, (times, n).
+
+        Returns:
+            (times,).
+        """
         jacobian = np.zeros((3, self._cell.model.nv))
-        slopes = np.zeros(len(s))
-        for k, (joints, slope) in enumerate(zip(way(s), way(s, 1), strict=True)):
-            self._data.qpos[:] = joints
+        speeds = np.zeros(len(joints))
+        for k, (here, slope) in enumerate(zip(joints, velocity, strict=True)):
+            self._data.qpos[:] = here
             mujoco.mj_kinematics(self._cell.model, self._data)
             mujoco.mj_comPos(self._cell.model, self._data)
             for site in self._cell.site_ids:
                 mujoco.mj_jacSite(self._cell.model, self._data, jacobian, None, site)
-                slopes[k] = max(slopes[k], float(np.linalg.norm(jacobian @ slope)))
-        return slopes
+                speeds[k] = max(speeds[k], float(np.linalg.norm(jacobian @ slope)))
+        return speeds
 
     def _law(self, way: CubicSpline, s: Floats, most: Floats, gain: Floats, passed: Floats) -> Law:
         speed = self._reachable(s, most, gain)
