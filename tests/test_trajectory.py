@@ -202,6 +202,16 @@ def test_a_file_of_views_may_have_mas(tmp_path) -> None:
     assert commanded_mas(section) is None
 
 
+@pytest.mark.parametrize("pitch_mm", [0.5, 0.01])
+def test_a_file_in_metres_is_refused_with_that_suspicion(tmp_path, pitch_mm: float) -> None:
+    (tmp_path / "v.csv").write_text("0.3,0,0,-0.3,0,0\n0,0.3,0,0,-0.3,0\n")
+    section = TypeAdapter(AnyTrajectory).validate_python(
+        {"kind": "file", "path": str(tmp_path / "v.csv")}
+    )
+    with pytest.raises(TrajectoryError, match="only 0.6 mm apart.* in metres"):
+        commanded_views(section, Panel(480, 640, pitch_mm, pitch_mm))
+
+
 def test_file_with_source_and_panel_only_gets_upright_panels(tmp_path) -> None:
     (tmp_path / "v.csv").write_text("# S, D\n300,0,0,-300,0,0\n0,300,0,0,-300,0\n")
     geometry = views(kind="file", path=tmp_path / "v.csv")

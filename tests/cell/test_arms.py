@@ -135,6 +135,18 @@ def test_unknown_menagerie_model_is_named(menagerie: str) -> None:
         load_arm(SourceArm(model="menagerie:no_such_arm"), "cell.source_arm")
 
 
+def test_without_a_network_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = pytest.importorskip("mujoco_menagerie")
+
+    def get(name: str) -> None:
+        raise library.DownloadError("https://somewhere/panda.tar.xz: no route to host")
+
+    monkeypatch.delenv("MENAGERIE_ROOT", raising=False)
+    monkeypatch.setattr(library, "get", get)
+    with pytest.raises(ScenarioError, match=r"no route to host; without a network, set MENAGERIE"):
+        load_arm(SourceArm(model="menagerie:panda"), "cell.source_arm")
+
+
 def test_what_menagerie_lacks_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MENAGERIE_ROOT", "/nonexistent")
     with pytest.raises(ScenarioError, match="MENAGERIE_ROOT=/nonexistent is not a folder"):

@@ -67,6 +67,31 @@ def chain(tmp_path: Path) -> Path:
     return tmp_path / "arm.xml"
 
 
+def test_links_without_inertia_are_refused_or_get_a_density(
+    edited: Callable[..., Path],
+) -> None:
+    text = re.sub(r"<inertial>.*?</inertial>", "", URDF.read_text(), flags=re.DOTALL)
+    file = edited("<robot", "<robot")
+    file.write_text(text)
+    told = refusal(file)
+    assert "states no inertia for" in told and "link_density_kg_m3" in told
+    masses = []
+    for density in (1000.0, 2000.0):
+        arm = loaded(file, link_density_kg_m3=density)
+        (note,) = arm.notes
+        assert f"kg, from link_density_kg_m3 ({density:g} kg/m^3)" in note
+        model = arm.spec.compile()
+        masses.append(model.body_mass[model.body_weldid != 0].sum())
+        assert f" {masses[-1]:.2f} kg," in note
+    assert masses[1] == pytest.approx(2 * masses[0])
+    assert not loaded(URDF).notes
+    cell = Cell.model_validate(
+        {"source_arm": {"file": str(file), "link_density_kg_m3": 1000.0, "tool_mass_kg": 1}}
+    )
+    built = build_cell(cell, None, Pose.identity(), Detector().panel)
+    assert built.notes == (f"source arm: {loaded(file, link_density_kg_m3=1000.0).notes[0]}",)
+
+
 @pytest.fixture
 def edited(tmp_path: Path) -> Callable[..., Path]:
     """A maker of the URDF with one text in place of another, everywhere."""

@@ -99,6 +99,11 @@ class Diagnostics:
         self._say(stamp, ERROR, text, {"stamp": stamp, **values})
         self.tell(text)
 
+    def warn(self, text: str) -> None:
+        """Report a state of the graph in which the node cannot work."""
+        self._say(NO_STAMP, WARN, text, {})
+        self.tell(text)
+
     def stranger(self, topic: Topic, sender: Sender) -> None:
         """Report once that a sender on a topic does not belong to this scan and is ignored."""
         self._unused(topic.name, sender, ", which is not part of this scan, publishes on")
@@ -118,6 +123,12 @@ class Diagnostics:
     def _say(self, stamp: Stamp, level: bytes, text: str, values: dict[str, object]) -> None:
         name = self._station.name
         self._publisher.publish(diagnostic_message(stamp, name, level, text, values))
+
+
+def _ended(line: Lifeline, connected: Callable[[], bool]) -> bool:
+    """Look at the peers, and return True if the node has to end."""
+    connected()
+    return line.ended
 
 
 class Simulation(Protocol):
@@ -146,7 +157,8 @@ def run_node(
     Args:
         name: the node's name.
         build: builds the simulation.
-        open_node: creates the endpoints; returns a test that all peers are connected.
+        open_node: creates the endpoints; returns a test that all peers are connected, which is
+            repeated until the end and may tell about them.
         lifeline: end when stdin ends.
         members: the scan's members.
         largest_message: largest message that the node sends, bytes.
@@ -174,6 +186,7 @@ def run_node(
             station.wait(lambda: line.ended or connected(), FOREVER_S)
             diagnostics.ready()
             say(f"{name} is ready on ROS domain {station.domain_id}")
-            station.wait(lambda: line.ended, FOREVER_S)
+            # Without a look at the peers, a node would wait in silence for one that was killed.
+            station.wait(lambda: _ended(line, connected), FOREVER_S)
     say(f"{name} ends")
     return 0

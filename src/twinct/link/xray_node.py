@@ -185,6 +185,7 @@ class XRayNode:
         self._targets: dict[Stamp, Stamp] = {}
         self._early: dict[Stamp, tuple[PoseArray, Sender]] = {}
         depth = min(max(QUEUE_BYTES // image_bytes(panel), 1), IMAGE.depth)
+        self._peers = 0
         self._out = [station.publisher(topic, depth=depth) for topic in ANSWER]
         self._heard = [
             *station.listen_to_all(REACHED, self._on_reached),
@@ -193,12 +194,26 @@ class XRayNode:
 
     def connected(self) -> bool:
         """Return True if the scan's rig and robots node are connected, or there is no scan."""
+        self._watch()
         if self._members is not None and not self._members.knows(ROBOTS):
             return False
         return self._epoch is None or (
             all(heard.get_publisher_count() for heard in self._heard)
             and bool(self._out[ANSWER.index(IMAGE)].get_subscription_count())
         )
+
+    def _watch(self) -> None:
+        """Tell, outside a scan, that the last robots node is gone.
+
+        One that was killed counts until its lease expires.
+        """
+        count = max((heard.get_publisher_count() for heard in self._heard), default=0)
+        if self._epoch is None and count == 0 < self._peers:
+            self._diagnostics.warn(
+                f"no node publishes {REACHED} any more: the robots node ended, was killed or was "
+                "cut off; waiting for another one"
+            )
+        self._peers = count
 
     def _known(self, topic: Topic, sender: Sender) -> bool:
         if self._members is None or self._members.sent(ROBOTS, sender):

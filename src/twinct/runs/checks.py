@@ -176,6 +176,8 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
+    if builder.scenario.cell.kind == "arms" and builder.cell.notes:
+        clearance["supplied inertia"] = "; ".join(builder.cell.notes)
     parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
         "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",

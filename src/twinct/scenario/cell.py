@@ -31,6 +31,10 @@ ARMS = ("ur10e", "lbr_iiwa14")
 """Built-in arms."""
 
 
+_OF_FILE = ("base", "flange", "link_density_kg_m3")
+"""Keys that only an arm from a file has."""
+
+
 class Arm(Section):
     """One arm and its tool."""
 
@@ -98,6 +102,13 @@ class Arm(Section):
         read_by="executed",
     )
 
+    link_density_kg_m3: Annotated[Positive | None, ReadBy("executed")] = Field(
+        default=None,
+        description="With file: density of links whose inertia the file does not state; they get "
+        "that of their collision shapes. null: such a file is refused.",
+        json_schema_extra=facts(unit="kg/m^3"),
+    )
+
     @field_validator("model")
     @classmethod
     def _known_model(cls, model: str | None) -> str | None:
@@ -122,7 +133,7 @@ class Arm(Section):
             both = "exclude each other: with file, leave out model or set it to null"
             what = f"model and file {both if self.file else 'are both null: give one'}"
             raise ConflictError(Conflict(what, ("model", "file")))
-        lone = [name for name in ("base", "flange") if getattr(self, name) and not self.file]
+        lone = [name for name in _OF_FILE if getattr(self, name) and not self.file]
         if lone:
             raise ConflictError(
                 Conflict(f"{' and '.join(lone)}: only allowed with file", tuple(lone))

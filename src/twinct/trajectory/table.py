@@ -25,6 +25,9 @@ LARGEST_BYTES = 64 * 2**20
 MOST_VIEWS = 100_000
 """Largest number of views, as for all other trajectories."""
 
+SHORTEST_MM, WIDEST = 10.0, 10.0
+"""Least distance of source and panel, and largest ratio of the panel's edge to that distance."""
+
 _COLUMNS = [f"{name}_{axis}" for name in ("source", "detector", "u", "v") for axis in "xyz"]
 _MAS = "mas"
 _FORMS = (6, 7, 12, 13)
@@ -174,6 +177,7 @@ def _is_number(cell: str) -> bool:
 def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
     """Return the geometry in the file; the panel is upright if the file does not state u and v."""
     table, lines = _table(section.path)
+    _require_mm(table, panel, section.path)
     try:
         return _geometry(table, panel)
     except (ValueError, TrajectoryError):
@@ -185,6 +189,21 @@ def _views(section: FileTrajectory, panel: Panel) -> ScanGeometry:
                 what = str(error).removeprefix("view 0: ").replace(" of view 0", "")
                 problems.append(f"{section.path}:{line}: {what}")
         raise TrajectoryError(problems) from None
+
+
+def _require_mm(table: Floats, panel: Panel, path: Path) -> None:
+    """Refuse views that seem to be in metres.
+
+    Raises:
+        TrajectoryError: source and panel are nearer to each other than any scanner has them.
+    """
+    apart = float(np.median(np.linalg.norm(table[:, 0:3] - table[:, 3:6], axis=1)))
+    if 0 < apart < max(SHORTEST_MM, max(panel.size_mm) / WIDEST):
+        raise TrajectoryError(
+            f"{path}: source and panel are only {apart:.3g} mm apart, the panel is "
+            f"{panel.size_mm[0]:g} x {panel.size_mm[1]:g} mm: are the positions in metres? They "
+            "must be in mm: multiply them by 1000"
+        )
 
 
 def _geometry(table: Floats, panel: Panel) -> ScanGeometry:

@@ -33,6 +33,7 @@ class ArmModel:
         torque_limits: N m, (joints,).
         speed_limits: rad/s, (joints,).
         home: start of the path search, rad, (joints,), if the scenario states one.
+        notes: data that the scenario supplied in place of the file, in words.
         file_from_base: pose of the base in the model's world; None at the origin.
     """
 
@@ -43,6 +44,7 @@ class ArmModel:
     speed_limits: Floats
     home: Floats | None = None
     file_from_base: Pose | None = None
+    notes: tuple[str, ...] = ()
 
 
 def load_arm(arm: Arm, key: str) -> ArmModel:
@@ -100,7 +102,11 @@ def _menagerie_file(name: str, key: str) -> Path:
                 f"{len(names)}: {', '.join(near)}"
             ) from None
         except mujoco_menagerie.MenagerieError as error:
-            raise ScenarioError(f"{key}.model: {error}") from error
+            raise ScenarioError(
+                f"{key}.model: MuJoCo Menagerie's {quoted(name)} cannot be had: {error}; without a "
+                "network, set MENAGERIE_ROOT to a copy of MuJoCo Menagerie, a folder with one "
+                "folder for each model"
+            ) from error
         if folder.is_file():
             folder = folder.parent
     # A model's folder also contains scenes, which include the robot, and variants for MJX.
@@ -139,7 +145,8 @@ def _normalised(
         for element in list(getattr(spec, group)):
             spec.delete(element)
     base = own.file_from_base if own else None
-    return ArmModel(spec, names, flange, torques, np.radians(speeds), home, base)
+    notes = own.notes if own else ()
+    return ArmModel(spec, names, flange, torques, np.radians(speeds), home, base, notes)
 
 
 def _is_chain(model: mujoco.MjModel) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,6 +29,9 @@ ALONG, ROUNDING_M = 0.99, 1e-6
 FLANGE_SITE = "twinct_flange"
 """Name of the site that is added to a flange that is a body."""
 
+DEFAULT_DENSITY = 1000.0
+"""Density that MuJoCo assumes for a shape whose file states none, kg/m^3."""
+
 _HIDDEN_GROUP = 3
 
 
@@ -41,12 +44,14 @@ class OwnArm:
         flange_site: site at the tool flange.
         speed_limits: rad/s by joint, if stated.
         file_from_base: pose of the base in the file's world.
+        notes: data that the scenario supplied in place of the file, in words.
     """
 
     spec: mujoco.MjSpec
     flange_site: str
     speed_limits: dict[str, float]
     file_from_base: Pose
+    notes: tuple[str, ...] = ()
 
 
 def read_own_arm(arm: Arm, where: str) -> OwnArm:
@@ -69,12 +74,13 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
         reason = " ".join(str(error).split())
         raise ScenarioError(f"{where} is not a model that MuJoCo can read: {reason}") from None
     _check(model, where)
+    notes = _weigh(spec, model, arm, xml.is_urdf, where)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     base = _base(model, data, arm.base, where)
     _show_visuals(spec, model)
     flange = _flange(spec, model, data, arm.flange, xml.is_urdf, where)
-    return OwnArm(spec, flange, xml.speed_limits, base)
+    return OwnArm(spec, flange, xml.speed_limits, base, notes)
 
 
 def _check(model: mujoco.MjModel, where: str) -> None:
@@ -110,6 +116,49 @@ def _check(model: mujoco.MjModel, where: str) -> None:
             f"{where} has no collision geometry on {', '.join(bare)}: without it, collisions would "
             "go unnoticed"
         )
+
+
+def _weigh(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, arm: Arm, is_urdf: bool, where: str
+) -> tuple[str, ...]:
+    """Give links without inertia that of their collision shapes, and return a note about them.
+
+    MJCF defines a default density, URDF does not.
+
+    Raises:
+        ScenarioError: a link of URDF has no inertia, and the scenario states no density.
+    """
+    if spec.compiler.inertiafromgeom == mujoco_module().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        return ()
+    pieces: dict[int, list[Any]] = {}
+    for body in spec.bodies[1:]:
+        pieces.setdefault(int(model.body_weldid[body.id]), []).append(body)
+    pieces.pop(0, None)  # the base does not move
+    bare = {link: of for link, of in pieces.items() if not any(_has_mass(body) for body in of)}
+    if not bare:
+        return ()
+    names = ", ".join(model.body(link).name for link in bare)
+    density, origin = arm.link_density_kg_m3, "link_density_kg_m3"
+    if density is None and not is_urdf:
+        density, origin = DEFAULT_DENSITY, "MJCF's default density"
+    if density is None:
+        raise ScenarioError(
+            f"{where} states no inertia for {names}: without it, torques would be wrong. Write it "
+            "into the file (<inertial>), or set the key link_density_kg_m3, from which these links "
+            "get the inertia of their collision shapes"
+        )
+    for body in (body for of in bare.values() for body in of):
+        for geom in body.geoms:
+            geom.density = density if geom.contype or geom.conaffinity else 0.0
+    heavy = spec.compile()
+    mass = sum(float(heavy.body_mass[body.id]) for of in bare.values() for body in of)
+    return (f"{names}: {mass:.2f} kg, from {origin} ({density:g} kg/m^3)",)
+
+
+def _has_mass(body: Any) -> bool:
+    """Return True if a body's file states its inertia, or the mass of its shapes."""
+    stated = (geom.density not in (0.0, DEFAULT_DENSITY) for geom in body.geoms)
+    return bool(body.explicitinertial) or any(stated) or any(g.mass > 0 for g in body.geoms)
 
 
 def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: str) -> Pose:

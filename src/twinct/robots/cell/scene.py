@@ -72,6 +72,7 @@ class CellModel:
         homes: start of the path search for each arm, rad, or None if the scenario states none.
         lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
             zero if the joint does not move the body.
+        notes: data of the arms that the scenario supplied in place of a file, in words.
     """
 
     model: mujoco.MjModel
@@ -87,6 +88,7 @@ class CellModel:
     pairs: np.ndarray
     homes: tuple[Floats | None, ...]
     lever: Floats
+    notes: tuple[str, ...] = ()
 
     @property
     def joint_ranges(self) -> Floats:
@@ -411,6 +413,11 @@ def _compiled(
         pairs=non_adjacent_pairs(model),
         homes=tuple(arm.home for arm in arms),
         lever=levers(model),
+        notes=tuple(
+            f"{side} arm: {note}"
+            for side, arm in zip(ARMS, arms, strict=True)
+            for note in arm.notes
+        ),
     )
 
 
