@@ -105,7 +105,7 @@ def test_another_kind_by_override_starts_afresh_but_for_other_overrides() -> Non
 
 
 def test_problems_are_told_in_plain_words(tmp_path: Path) -> None:
-    assert "specimen.parts: must have at least 1 entry, but has 0" in problems("specimen.parts=[]")
+    assert "specimen: parts must have at least 1 entry" in problems("specimen.parts=[]")
     assert "unknown arm 'ur10'; did you mean 'ur10e'?" in problems("cell.source_arm.model=ur10")
     assert "specimen: must be a section of keys and values, but is empty" in problems("specimen=")
     assert "must be a whole number, but is 'many'" in problems("trajectory.views=many")

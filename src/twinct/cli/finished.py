@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from twinct.cli.arguments import Overrides, Threads
+from twinct.cli.arguments import Flag, Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import percent, say_result
 
@@ -19,21 +19,36 @@ def import_(
     files: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(
-            metavar="FILE", help="Recording of run --record, or an MCAP file of another tool."
+            metavar="SOURCE",
+            help="YAML description of a measured scan, folder of twinct export, .xtekct or OpenCT "
+            "file; or recordings of run --record, or MCAP files of another tool.",
         ),
     ],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
 ) -> None:
-    """Rebuild a scan from its recordings: DIR/scan.zarr and DIR/scenario.yaml.
+    """Import a measured scan, or a scan's recordings: DIR/scan.zarr and DIR/scenario.yaml.
 
-    Several files belong to one scan that was interrupted and resumed. Missing views are listed; run
-    --resume acquires them. From another tool's recording of the same topics, poses, cameras and
-    images are imported as a gantry's scan of an unknown specimen.
+    A measured scan has images and a geometry, and no truth: everything that is read is printed,
+    with its units, and DIR/imported.png shows it. twinct reconstruct makes its volumes.
+
+    Several recordings belong to one scan that was interrupted and resumed. Missing views are
+    listed; run --resume acquires them. From another tool's recording of the same topics, poses,
+    cameras and images are imported as a gantry's scan of an unknown specimen.
 
     Args:
         out: Folder to write, without a run in it.
     """
+    from twinct.core.errors import InputError
+    from twinct.measured import is_measured
+
+    if any(map(is_measured, files)):
+        if len(files) > 1:
+            raise InputError(
+                f"{len(files)} sources: a measured scan has one; {files[1]} is another"
+            )
+        _import_measured(Path(*files), out)
+        return
     from twinct.runs import import_scan
 
     found = import_scan(files, out)
@@ -43,6 +58,16 @@ def import_(
         say(f"missing: {found.missing_in_words}", warning=True)
     count = len(found.views)
     say(f"{count} of {count + len(found.missing)} views imported to {out}")
+
+
+def _import_measured(source: Path, out: Path) -> None:
+    from twinct.measured import description_of, import_measured
+
+    with on_terminal() as audience:
+        found = import_measured(description_of(source), out, audience)
+    for sentence in found.told:
+        say(sentence)
+    say(f"imported to {out}; {out / 'imported.png'} shows it, 'twinct reconstruct {out}' goes on")
 
 
 def _format_argument() -> Any:
@@ -162,26 +187,55 @@ def reconstruct(
     geometry: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     as_: Annotated[str | None, tyro.conf.arg(name="as", metavar="NAME")] = None,
     threads: Threads = None,
+    halves: Flag = False,
     set_: Overrides = (),
 ) -> None:
     """Reconstruct a finished run again, beside its volume, and show both in its report.
 
+    Or reconstruct a measured scan, and judge the volume as far as that needs no truth.
+
     Args:
-        folder: Folder of ``twinct run --out``.
+        folder: Folder of ``twinct run --out``, or of ``twinct import`` of a measured scan.
         geometry: commanded, executed, believed, or one made by twinct geometry.
         as_: Name of the result, below DIR/reconstructions; after its algorithm unless given.
+        halves: Of a measured scan: also reconstruct every other view, for the noise.
     """
+    from twinct.core.errors import InputError
     from twinct.core.threads import limit_threads
+    from twinct.measured import is_measured_scan
     from twinct.runs import reconstruct_again
     from twinct.scenario import named_places
 
     limit_threads(threads)
+    if is_measured_scan(folder):
+        _reconstruct_measured(folder, geometry, as_, set_, halves=halves)
+        return
+    if halves:
+        raise InputError("--halves: only for a measured scan; this one is judged by its truth")
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_again(folder, set_, geometry=geometry, name=as_, observers=audience)
     rmse, near = (percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
     say(
         f"{made.name}: {made.told}, {made.geometry} geometry; RMSE {rmse}, {near} near "
         f"the reference material\n{made.path}; report: {folder / 'report.html'}"
+    )
+
+
+def _reconstruct_measured(
+    folder: Path, geometry: str | None, name: str | None, set_: Overrides, *, halves: bool
+) -> None:
+    from twinct.measured import reconstruct_measured
+    from twinct.scenario import named_places
+
+    how = {"geometry": geometry, "name": name, "halves": halves}
+    with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
+        made = reconstruct_measured(folder, set_, **how, observers=audience)
+    judged = made.judgement
+    noise = f", noise {judged.noise_per_mm:.5f}/mm" if halves else ""
+    say(
+        f"{made.name}: {made.in_words}, {made.geometry} geometry; {made.seconds:.1f} s, residual "
+        f"{100 * judged.residual_rel:.2f} %, edges {judged.edge_width_mm:.3f} mm wide{noise}\n"
+        f"{made.path}; report: {folder / 'report.html'}"
     )
 
 

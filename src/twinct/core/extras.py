@@ -23,6 +23,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
 _FOUND: dict[str, tuple[str, ...]] = {
     "xray": ("gvxrPython3",),
     "study": ("optuna",),
+    "hdf5": ("h5py",),
     "planning": ("cmaes",),
     "cluster": ("ray",),
     "view": ("viser", "mjviser", "imageio_ffmpeg", "fast_simplification"),
@@ -43,6 +44,7 @@ _CALLED = {
 """Names of modules in pip, where they differ."""
 
 WAY_OUT = {
+    "hdf5": "or store the images as .npy or Zarr",
     "ros": "or use the link local (--link local)",
     "rtk": "or use reconstruction.algorithm: sart",
     "xray": "or scan with the engine mesh (--set xray.engine=mesh)",

@@ -3,6 +3,7 @@
 from twinct.report.algorithm_results import FOUND, found_of, with_found
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
+from twinct.report.measured_page import MeasuredColumn, write_measured_report
 from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
@@ -22,6 +23,7 @@ __all__ = [
     "Compared",
     "Comparison",
     "CrossSection",
+    "MeasuredColumn",
     "ReportData",
     "StudyAxis",
     "StudyData",
@@ -36,6 +38,7 @@ __all__ = [
     "render_report",
     "render_study",
     "with_found",
+    "write_measured_report",
     "write_report",
     "write_study",
 ]

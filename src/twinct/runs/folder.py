@@ -38,6 +38,7 @@ class Folder:
         scenario: the scenario as it was run, defaults included.
         inputs: meshes and views that the scenario took from a program's memory.
         views: views of a scan that was imported from another tool's recording.
+        imported: picture of a measured scan that was imported.
         seconds: timing of an unfinished run.
         logs: output of the nodes of the ROS 2 link.
         log: the log of the run.
@@ -57,6 +58,7 @@ class Folder:
     scenario = Below("scenario.yaml")
     inputs = Below("inputs")
     views = Below("views.csv")
+    imported = Below("imported.png")
     seconds = Below("seconds.json")
     logs = Below("log")
     log = Below("twinct.log")

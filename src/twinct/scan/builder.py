@@ -58,9 +58,18 @@ class SimulationBuilder:
 
     @cached_property
     def specimen(self) -> BuiltSpecimen:
-        """Meshes, materials and ground truth of the specimen."""
+        """Meshes, materials and ground truth of the specimen.
+
+        Raises:
+            InputError: the specimen is unknown.
+        """
         if self.kept_specimen:
             return self.kept_specimen
+        if self.scenario.specimen.unknown:
+            raise InputError(
+                "specimen.unknown: of a measured scan nothing can be simulated, and there is no "
+                "truth to judge by; 'twinct reconstruct' makes and judges its volumes"
+            )
         section = self.scenario.specimen
         names = [part.label for part in section.parts]
         digest = json.dumps([specimen_digest(self.scenario), names])

@@ -212,8 +212,13 @@ class OpenNames(list[str]):
 class Specimen(Section):
     """Specimen and its pose."""
 
-    parts: tuple[Part, ...] = Field(
-        min_length=1, description="Bodies, each of one material or of grey voxels."
+    parts: tuple[Part, ...] = setting(
+        (), "Bodies, each of one material or of grey voxels; at least one."
+    )
+    unknown: bool = setting(
+        False,
+        "True for a measured scan, without parts: nothing is simulated, and there is no truth.",
+        read_by="images",
     )
     reference: str = setting(
         "",
@@ -225,6 +230,16 @@ class Specimen(Section):
     rotation_deg: Vector = setting(
         (0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.", read_by="plan"
     )
+
+    @model_validator(mode="after")
+    def _parts_or_unknown(self) -> Specimen:
+        if self.unknown and self.parts:
+            message = "unknown: an unknown specimen has no parts, but there are {}"
+            message = message.format(len(self.parts))
+            raise ConflictError(Conflict(message, ("unknown", "parts")))
+        if not self.unknown and not self.parts:
+            raise ConflictError(Conflict("parts must have at least 1 entry", ("parts",)))
+        return self
 
     @model_validator(mode="after")
     def _reference_is_a_part(self) -> Specimen:

@@ -1,0 +1,284 @@
+"""Corrections of stored images: dark and flat fields, drift of the intensity, bad pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.files.images import read_image
+from twinct.measured.description import Air, FieldImages, Images
+from twinct.measured.stack import Stack, open_stack
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SATURATED = 0.001
+"""Largest share of the pixels of a flat image at the largest number of its type."""
+
+DEAD = 0.05
+"""Largest share of the pixels of a flat image that may be no brighter than the dark image."""
+
+UNLIKE = 8.0
+"""Robust standard deviations from the neighbours' median at which a pixel is bad."""
+
+LEAST_UNLIKE = 0.02
+"""Smallest relative deviation from the neighbours' median at which a pixel is bad."""
+
+MOST_FOR_MEAN = 24
+"""Largest number of views in the mean image in which bad pixels are found."""
+
+LIMITS = {
+    "transmissions": (5.0, "a transmission is at most about 1"),
+    "line_integrals": (50.0, "a line integral is at most about 15"),
+}
+"""Largest median of the images' maxima, and what to say above it."""
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Dark and bright images by view; one image if they do not change."""
+
+    at: tuple[float, ...]
+    images: tuple[Floats, ...]
+
+    def image(self, view: int) -> Floats:
+        """Return the image of a view, interpolated between two of the measured ones."""
+        after = int(np.searchsorted(self.at, view))
+        if len(self.at) == 1 or after == 0:
+            return self.images[0]
+        if after == len(self.at):
+            return self.images[-1]
+        share = (view - self.at[after - 1]) / (self.at[after] - self.at[after - 1])
+        return (1 - share) * self.images[after - 1] + share * self.images[after]
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Everything that turns a stored image into a transmission.
+
+    Attributes:
+        section: the section ``images``.
+        stack: the stored images.
+        dark: dark images; None: nothing is subtracted.
+        flat: flat images without their dark part; None: nothing is divided by.
+        bad: bad pixels of the stored images, (rows, columns).
+    """
+
+    section: Images
+    stack: Stack
+    dark: Fields | None
+    flat: Fields | None
+    bad: Bools
+
+    def transmission(self, view: int) -> tuple[Floats, float]:
+        """Return the transmission of a stored image, (rows, columns), and its scale from air.
+
+        Raises:
+            InputError: good pixels are not finite, or the air is not brighter than the dark image.
+        """
+        image = self._uncorrected(view)
+        wrong = ~np.isfinite(image) & ~self.bad
+        if wrong.any():
+            row, column = np.argwhere(wrong)[0]
+            raise InputError(
+                f"{self.stack.where}: image {view}: {int(wrong.sum())} pixels are not finite, the "
+                f"first at row {row}, column {column}: name them in images.bad_pixels"
+            )
+        image[self.bad] = 0.0  # filled below; NaN would spread
+        scale = 1.0
+        if self.section.air is not None:
+            scale = self._air(self.section.air, image, view)
+            image /= scale
+        return filled(image, self.bad), scale
+
+    def _uncorrected(self, view: int) -> Floats:
+        image = self.stack.image(view).astype(np.float64)
+        if self.section.values == "line_integrals":
+            return np.exp(-image, out=image)
+        if self.dark is not None:
+            image -= self.dark.image(view)
+        if self.flat is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                image /= self.flat.image(view)
+        elif self.section.white is not None:
+            dark = 0.0 if self.dark is None else float(self.dark.image(view).mean())
+            image /= self.section.white - dark
+        return image
+
+    def _air(self, air: Air, image: Floats, view: int) -> float:
+        part = (slice(*air.rows), slice(*air.columns))
+        good = image[part][~self.bad[part]]
+        scale = float(good.mean()) if good.size else 0.0
+        if not scale > 0:
+            raise InputError(
+                f"{self.stack.where}: image {view}: images.air has {good.size} good pixels, of "
+                f"mean {scale:.4g}; it must be above 0"
+            )
+        return scale
+
+
+def corrections(section: Images) -> Corrections:
+    """Open the images of a section, with the fields and bad pixels that correct them.
+
+    Raises:
+        InputError: images, fields or map are missing, unreadable, of other sizes, saturated or
+            dark.
+    """
+    stack = open_stack(section, "images")
+    dark = _fields(section.darks, "images.darks", stack)
+    flat = _fields(section.flats, "images.flats", stack, bright=True)
+    bad = np.zeros(stack.shape, np.bool_)
+    if flat is not None:
+        if dark is not None:
+            less = (
+                image - dark.image(int(at)) for at, image in zip(flat.at, flat.images, strict=True)
+            )
+            flat = Fields(flat.at, tuple(less))
+        for image in flat.images:
+            bad |= ~(image > 0)
+        if (share := bad.mean()) > DEAD:
+            raise InputError(
+                f"images.flats: {share:.1%} of the pixels are no brighter than "
+                f"{'the dark images' if dark else '0'}; at most {DEAD:.0%} are allowed"
+            )
+    if section.air is not None:
+        _check_air(section.air, stack)
+    if section.bad_pixels.path is not None:
+        bad |= read_image(Path(section.bad_pixels.path), "bad pixels", stack.shape) != 0
+    found = Corrections(section, stack, dark, flat, bad)
+    _check_values(found)
+    if section.bad_pixels.find:
+        bad |= unlike(_mean_image(found), bad)
+    if bad.all():
+        raise InputError("images.bad_pixels: no pixel is good")
+    return found
+
+
+def _check_air(air: Air, stack: Stack) -> None:
+    for name, (first, last), most in (
+        ("rows", air.rows, stack.shape[0]),
+        ("columns", air.columns, stack.shape[1]),
+    ):
+        if not first < last <= most:
+            raise InputError(
+                f"images.air.{name}: {first} to {last} is no part of the {most} {name} of an image"
+            )
+
+
+def _check_values(found: Corrections) -> None:
+    """Raise if the numbers cannot be what the description states."""
+    values, stack = found.section.values, found.stack
+    few = np.unique(np.linspace(0, stack.count - 1, 5).round().astype(int))
+    highest = float(np.median([_bright(stack.image(int(v))) for v in few]))
+    if values in LIMITS and highest > LIMITS[values][0]:
+        most, why = LIMITS[values]
+        raise InputError(
+            f"{stack.where}: images.values: {values}, but numbers reach {highest:.4g}, and {why}: "
+            "are they intensities?"
+        )
+    if values == "intensities" and found.flat is not None:
+        lit = float(np.median([_bright(found._uncorrected(int(v))) for v in few]))
+        if not 0.05 < lit < LIMITS["transmissions"][0]:
+            raise InputError(
+                f"{stack.where}: divided by images.flats, numbers reach {lit:.4g}; the brightest "
+                "parts must be near 1: do the flat images belong to these images?"
+            )
+
+
+def _bright(image: NDArray[Any]) -> float:
+    """Return the 99.5th percentile of the finite pixels of an image; 0 without any."""
+    finite = image[np.isfinite(image)]
+    return float(np.percentile(finite, 99.5)) if finite.size else 0.0
+
+
+def _fields(
+    sections: tuple[FieldImages, ...], key: str, like: Stack, *, bright: bool = False
+) -> Fields | None:
+    """Return the mean image of each section, by the views at which they were taken."""
+    found: list[tuple[float, Floats]] = []
+    for index, section in enumerate(sections):
+        stack = open_stack(section, f"{key}.{index}")
+        if stack.shape != like.shape:
+            raise InputError(
+                f"{key}.{index}: {stack.where}: images of {stack.shape[0]} x {stack.shape[1]} "
+                f"pixels, but the projections have {like.shape[0]} x {like.shape[1]}"
+            )
+        if bright and np.issubdtype(stack.dtype, np.integer):
+            _refuse_saturated(stack, f"{key}.{index}")
+        images = (stack.image(i).astype(np.float64) for i in range(stack.count))
+        mean = next(images)
+        for image in images:
+            mean += image
+        found.append((section.view or 0.0, mean / stack.count))
+    if not found:
+        return None
+    found.sort(key=lambda one: one[0])
+    if len({at for at, _ in found}) < len(found):
+        raise InputError(f"{key}: two of them have the same view")
+    return Fields(tuple(at for at, _ in found), tuple(image for _, image in found))
+
+
+def _refuse_saturated(stack: Stack, key: str) -> None:
+    most = np.iinfo(stack.dtype).max
+    for index in range(stack.count):
+        share = float((stack.image(index) == most).mean())
+        if share > SATURATED:
+            raise InputError(
+                f"{key}: {stack.where}: image {index} is saturated: {share:.1%} of its pixels are "
+                f"{most}, the largest number of {stack.dtype}; at most {SATURATED:.1%} are allowed"
+            )
+
+
+def _mean_image(found: Corrections) -> Floats:
+    """Return the image in which bad pixels are found: flat, else the mean of some views."""
+    if found.flat is not None:
+        return found.flat.images[0]
+    count = found.stack.count
+    few = np.unique(np.linspace(0, count - 1, min(count, MOST_FOR_MEAN)).round().astype(int))
+    return np.mean([found._uncorrected(int(view)) for view in few], axis=0)
+
+
+def unlike(image: Floats, known: Bools) -> Bools:
+    """Return the pixels that differ from the median of their 5 x 5 neighbours.
+
+    Args:
+        image: a smooth image but for bad pixels, (rows, columns).
+        known: pixels that are bad anyway, and do not count.
+    """
+    image = np.where(known | ~np.isfinite(image), np.nanmedian(image[~known]), image)
+    smooth = scipy.ndimage.median_filter(image, 5, mode="nearest")
+    off = (image - smooth) / np.maximum(np.abs(smooth), 1e-12)
+    sigma = 1.4826 * float(np.median(np.abs(off - np.median(off))))
+    return ~known & (np.abs(off) > max(UNLIKE * sigma, LEAST_UNLIKE))
+
+
+def filled(image: Floats, bad: Bools) -> Floats:
+    """Return an image whose bad pixels have the mean of good pixels beside them.
+
+    Wider gaps are filled from their edges inwards.
+    """
+    if not bad.any():
+        return image
+    image, left = np.where(bad, 0.0, image), bad.copy()
+    for _ in _until(left):
+        weights = scipy.ndimage.convolve((~left).astype(np.float64), _AROUND, mode="constant")
+        sums = scipy.ndimage.convolve(image, _AROUND, mode="constant")
+        edge = left & (weights > 0)
+        image[edge] = sums[edge] / weights[edge]
+        left &= ~edge
+    return image
+
+
+_AROUND = np.array([[0.5, 1, 0.5], [1, 0, 1], [0.5, 1, 0.5]])
+
+
+def _until(left: Bools) -> Iterator[None]:
+    while left.any():
+        yield

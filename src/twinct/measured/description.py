@@ -1,0 +1,146 @@
+"""Description of a measured scan: one YAML file that states images, geometry and conventions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError, model_validator
+
+from twinct.core.settings import Finite, Positive, Section, setting
+from twinct.measured.circle import Circle
+from twinct.measured.matrices import Matrices, Poses
+from twinct.measured.nikon import Nikon
+from twinct.measured.toolkits import Astra, Cil, Ctsimu, Leap, OpenCt, Rtk, Tigre
+from twinct.scenario.messages import refusal
+from twinct.scenario.reading import Draft, read_yaml
+from twinct.scenario.reconstruction import Grid
+
+Axis = Literal["view", "row", "column"]
+Range = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=1)]]
+
+
+class Files(Section):
+    """Images in a file, in all files of a folder, or in those of a pattern such as ``a/*.tif``."""
+
+    path: str = Field(description="File, folder, or pattern with * in its last part.")
+    array: str = setting("", "Name of the array in an .npz, HDF5 or Zarr file.")
+    axes: tuple[Axis, Axis, Axis] = setting(
+        ("view", "row", "column"), "Order of the axes in an array, the slowest first."
+    )
+    dtype: str = setting("", "Number type of raw files, as numpy calls it, such as <u2 or <f4.")
+    rows: int = setting(0, "Rows of an image in raw files.", ge=0)
+    columns: int = setting(0, "Columns of an image in raw files.", ge=0)
+    header_bytes: int = setting(0, "Bytes before the first number of each raw file.", ge=0)
+
+
+class FieldImages(Files):
+    """Flat or dark images; several are averaged."""
+
+    view: Finite | None = setting(
+        None, "View at which they were taken; between several, images are interpolated."
+    )
+
+
+class Air(Section):
+    """Region of the stored images that no ray reaches through the object."""
+
+    rows: Range = Field(description="First row, and the row after the last.")
+    columns: Range = Field(description="First column, and the column after the last.")
+
+
+class BadPixels(Section):
+    """Pixels that do not count; their neighbours' mean replaces them."""
+
+    path: str | None = setting(None, "Image that is not 0 where a pixel is bad.")
+    find: bool = setting(
+        False, "Find them: pixels of the flat image, or of the mean image, unlike their neighbours."
+    )
+
+
+class Crop(Section):
+    """Pixels cut off the turned image at each side."""
+
+    top: int = setting(0, "First rows.", ge=0)
+    bottom: int = setting(0, "Last rows.", ge=0)
+    left: int = setting(0, "First columns.", ge=0)
+    right: int = setting(0, "Last columns.", ge=0)
+
+
+class Images(Files):
+    """Projections, and the way from the stored numbers to transmissions."""
+
+    values: Literal["intensities", "transmissions", "line_integrals"] = Field(
+        description="Quantity in the files."
+    )
+    flats: tuple[FieldImages, ...] = setting((), "Images without object.")
+    darks: tuple[FieldImages, ...] = setting((), "Images without radiation.")
+    white: Positive | None = setting(None, "Intensity without object, in place of flats.")
+    air: Air | None = setting(None, "Scale each view so that the mean transmission here is 1.")
+    bad_pixels: BadPixels = setting(BadPixels(), "Bad pixels.")
+    transpose: bool = setting(False, "Exchange rows and columns first.")
+    turn_deg: Literal[0, 90, 180, 270] = setting(0, "Then turn the image counterclockwise.")
+    flip_rows: bool = setting(False, "Then reverse the order of rows.")
+    flip_columns: bool = setting(False, "Then reverse the order of columns.")
+    crop: Crop = setting(Crop(), "Then cut off pixels; the panel becomes smaller.")
+    bin: int = setting(1, "Then average blocks of so many pixels along each axis.", ge=1, le=64)
+    every: int = setting(1, "Take every so many-th view.", ge=1)
+
+    @model_validator(mode="after")
+    def _corrections_fit(self) -> Images:
+        given = [k for k in ("flats", "darks", "white") if getattr(self, k)]
+        if self.values != "intensities" and given:
+            raise ValueError(f"{', '.join(given)}: only values: intensities are divided by them")
+        if self.flats and self.white is not None:
+            raise ValueError("flats and white: give one of them")
+        if self.values == "intensities" and not (self.flats or self.white or self.air):
+            raise ValueError(
+                "values: intensities need flats (images without object), white (their intensity) "
+                "or air (a region beside the object)"
+            )
+        for name, several in (("flats", self.flats), ("darks", self.darks)):
+            if len(several) > 1 and any(one.view is None for one in several):
+                raise ValueError(f"{name}: each of several needs its view")
+        return self
+
+
+AnyGeometry = Annotated[
+    Circle | Matrices | Poses | Nikon | Rtk | Astra | Leap | Cil | Tigre | OpenCt | Ctsimu,
+    Field(discriminator="kind"),
+]
+
+
+class Measured(Section):
+    """A measured scan."""
+
+    name: str = setting("measured", "Name of the scan in reports and messages.", min_length=1)
+    description: str = setting("", "Origin of the scan; its report shows it.")
+    images: Images = Field(description="Projections.")
+    geometry: AnyGeometry = Field(description="Source and panel of each view.")
+    grid: Grid | None = setting(
+        None, "Voxels of the reconstruction; null: all that the views see, in voxels of a pixel."
+    )
+    scenario: dict[str, Any] = setting(
+        {}, "Further sections of the scenario that are known, such as source and reconstruction."
+    )
+
+
+def read_description(source: str | Path | Mapping[str, Any]) -> Measured:
+    """Read and validate the description of a measured scan.
+
+    Args:
+        source: YAML file, or plain data. Paths in a file are relative to it.
+
+    Raises:
+        ScenarioError: with one sentence for each problem.
+    """
+    if isinstance(source, Mapping):
+        draft = Draft(dict(source))
+    else:
+        draft = read_yaml(Path(source).expanduser(), "description of a measured scan")
+    try:
+        return Measured.model_validate_json(json.dumps(draft.data, default=str), strict=True)
+    except ValidationError as error:
+        raise refusal(draft, error, Measured) from None

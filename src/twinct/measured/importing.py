@@ -1,0 +1,226 @@
+"""Import of a measured scan: its store, the scenario beside it, and a picture of what was read."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.files.lock import sole_owner
+from twinct.core.files.pictures import show
+from twinct.core.files.writing import complete, draft_of, storage_errors
+from twinct.geometry import Pose, ScanGeometry
+from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
+from twinct.measured.corrections import Corrections, corrections
+from twinct.measured.description import Measured, read_description
+from twinct.measured.field_of_view import grid_of
+from twinct.measured.orientation import Placement, turned_shape
+from twinct.measured.views import ImageFacts
+from twinct.observers import Audience, Observers, audience_of
+from twinct.runs import Folder
+from twinct.scan import Scan, ScanStore, View, check_space, line_integrals
+from twinct.scenario import Scenario, parse_scenario
+from twinct.trajectory import write_views
+
+MAP = "bad_pixels.npy"
+
+NO_TRUTH = "A measured scan: there is no truth."
+
+_RESERVED = ("name", "description", "trajectory", "specimen", "cell", "uncertainty")
+
+
+@dataclass(frozen=True)
+class Imported:
+    """Result of an import.
+
+    Attributes:
+        folder: the folder with ``scan.zarr`` and ``scenario.yaml``.
+        scenario: the scenario that was written.
+        told: sentences on what was read, with units.
+    """
+
+    folder: Path
+    scenario: Scenario
+    told: tuple[str, ...]
+
+
+def import_measured(
+    source: str | Path | Mapping[str, Any] | Measured,
+    out: str | Path,
+    observers: Observers = (),
+) -> Imported:
+    """Create a run's folder from a measured scan.
+
+    Args:
+        source: description of the scan: a YAML file, plain data, or its model.
+        out: the folder, without a run in it.
+        observers: notified of the views.
+
+    Raises:
+        InputError: images or geometry are missing, unreadable, or do not fit each other; nothing
+            is written.
+        ScanExistsError: the folder holds a scan.
+        StorageError: the folder cannot be written.
+    """
+    told = source if isinstance(source, Measured) else read_description(source)
+    folder = Folder(Path(out))
+    folder.refuse_others()
+    folder.refuse_if_taken()
+    images = corrections(told.images)
+    placement, views = _placed(told, images)
+    geometry = placement.geometry[:: told.images.every]
+    scenario = _scenario(told, folder, geometry, bad=bool(images.bad.any()))
+    check_space(folder.path, scenario, len(geometry))
+    with ExitStack() as stack:
+        audience = stack.enter_context(audience_of(observers))
+        stack.enter_context(storage_errors(folder.path))
+        folder.inputs.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(sole_owner(folder.lock))
+        write_views(folder.inputs / "views.csv", geometry)
+        if images.bad.any():
+            with complete(folder.inputs / MAP) as draft, draft.open("wb") as stream:
+                np.save(stream, placement.mask(images.bad))
+        # The scan comes last: without it, an import that was cut short can be repeated.
+        draft = draft_of(folder.scan)
+        shutil.rmtree(draft, ignore_errors=True)  # of a killed process
+        stack.callback(shutil.rmtree, draft, ignore_errors=True)
+        scales = _write_views(draft, scenario, placement, images, geometry, audience)
+        folder.write_scenario(scenario)
+        draft.rename(folder.scan)
+    sentences = *_told_of_images(images, geometry, scales), *views, *_told_of_grid(scenario)
+    scan = ScanStore(folder.scan).read()
+    show(partial(_draw, scan), (10.4, 6.2), folder.imported)
+    return Imported(folder.path, scenario, sentences)
+
+
+def _placed(told: Measured, images: Corrections) -> tuple[Placement, tuple[str, ...]]:
+    """Return the way of the images to the panel, and what was read of the geometry."""
+    section, stack = told.images, images.stack
+    rows, columns = turned_shape(section, stack.shape)
+    as_stored = not (section.transpose or section.turn_deg)
+    stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
+    views = told.geometry.views(ImageFacts(stack.count, rows, columns, *stated))
+    return Placement(section, views), views.told
+
+
+def _scenario(told: Measured, folder: Folder, geometry: ScanGeometry, *, bad: bool) -> Scenario:
+    if taken := [key for key in _RESERVED if key in told.scenario]:
+        raise InputError(f"scenario.{taken[0]}: the import states this section itself")
+    panel, further = geometry.panel, dict(told.scenario)
+    detector = {
+        **dict(further.pop("detector", {})),
+        "columns": panel.columns,
+        "rows": panel.rows,
+        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
+    }
+    inputs = folder.inputs.resolve()
+    if bad:
+        detector["bad_pixels"] = {"kind": "file", "path": str(inputs / MAP)}
+    reconstruction = {"algorithm": "fast", **dict(further.pop("reconstruction", {}))}
+    if told.grid is not None:
+        reconstruction["grid"] = told.grid.model_dump(mode="json")
+    reconstruction.setdefault("grid", grid_of(geometry))
+    return parse_scenario(
+        {
+            "name": told.name,
+            "description": f"{told.description} {NO_TRUTH}".strip(),
+            "cell": {"kind": "gantry"},
+            "trajectory": {"kind": "file", "path": str(inputs / "views.csv")},
+            "detector": detector,
+            "specimen": {"unknown": True},
+            "uncertainty": {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}},
+            "reconstruction": reconstruction,
+            **further,
+        }
+    )
+
+
+def _write_views(
+    path: Path,
+    scenario: Scenario,
+    placement: Placement,
+    images: Corrections,
+    geometry: ScanGeometry,
+    audience: Audience,
+) -> list[float]:
+    """Write the store; return the scale of each view from its air."""
+    poses, every = PosePairs.from_geometry(geometry), images.section.every
+    store = ScanStore.create(path, scenario, poses, (), 0)
+    still, none = to_seven(Pose.identity()), np.zeros(0)
+    scales: list[float] = []
+    with audience.stage("import", len(geometry)) as step:
+        for view in range(len(geometry)):
+            image, scale = images.transmission(view * every)
+            scales.append(scale)
+            source, detector = poses[view]
+            executed = Instant(to_seven(source), still, to_seven(detector))
+            reached = Reached(executed, (), none, none, none, none, float(view), float("nan"))
+            store.write(view, View(placement.image(image).astype(np.float32), reached))
+            step()
+    return scales
+
+
+def _told_of_images(images: Corrections, geometry: ScanGeometry, scales: list[float]) -> list[str]:
+    section, stack, panel = images.section, images.stack, geometry.panel
+    told = [
+        f"{stack.where}: {stack.count} images of {stack.shape[0]} x {stack.shape[1]} pixels (rows "
+        f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}"
+    ]
+    changes = [
+        *(["transposed"] if section.transpose else []),
+        *([f"turned by {section.turn_deg} deg"] if section.turn_deg else []),
+        *(["rows reversed"] if section.flip_rows else []),
+        *(["columns reversed"] if section.flip_columns else []),
+        *(["cut"] if any(section.crop.model_dump().values()) else []),
+        *([f"{section.bin} x {section.bin} pixels averaged"] if section.bin > 1 else []),
+        *([f"every {section.every}th view"] if section.every > 1 else []),
+    ]
+    if changes:
+        told.append(
+            f"images {', '.join(changes)}: {len(geometry)} views of {panel.rows} x {panel.columns}"
+        )
+    if images.bad.any():
+        told.append(f"bad pixels: {int(images.bad.sum())} of {images.bad.size}, filled")
+    if section.air is not None:
+        told.append(f"air: {min(scales):.4g} to {max(scales):.4g}, scaled to 1 in each view")
+    return told
+
+
+def _told_of_grid(scenario: Scenario) -> list[str]:
+    grid = scenario.reconstruction.volume_grid
+    voxels, edges = grid.shape_xyz, grid.voxel.tolist()
+    return [
+        f"grid: {' x '.join(map(str, voxels))} voxels (x, y, z) of "
+        f"{' x '.join(f'{edge:.4g}' for edge in edges)} mm"
+    ]
+
+
+def _draw(scan: Scan, figure: Any) -> None:
+    """Draw three views as imported, and source and panel of all views from above."""
+    chosen = [0, len(scan) // 3, 2 * len(scan) // 3]
+    panel = scan.scenario.detector.panel
+    images: NDArray[np.float32] = line_integrals(scan.transmission[chosen])
+    width, height = panel.size_mm
+    extent = (-width / 2, width / 2, -height / 2, height / 2)
+    axes = figure.subplots(1, 4)
+    for at, view, image in zip(axes[:3], chosen, images, strict=True):
+        at.imshow(image, cmap="gray", origin="lower", extent=extent)
+        at.set(title=f"view {view}", xlabel="u / mm", ylabel="v / mm")
+    geometry = scan.geometry("executed")
+    for points, name, colour in (
+        (geometry.source, "source", "#b3452c"),
+        (geometry.detector, "panel", "#2c6fb3"),
+    ):
+        axes[3].plot(points[:, 0], points[:, 1], ".", markersize=2, color=colour, label=name)
+        axes[3].plot(*points[0, :2], "o", color=colour, label=f"{name}, view 0")
+    axes[3].plot(0, 0, "k+")
+    axes[3].set(title="from above", xlabel="x / mm", ylabel="y / mm", aspect="equal")
+    figure.legend(loc="outside lower center", ncols=4)

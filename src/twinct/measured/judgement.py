@@ -1,0 +1,94 @@
+"""Figures of a volume without a truth: residuals, noise between halves, width of its own edges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.evaluation import edges_of, region_of_interest
+from twinct.geometry import ScanGeometry
+from twinct.recon import Projector
+from twinct.recon.volume import Volume
+
+Bools = NDArray[np.bool_]
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Figures of a volume that need no truth.
+
+    Attributes:
+        residual: root mean square of p - A x over the rays through the grid.
+        residual_rel: the same, relative to that of p.
+        residual_by_view: the same of each view, relative to that of p of all views, (views,).
+        edge_width_mm: median 10-90 % rise across the surface at Otsu's threshold (Otsu 1979); NaN
+            without such a surface in the region that every view sees.
+        noise_per_mm: standard deviation of the noise, from two volumes of every other view; NaN if
+            they were not made.
+    """
+
+    residual: float
+    residual_rel: float
+    residual_by_view: tuple[float, ...]
+    edge_width_mm: float
+    noise_per_mm: float = math.nan
+
+
+def judge_volume(
+    volume: Volume,
+    geometry: ScanGeometry,
+    line_integrals: Singles,
+    bad: Bools | None = None,
+    halves: tuple[Volume, Volume] | None = None,
+) -> Judgement:
+    """Return the figures of a volume.
+
+    Args:
+        volume: the volume, 1/mm.
+        geometry: geometry that it was reconstructed from.
+        line_integrals: p, (views, rows, columns).
+        bad: bad pixels, (rows, columns), which do not count.
+        halves: volumes of the even and of the odd views, by the same algorithm.
+    """
+    A = Projector(geometry, volume.grid)
+    inside = A(np.ones(volume.shape, np.float32)) > 0
+    if bad is not None:
+        inside &= ~bad
+    off = np.where(inside, line_integrals - A(volume.array), 0.0)
+    rays = np.maximum(inside.sum(axis=(1, 2)), 1)
+    squares = np.square(off, dtype=np.float64).sum(axis=(1, 2))
+    whole = math.sqrt(float(np.square(line_integrals[inside], dtype=np.float64).mean() or 1.0))
+    residual = math.sqrt(float(squares.sum() / rays.sum()))
+    region = region_of_interest(geometry, volume.grid)
+    noise = math.nan
+    if halves is not None and region.any():
+        # The difference has the noise of each half twice; the whole has half the noise of a half.
+        noise = float(np.std((halves[0].array - halves[1].array)[region])) / 2
+    return Judgement(
+        residual=residual,
+        residual_rel=residual / whole,
+        residual_by_view=tuple((np.sqrt(squares / rays) / whole).tolist()),
+        edge_width_mm=_edge_width(volume, region),
+        noise_per_mm=noise,
+    )
+
+
+MOST_FOR_THRESHOLD = 10**6
+"""Largest number of voxels from which the threshold is taken."""
+
+
+def _edge_width(volume: Volume, region: Bools) -> float:
+    from skimage.filters import threshold_otsu
+
+    values = volume.array[region]
+    if not values.size or np.ptp(values) == 0:
+        return math.nan
+    threshold = threshold_otsu(values[:: max(1, values.size // MOST_FOR_THRESHOLD)])
+    above = volume.array > threshold
+    level = float(volume.array[region & above].mean())
+    body = np.where(above, np.float32(level), np.float32(0))
+    return float(edges_of(body, region, level, volume.grid).width(volume.array))

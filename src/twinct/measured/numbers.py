@@ -1,0 +1,77 @@
+"""Numbers of a geometry from files: NumPy arrays, HDF5, and tables of text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.files.arrays import read_npy, read_npz
+from twinct.core.files.boundary import read_text
+from twinct.core.foreign_text import number, quoted
+
+MOST_BYTES = 2**32
+MOST_TEXT = 2**28
+
+
+def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
+    """Return the numbers of a .npy or .npz file, or the rows of a text, float64.
+
+    A text separates numbers by commas, semicolons or blanks; lines that begin with # do not count,
+    nor does a first line of names.
+
+    Args:
+        path: the file.
+        array: name of the array in an .npz file; empty if it has only one.
+        where: beginning of messages.
+
+    Raises:
+        InputError: there are no such numbers, or one is not finite.
+    """
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        found: NDArray[Any] = read_npy(path, where)
+    elif suffix == ".npz":
+        found = named_array(read_npz(path, where, MOST_BYTES), array, where)
+    else:
+        found = _table(read_text(path, where, MOST_TEXT), where)
+    if found.dtype.kind not in "fiu":
+        raise InputError(f"{where} holds {found.dtype}, not numbers")
+    found = found.astype(np.float64)
+    if not np.isfinite(found).all():
+        raise InputError(f"{where} holds a number that is not finite")
+    return found
+
+
+def named_array(arrays: dict[str, NDArray[Any]], name: str, where: str) -> NDArray[Any]:
+    """Return an array by its name; the only one if the name is empty.
+
+    Raises:
+        InputError: there is no such array.
+    """
+    if not name and len(arrays) == 1:
+        return next(iter(arrays.values()))
+    if name not in arrays:
+        asked = f"no array {quoted(name)}" if name else "array: name one"
+        raise InputError(f"{where}: {asked}; it holds {', '.join(sorted(arrays))}")
+    return arrays[name]
+
+
+def _table(text: str, where: str) -> NDArray[np.float64]:
+    rows: list[list[float]] = []
+    for count, line in enumerate(text.splitlines(), start=1):
+        words = line.replace(",", " ").replace(";", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            rows.append([number(word) for word in words])
+        except ValueError:
+            if not rows and count == 1:
+                continue  # names of columns
+            raise InputError(f"{where}, line {count}: {quoted(line, 60)} are not numbers") from None
+    if not rows or len({len(row) for row in rows}) != 1:
+        raise InputError(f"{where}: the lines do not hold the same count of numbers")
+    return np.array(rows)

@@ -1,0 +1,300 @@
+"""Stacks of stored images of any supported format, read image by image."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.extras import require
+from twinct.core.files.boundary import file_bytes, library_errors, no_file
+from twinct.core.files.metaimage import metaimage_header, read_metaimage
+from twinct.core.foreign_text import quoted
+from twinct.measured.description import Files
+from twinct.measured.numbers import named_array
+
+Image = NDArray[Any]
+
+_TIFF = (".tif", ".tiff")
+_PICTURES = (".png", ".bmp", ".pgm", ".jpg", ".jpeg")
+_DICOM = (".dcm", ".ima", "")
+_RAW = (".raw", ".bin", ".img", ".dat", ".vol")
+_HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Images of one size.
+
+    Attributes:
+        where: path, for messages.
+        count: number of images.
+        shape: (rows, columns).
+        dtype: number type as stored.
+        image: returns an image, (rows, columns), by its index.
+        spacing: pitch along (columns, rows) that the file states, mm, or None.
+        first_pixel: place of pixel (0, 0) on the panel that the file states, mm, or None.
+    """
+
+    where: str
+    count: int
+    shape: tuple[int, int]
+    dtype: np.dtype
+    image: Callable[[int], Image]
+    spacing: tuple[float, float] | None = None
+    first_pixel: tuple[float, float] | None = None
+
+
+def open_stack(section: Files, key: str) -> Stack:
+    """Return the stack that a section names.
+
+    Args:
+        section: the section.
+        key: its dotted name, for messages.
+
+    Raises:
+        InputError: there are no such images, they have several sizes, or are not readable.
+        MissingExtraError: HDF5 needs a package that is not installed.
+    """
+    path = Path(section.path)
+    if path.suffix.lower() == ".zarr" or (path / "zarr.json").is_file():
+        return _zarr(path, section, key)
+    files = _files(path, key)
+    suffix = files[0].suffix.lower()
+    if others := sorted({f.suffix.lower() for f in files} - {suffix}):
+        raise InputError(
+            f"{key}.path: {path} holds files of several kinds ({suffix}, {', '.join(others)}): "
+            "name a pattern such as *.tif"
+        )
+    if len(files) == 1 and suffix in (".npy", ".npz", ".mha", ".mhd", *_HDF5):
+        readers = {".npy": _npy, ".npz": _npz, ".mha": _metaimage, ".mhd": _metaimage}
+        return readers.get(suffix, _hdf5)(files[0], section, key)
+    if suffix in _RAW:
+        return _raw(files, section, key)
+    if suffix in _TIFF:
+        return _joined(files, [_tiff(file) for file in files])
+    if suffix in _DICOM:
+        return _dicom(files)
+    if suffix == ".npy":
+        return _joined(files, [_npy(file, section, key, image=True) for file in files])
+    if suffix in _PICTURES:
+        return _joined(files, [_picture(file) for file in files])
+    raise InputError(
+        f"{key}.path: {files[0]}: images with the ending {quoted(suffix)} are not read"
+    )
+
+
+def _files(path: Path, key: str) -> list[Path]:
+    if "*" in path.name:
+        found = [f for f in path.parent.glob(path.name) if f.is_file()]
+    elif path.is_dir():
+        found = [f for f in path.iterdir() if f.is_file() and not f.name.startswith(".")]
+    elif why := no_file(path):
+        raise InputError(f"{key}.path: {path} {why}")
+    else:
+        return [path]
+    if not found:
+        raise InputError(f"{key}.path: {path}: no file is there")
+    return sorted(found, key=_natural)
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Return a key that sorts 2 before 10."""
+    parts = re.split(r"([0-9]{1,18})", path.name)
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+
+
+def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:
+    """Return the images of several stacks, one after the other."""
+    first = stacks[0]
+    for file, stack in zip(files, stacks, strict=True):
+        if (stack.shape, stack.dtype) != (first.shape, first.dtype):
+            told = (f"{s.shape[0]} x {s.shape[1]} of {s.dtype}" for s in (stack, first))
+            raise InputError(f"{file}: images of {next(told)}, but {files[0]} has {next(told)}")
+    places = [(stack, index) for stack in stacks for index in range(stack.count)]
+    where = str(files[0]) if len(files) == 1 else f"{files[0].parent} ({len(files)} files)"
+
+    def image(index: int) -> Image:
+        stack, inner = places[index]
+        return stack.image(inner)
+
+    return Stack(where, len(places), first.shape, first.dtype, image)
+
+
+def _of_array(array: Any, section: Files, where: str, **stated: Any) -> Stack:
+    """Return the stack in an array of three axes, or of two for a single image."""
+    shape, dtype = tuple(array.shape), np.dtype(array.dtype)
+    if dtype.kind not in "fiu":
+        raise InputError(f"{where} holds {dtype}, not numbers")
+    if len(shape) == 2:
+        return Stack(where, 1, (shape[0], shape[1]), dtype, lambda index: np.asarray(array[:]))
+    if len(shape) != 3 or min(shape) < 1:
+        raise InputError(f"{where} has shape {shape}; expected 3 axes: {', '.join(section.axes)}")
+    if len(set(section.axes)) != 3:
+        raise InputError(f"axes: {', '.join(section.axes)}: name view, row and column once each")
+    view, row, column = (section.axes.index(name) for name in ("view", "row", "column"))
+
+    def image(index: int) -> Image:
+        at: list[Any] = [slice(None)] * 3
+        at[view] = index
+        found = np.asarray(array[tuple(at)])
+        return found if row < column else found.T
+
+    return Stack(where, shape[view], (shape[row], shape[column]), dtype, image, **stated)
+
+
+def _npy(path: Path, section: Files, key: str, image: bool = False) -> Stack:
+    where = f"{path}"
+    file_bytes(path, where)
+    with library_errors(where):
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    if image and array.ndim != 2:
+        raise InputError(f"{where} has shape {array.shape}; expected one image per file")
+    return _of_array(array, section, where)
+
+
+def _npz(path: Path, section: Files, key: str) -> Stack:
+    where = f"{path}"
+    file_bytes(path, where)
+    with library_errors(where), np.load(path, allow_pickle=False) as archive:
+        name = section.array
+        if not name and len(archive.files) > 1:
+            named_array(dict.fromkeys(archive.files, np.zeros(0)), name, f"{key}: {where}")
+        if name and name not in archive.files:
+            named_array(dict.fromkeys(archive.files, np.zeros(0)), name, f"{key}: {where}")
+        array = archive[name or archive.files[0]]
+    return _of_array(array, section, where)
+
+
+def _metaimage(path: Path, section: Files, key: str) -> Stack:
+    where = f"{path}"
+    header = metaimage_header(path, where)
+    spacing, offset = (header.numbers(name, 3)[:2] for name in ("ElementSpacing", "Offset"))
+    _, array = read_metaimage(path, where)  # (column, row, view)
+    stated = {"spacing": tuple(spacing), "first_pixel": tuple(offset)}
+    return _of_array(array.transpose(), section, where, **stated)
+
+
+def _hdf5(path: Path, section: Files, key: str) -> Stack:
+    require("hdf5")
+    h5py: Any = importlib.import_module("h5py")
+    where = f"{path}"
+    with library_errors(where):
+        file = h5py.File(path, "r")
+        names: list[str] = []
+        file.visititems(
+            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
+        )
+        arrays = {name: file[name] for name in names}
+    return _of_array(
+        named_array(arrays, section.array.strip("/"), f"{key}: {where}"), section, where
+    )
+
+
+def _zarr(path: Path, section: Files, key: str) -> Stack:
+    import zarr
+
+    where = f"{path}"
+    with library_errors(where):
+        opened: Any = zarr.open(str(path), mode="r")
+        if isinstance(opened, zarr.Array):
+            array: Any = opened
+        else:
+            array = named_array(dict(opened.arrays()), section.array, f"{key}: {where}")
+    return _of_array(array, section, where)
+
+
+def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
+    try:
+        dtype = np.dtype(section.dtype or "V1")
+    except TypeError:
+        dtype = np.dtype("V1")
+    rows, columns = section.rows, section.columns
+    if dtype.kind not in "fiu" or not rows or not columns:
+        raise InputError(
+            f"{key}: raw files need dtype (such as <u2), rows and columns; given are "
+            f"{quoted(section.dtype)}, {rows} and {columns}"
+        )
+    size = rows * columns * dtype.itemsize
+    stacks: list[Stack] = []
+    for file in files:
+        found = file_bytes(file, str(file)) - section.header_bytes
+        if found <= 0 or found % size:
+            raise InputError(
+                f"{file}: {found} bytes after the header are not a whole number of images of "
+                f"{rows} x {columns} pixels of {dtype}, {size} bytes each"
+            )
+
+        def image(index: int, file: Path = file) -> Image:
+            start = section.header_bytes + index * size
+            flat = np.fromfile(file, dtype, rows * columns, offset=start)
+            return flat.reshape(rows, columns)
+
+        stacks.append(Stack(str(file), found // size, (rows, columns), dtype, image))
+    return _joined(files, stacks)
+
+
+def _tiff(path: Path) -> Stack:
+    import tifffile
+
+    where = f"{path}"
+    file_bytes(path, where)
+    with library_errors(where), tifffile.TiffFile(path) as file:
+        pages = file.pages
+        shapes = {tuple(page.shape) for page in pages}
+        dtype, count = np.dtype(pages.first.dtype), len(pages)
+    if len(shapes) != 1 or len(shape := next(iter(shapes))) != 2:
+        raise InputError(f"{where}: expected grey images of one size; there are {sorted(shapes)}")
+
+    def image(index: int) -> Image:
+        with library_errors(where):
+            return tifffile.imread(path, key=index)
+
+    return Stack(where, count, (shape[0], shape[1]), dtype, image)
+
+
+def _picture(path: Path) -> Stack:
+    from twinct.core.files.images import read_image
+
+    shape = read_image(path, "a projection").shape
+    return Stack(
+        str(path), 1, (shape[0], shape[1]), np.dtype(float), lambda index: read_image(path, "view")
+    )
+
+
+def _dicom(files: Sequence[Path]) -> Stack:
+    """Return the images of DICOM files: one or several frames each, by their instance numbers."""
+    import pydicom
+
+    found: list[tuple[int, Path, Any]] = []
+    for file in files:
+        with library_errors(str(file)):
+            told: Any = pydicom.dcmread(file, stop_before_pixels=True)
+            found.append((int(told.get("InstanceNumber", 0) or 0), file, told))
+    if len({number for number, _, _ in found}) == len(found):
+        found.sort(key=lambda one: one[0])
+    stacks: list[Stack] = []
+    for _, file, told in found:
+        shape, frames = (int(told.Rows), int(told.Columns)), int(told.get("NumberOfFrames", 1))
+
+        def image(index: int, file: Path = file, frames: int = frames) -> Image:
+            with library_errors(str(file)):
+                told: Any = pydicom.dcmread(file)
+                pixels = told.pixel_array[index] if frames > 1 else told.pixel_array
+                slope, intercept = (
+                    float(told.get(f"Rescale{name}", default))
+                    for name, default in (("Slope", 1), ("Intercept", 0))
+                )
+            return pixels if (slope, intercept) == (1, 0) else pixels * slope + intercept
+
+        bits = int(told.get("BitsAllocated", 16))
+        kind = "i" if told.get("PixelRepresentation", 0) else "u"
+        stacks.append(Stack(str(file), frames, shape, np.dtype(f"{kind}{bits // 8}"), image))
+    return _joined([file for _, file, _ in found], stacks)

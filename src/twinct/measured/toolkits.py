@@ -1,0 +1,301 @@
+"""Geometry from the numbers of other toolkits, as ``twinct export`` writes them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from twinct.core.errors import InputError
+from twinct.core.files.arrays import read_npz
+from twinct.core.files.boundary import read_text
+from twinct.core.foreign_text import number, quoted
+from twinct.core.settings import Length, Pair, Section, setting
+from twinct.geometry import Floats, Panel, ScanGeometry
+from twinct.measured.matrices import views_of_matrices
+from twinct.measured.views import ImageFacts, Views, views_of
+
+MOST_BYTES = 2**30
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def _arrays(path: Path, names: tuple[str, ...]) -> Arrays:
+    """Return the float64 arrays of an .npz file.
+
+    Raises:
+        InputError: one of these names is missing, or a number is not finite.
+    """
+    where = f"{path}: geometry"
+    found = read_npz(path, where, MOST_BYTES)
+    if missing := [name for name in names if name not in found]:
+        raise InputError(
+            f"{where}: no array {', '.join(missing)}; it holds {', '.join(sorted(found))}"
+        )
+    arrays = {name: found[name].astype(np.float64) for name in names}
+    for name, array in arrays.items():
+        if not np.isfinite(array).all():
+            raise InputError(f"{where}: {name} holds a number that is not finite")
+    return arrays
+
+
+def _made(path: Path, facts: ImageFacts, panel: Panel, *vectors: NDArray[Any]) -> Views:
+    """Return the views of (S, D, u, v), (views, 3), after a check of the counts."""
+    where = f"{path}: geometry"
+    source, detector, u, v = vectors
+    facts.require(where, len(source), panel)
+    geometry, flipped = views_of(where, source, detector, u, v, panel)
+    told = f"{path.name}: {len(geometry)} views, panel {panel.rows} x {panel.columns} pixels of "
+    told += f"{panel.pitch_u:g} x {panel.pitch_v:g} mm, mm in the frame of the file"
+    return Views(geometry, flip_rows=flipped, told=(told,))
+
+
+class Astra(Section):
+    """ASTRA's ``cone_vec``."""
+
+    kind: Literal["astra"]
+    path: Path = Field(description=".npz file with vectors and detector, as twinct export writes.")
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views.
+
+        Raises:
+            InputError: the file does not hold them, or they do not fit the images.
+        """
+        found = _arrays(self.path, ("vectors", "detector"))
+        vectors = found["vectors"].reshape(-1, 12)
+        source, detector, u, v = np.split(vectors, 4, axis=1)
+        rows, columns = found["detector"].astype(int).tolist()
+        pitches = (float(np.linalg.norm(axis[0])) for axis in (u, v))
+        return _made(self.path, facts, Panel(rows, columns, *pitches), source, detector, u, v)
+
+
+class Leap(Section):
+    """LEAP's modular beam."""
+
+    kind: Literal["leap"]
+    path: Path = Field(description=".npz file, as twinct export writes.")
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views.
+
+        Raises:
+            InputError: the file does not hold them, or they do not fit the images.
+        """
+        names = "sourcePositions", "moduleCenters", "colVectors", "rowVectors"
+        found = _arrays(self.path, (*names, "detector", "pixel"))
+        rows, columns = found["detector"].astype(int).tolist()
+        height, width = found["pixel"].tolist()
+        vectors = (found[name] for name in names)
+        return _made(self.path, facts, Panel(rows, columns, width, height), *vectors)
+
+
+class Cil(Section):
+    """CIL's ``Cone3D_Flex``, with the panel's origin at bottom left."""
+
+    kind: Literal["cil"]
+    path: Path = Field(description=".npz file, as twinct export writes.")
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views.
+
+        Raises:
+            InputError: the file does not hold them, or they do not fit the images.
+        """
+        names = "source_position_set", "detector_position_set"
+        names += "detector_direction_x_set", "detector_direction_y_set"
+        found = _arrays(self.path, (*names, "num_pixels", "pixel_size"))
+        columns, rows = found["num_pixels"].astype(int).tolist()
+        panel = Panel(rows, columns, *found["pixel_size"].tolist())
+        return _made(self.path, facts, panel, *(found[name] for name in names))
+
+
+class Tigre(Section):
+    """TIGRE's angles and distances; ``twinct.exchange.tigre`` has the formulas."""
+
+    kind: Literal["tigre"]
+    path: Path = Field(description=".npz file, as twinct export writes.")
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views.
+
+        Raises:
+            InputError: the file does not hold them, or they do not fit the images.
+        """
+        names = "angles", "DSO", "DSD", "offOrigin", "offDetector", "rotDetector"
+        found = _arrays(self.path, (*names, "nDetector", "dDetector"))
+        if found["rotDetector"][..., 1:].any():
+            raise InputError(
+                f"{self.path}: rotDetector: pitch or roll is not 0; only a yaw is read"
+            )
+        angles = np.atleast_2d(found["angles"])
+        views = len(angles)
+        turn = Rotation.from_euler("ZYZ", angles)
+        dso, dsd = (np.broadcast_to(found[name], (views,)) for name in ("DSO", "DSD"))
+        origin = np.broadcast_to(found["offOrigin"], (views, 3))[:, ::-1]
+        up, right = np.broadcast_to(found["offDetector"], (views, 2)).T
+        yaw = np.broadcast_to(found["rotDetector"], (views, 3))[:, 0]
+        nothing = np.zeros(views)
+        source = turn.apply(np.stack([dso, nothing, nothing], axis=1)) - origin
+        detector = source + turn.apply(np.stack([-dsd, right, up], axis=1))
+        u = turn.apply(np.stack([nothing, np.cos(yaw), np.sin(yaw)], axis=1))
+        v = turn.apply(np.stack([nothing, -np.sin(yaw), np.cos(yaw)], axis=1))
+        rows, columns = found["nDetector"].astype(int).tolist()
+        pitch_v, pitch_u = found["dDetector"].tolist()
+        return _made(
+            self.path, facts, Panel(rows, columns, pitch_u, pitch_v), source, detector, u, v
+        )
+
+
+class Rtk(Section):
+    """RTK's XML; ``twinct.exchange.rtk`` has the formulas."""
+
+    kind: Literal["rtk"]
+    path: Path = Field(description="The XML file.")
+    pitch_mm: Length | Pair | None = setting(
+        None, "Pixel pitch; null: the spacing in the images' MetaImage file."
+    )
+    first_pixel_mm: tuple[float, float] | None = setting(
+        None, "Place of pixel (0, 0); null: that in the MetaImage file, or a centred panel."
+    )
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views.
+
+        Raises:
+            InputError: the file does not hold them, or they do not fit the images.
+        """
+        pitch = self.pitch_mm or facts.spacing
+        if pitch is None:
+            raise InputError("geometry.pitch_mm: the images do not state it, nor does RTK's XML")
+        panel = facts.panel(pitch)
+        found = _rtk_numbers(self.path)
+        turns = -np.stack([found[n] for n in ("InPlaneAngle", "OutOfPlaneAngle", "GantryAngle")])
+        axes = Rotation.from_euler("ZXY", turns.T, degrees=True).as_matrix()  # rows u, v, n
+        sod, sdd = (found[f"SourceTo{end}Distance"] for end in ("Isocenter", "Detector"))
+        first = self.first_pixel_mm or facts.first_pixel or panel.first_pixel_mm
+        beside = np.array(first) - panel.first_pixel_mm
+        source = np.stack([found["SourceOffsetX"], found["SourceOffsetY"], sod], axis=1)
+        right, up = (found[f"ProjectionOffset{axis}"] for axis in "XY")
+        detector = np.stack([right + beside[0], up + beside[1], sod - sdd], axis=1)
+        points = (np.einsum("vij,vi->vj", axes, at) for at in (source, detector))
+        return _made(self.path, facts, panel, *points, axes[:, 0], axes[:, 1])
+
+
+_RTK_NEEDED = ("SourceToIsocenterDistance", "SourceToDetectorDistance", "GantryAngle")
+_RTK_FREE = ("SourceOffsetX", "SourceOffsetY", "ProjectionOffsetX", "ProjectionOffsetY")
+_RTK_FREE += ("InPlaneAngle", "OutOfPlaneAngle")
+_RTK_OTHERS = ("Matrix", "Projection", "CollimationUInf", "CollimationUSup")
+_RTK_OTHERS += ("CollimationVInf", "CollimationVSup")
+
+
+def _rtk_numbers(path: Path) -> dict[str, Floats]:
+    """Return RTK's parameters of each view by their names, deg and mm.
+
+    Raises:
+        InputError: the file is no such XML, or a parameter is missing or not supported.
+    """
+    text = read_text(path, f"{path}: geometry", MOST_BYTES)
+    try:
+        if "<!ENTITY" in text:
+            raise ElementTree.ParseError("it defines entities")
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not an XML file of RTK: {error}") from None
+    projections = root.findall("Projection")
+    if root.tag != "RTKThreeDCircularGeometry" or not projections:
+        raise InputError(f"{path}: not a geometry of RTK: {quoted(root.tag)} without a Projection")
+    shared = {child.tag: child.text or "" for child in root if child.tag != "Projection"}
+    rows: list[dict[str, float]] = []
+    for view, projection in enumerate(projections):
+        told = shared | {child.tag: child.text or "" for child in projection}
+        known = (*_RTK_NEEDED, *_RTK_FREE, *_RTK_OTHERS)
+        if missing := [name for name in _RTK_NEEDED if name not in told]:
+            raise InputError(f"{path}: projection {view} has no {', '.join(missing)}")
+        if other := [n for n in told if n not in known and told[n].strip() not in ("", "0")]:
+            raise InputError(f"{path}: projection {view}: {', '.join(other)} is not supported")
+        row = dict.fromkeys(_RTK_FREE, 0.0)
+        try:
+            row |= {k: number(told[k]) for k in (*_RTK_NEEDED, *_RTK_FREE) if k in told}
+        except ValueError as error:
+            raise InputError(f"{path}: projection {view}: {error}") from None
+        rows.append(row)
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+
+
+class OpenCt(Section):
+    """OpenCT free trajectory: matrices in JSON."""
+
+    kind: Literal["openct"]
+    path: Path = Field(description="The JSON file.")
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views.
+
+        Raises:
+            InputError: the file does not hold them, or they do not fit the images.
+        """
+        told = read_openct(self.path)
+        where = f"{self.path}: projections.matrices"
+        matrices, panel = told["matrices"], told["panel"]
+        facts.require(where, len(matrices), panel)
+        to_pixels = np.linalg.inv(panel.mm_from_pixel)
+        return views_of_matrices(where, to_pixels @ matrices, panel)
+
+
+def read_openct(path: Path) -> dict[str, Any]:
+    """Return ``matrices`` (views, 3, 4) to mm, ``panel``, ``files`` and ``transmission``.
+
+    Raises:
+        InputError: the file is no OpenCT free trajectory.
+    """
+    where = f"{path}"
+    try:
+        data = json.loads(read_text(path, where, MOST_BYTES))
+        projections, geometry = data["projections"], data["geometry"]
+        frame = projections["detectorCoordinateFrame"], projections["detectorCoordinateDimension"]
+        matrices = np.array(projections["matrices"], dtype=np.float64).reshape(-1, 3, 4)
+        (columns, rows), (width, height) = geometry["detectorPixel"], geometry["detectorSize"]
+        panel = Panel(rows, columns, width / columns, height / rows)
+        images = projections["images"]
+        return {
+            "matrices": matrices,
+            "panel": panel,
+            "frame": _require_frame(where, *frame),
+            "files": [path.parent / images["directory"] / name for name in images["files"]],
+            "transmission": bool(projections["intensityDomain"]),
+        }
+    except (ValueError, KeyError, TypeError, ZeroDivisionError) as error:
+        raise InputError(f"{where}: not an OpenCT free trajectory: {error!r}") from None
+
+
+def _require_frame(where: str, frame: str, dimension: str) -> str:
+    if frame != "OriginAtDetectorCenter.VerticalAxisRunningDownwards" or dimension != "Length":
+        raise InputError(f"{where}: detector coordinates {frame}, {dimension} are not supported")
+    return frame
+
+
+class Ctsimu(Section):
+    """CTSimU scenario: the geometry that the reconstruction knows, in the stage's frame."""
+
+    kind: Literal["ctsimu"]
+    path: Path = Field(description="The JSON file.")
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views.
+
+        Raises:
+            InputError: the file does not hold them, or they do not fit the images.
+        """
+        from twinct.ctsimu import load_ctsimu
+
+        geometry: ScanGeometry = load_ctsimu(self.path).geometry(believed=True)
+        facts.require(f"{self.path}", len(geometry), geometry.panel)
+        told = f"{self.path.name}: {len(geometry)} views of a CTSimU scenario, as known, mm"
+        return Views(geometry, flip_rows=True, told=(told,))

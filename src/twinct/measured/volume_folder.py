@@ -1,0 +1,256 @@
+"""Reconstructions of a measured scan, judged without a truth: folders, and one page of all."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import shutil
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.boundary import no_file
+from twinct.core.files.lock import sole_owner
+from twinct.core.files.plain_json import read_json
+from twinct.core.files.writing import storage_errors, write_json
+from twinct.measured.judgement import Judgement, judge_volume
+from twinct.observers import Audience, Observers, audience_of
+from twinct.recon.volume import Volume
+from twinct.report import MeasuredColumn, found_of, plain, with_found, write_measured_report
+from twinct.runs import Folder, load_scan, reconstruct
+from twinct.runs.folder import as_yaml, refuse_other_keys
+from twinct.runs.log import logged_to
+from twinct.scan import Scan, checked_name
+from twinct.scenario import Scenario
+
+log = logging.getLogger(__name__)
+
+FORMAT = "twinct measured volume 1"
+FILE = "judgement.json"
+VOLUME = "volume.nii"
+
+
+@dataclass(frozen=True)
+class MeasuredVolume:
+    """A reconstruction of a measured scan.
+
+    Attributes:
+        name: name of its folder.
+        in_words: algorithm, settings and results in one line.
+        geometry: name of the geometry that it was made from.
+        settings: the section ``reconstruction`` that made it, defaults included.
+        judgement: figures that need no truth.
+        residuals: residual of each iteration.
+        seconds: duration of the reconstruction.
+        path: its folder; the voxels are in ``volume.nii`` there.
+    """
+
+    name: str
+    in_words: str
+    geometry: str
+    settings: Mapping[str, Any]
+    judgement: Judgement
+    residuals: tuple[float, ...]
+    seconds: float
+    path: Path = field(compare=False)
+
+    @property
+    def volume(self) -> Volume:
+        """The volume, 1/mm, read from its file."""
+        return Volume.read(self.path / VOLUME)
+
+    def write(self, volume: Volume) -> None:
+        """Write the folder, which appears only when it is complete."""
+        draft = self.path.with_name(f".{self.path.name}.partial")
+        shutil.rmtree(draft, ignore_errors=True)
+        try:
+            draft.mkdir(parents=True)
+            volume.write(draft / VOLUME, f"twinct {self.in_words}"[:78])
+            told = {"format": FORMAT, **asdict(self)}
+            del told["path"]
+            write_json(draft / FILE, plain(told))
+            draft.rename(self.path)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+
+    @classmethod
+    def read(cls, path: Path) -> MeasuredVolume:
+        """Read a folder of ``write``, without the voxels.
+
+        Raises:
+            InputError: the folder holds no such volume, or is damaged.
+        """
+        told = read_json(path / FILE)
+        try:
+            if told.pop("format") != FORMAT:
+                raise ValueError("another format")
+            judged = told.pop("judgement")
+            numbers: dict[str, Any] = {k: np.nan if v is None else v for k, v in judged.items()}
+            numbers["residual_by_view"] = tuple(judged["residual_by_view"])
+            told["residuals"] = tuple(told["residuals"])
+            known = {one.name for one in fields(cls)} - {"path", "judgement"}
+            named = {key: value for key, value in told.items() if key in known}
+            return cls(**named, judgement=Judgement(**numbers), path=path)
+        except (TypeError, KeyError, ValueError) as error:
+            raise InputError(f"{path / FILE}: not a measured volume: {error}") from None
+
+
+def reconstruct_measured(
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    *,
+    geometry: str | None = None,
+    name: str | None = None,
+    halves: bool = False,
+    observers: Observers = (),
+) -> MeasuredVolume:
+    """Reconstruct a measured scan, judge the volume without a truth, and write the report.
+
+    Args:
+        path: folder of ``import_measured``.
+        overrides: changes ``reconstruction.KEY=VALUE`` to its scenario.
+        geometry: geometry to reconstruct from; None: the scenario's first.
+        name: name of the result, below ``reconstructions``; None: after its algorithm.
+        halves: also reconstruct the even and the odd views, for the noise; it doubles the time.
+        observers: notified of stages and iterations.
+
+    Raises:
+        InputError: a key of another section, an unknown geometry, or settings that the algorithm
+            refuses.
+        ScanExistsError: the name is taken.
+    """
+    folder, overrides = Folder(Path(path)), tuple(overrides)
+    refuse_other_keys(overrides, "reconstruction")
+    scan = load_scan(folder.path)
+    scenario = folder.scenario_of_run(overrides, planned=True)
+    scan = replace(scan, scenario=scenario)
+    which = geometry or scenario.reconstruction.geometries[0]
+    scan.poses(which)
+    with ExitStack() as stack:
+        audience = stack.enter_context(audience_of(observers))
+        stack.enter_context(storage_errors(folder.path))
+        stack.enter_context(sole_owner(folder.lock))
+        kept = measured_volumes(folder.reconstructions)
+        name = checked_name(name) if name else _free_name(scenario, which, kept)
+        if name in kept:
+            raise ScanExistsError(
+                f"{kept[name].path} is another reconstruction; choose another --as"
+            )
+        stack.enter_context(logged_to(folder.log))
+        log.info("measured scan, %s: %s", name, scenario.reconstruction.in_words)
+        made, volume = _made(scan, folder, which, name, audience, halves=halves)
+        made.write(volume)
+        shutil.rmtree(folder.checkpoints, ignore_errors=True)
+        with audience.stage("report", 1) as step:
+            _write_report(scan, folder, {**kept, name: made})
+            step()
+    return made
+
+
+def measured_volumes(folder: Path) -> dict[str, MeasuredVolume]:
+    """Return the reconstructions in a folder by name; an absent folder has none."""
+    if no_file(folder, folder=True):
+        return {}
+    found = sorted(p for p in folder.iterdir() if (p / FILE).is_file() and p.name[0] != ".")
+    return {path.name: MeasuredVolume.read(path) for path in found}
+
+
+def is_measured_scan(path: Path) -> bool:
+    """Return True if a folder holds a scan of an unknown specimen."""
+    file = Folder(path).scenario
+    return file.is_file() and Folder(path).scenario_of_run(planned=True).specimen.unknown
+
+
+def _free_name(scenario: Scenario, which: str, kept: Mapping[str, MeasuredVolume]) -> str:
+    base = scenario.reconstruction.algorithm + ("" if which == "believed" else f"-{which}")
+    numbered = (f"{base}-{number}" for number in itertools.count(2))
+    return next(name for name in itertools.chain([base], numbered) if name not in kept)
+
+
+def _made(
+    scan: Scan, folder: Folder, which: str, name: str, audience: Audience, *, halves: bool
+) -> tuple[MeasuredVolume, Volume]:
+    section = scan.scenario.reconstruction
+    residuals: list[float] = []
+    start = time.perf_counter()
+    volume = reconstruct(
+        scan,
+        geometry=which,
+        checkpoints=folder.checkpoints,
+        watch=lambda _, residual: residuals.append(residual),
+        observers=audience,
+    )
+    seconds = time.perf_counter() - start
+    parts = None
+    if halves:
+        first, second = (_half(scan, which, start, audience) for start in (0, 1))
+        parts = first, second
+    with audience.stage("judge", 1) as step:
+        judged = judge_volume(
+            volume, scan.geometry(which), scan.line_integrals(), scan.bad_pixels, parts
+        )
+        step()
+    made = MeasuredVolume(
+        name=name,
+        in_words=with_found(section.in_words, found_of(volume.extras)),
+        geometry=which,
+        settings=json.loads(section.model_dump_json()),
+        judgement=judged,
+        residuals=tuple(residuals),
+        seconds=seconds,
+        path=folder.reconstructions / name,
+    )
+    return made, volume
+
+
+def _half(scan: Scan, which: str, first: int, audience: Audience) -> Volume:
+    """Reconstruct every other view."""
+    part = replace(
+        scan,
+        transmission=scan.transmission[first::2],
+        mas=None if scan.mas is None else scan.mas[first::2],
+        derived={},
+    )
+    return reconstruct(part, geometry=scan.geometry(which)[first::2], observers=audience)
+
+
+def _write_report(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -> None:
+    columns = [
+        MeasuredColumn(
+            name=one.name,
+            in_words=f"{one.in_words}, {one.geometry} geometry",
+            figures={
+                key: value
+                for key, value in asdict(one.judgement).items()
+                if key != "residual_by_view"
+            },
+            residual_by_view=one.judgement.residual_by_view,
+            residuals=one.residuals,
+            seconds=one.seconds,
+            volume=one.volume,
+        )
+        for one in kept.values()
+    ]
+    views = np.unique(np.linspace(0, len(scan) - 1, 4).round().astype(int))
+    shown = [(int(view), scan.transmission[view]) for view in views]
+    geometry = scan.geometry("executed")
+    write_measured_report(
+        folder.report, scan.scenario, as_yaml(scan.scenario), geometry, shown, columns
+    )
+    told = {
+        one.name: {
+            "in_words": one.in_words,
+            "geometry": one.geometry,
+            "seconds": one.seconds,
+            "judgement": asdict(one.judgement),
+        }
+        for one in kept.values()
+    }
+    write_json(folder.metrics, plain({"views": len(scan), "truth": None, "reconstructions": told}))

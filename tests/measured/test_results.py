@@ -1,0 +1,126 @@
+"""Volumes of a measured scan: any algorithm, figures without a truth, and none that needs one."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+from ball_scan import BALL, MU, PITCH, RADIUS, ROWS, SDD, SOD, VIEWS, ball_images, orbit
+
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.measured import reconstruct_measured
+from twinct.recon.algorithms import algorithms
+from twinct.runs import load_scan, run, simulate
+
+pytestmark = pytest.mark.usefixtures("measured")
+
+GRID = {"voxels": [40, 40, 24], "voxel_mm": 1.0}
+WITHOUT = {"rtk_sart", "prior_tv", "known_components"}
+"""Algorithms that need another package, a prior or an implant."""
+
+
+@pytest.fixture
+def measured(imported, stored, circle):
+    """Folder of an imported scan of the ball, with a little noise."""
+    images = ball_images(orbit()) + np.random.default_rng(2).normal(0, 0.002, (VIEWS, ROWS, 26))
+    source = {"name": "ball", "images": stored(images), "geometry": circle, "grid": GRID}
+    return imported(source)[1].folder
+
+
+@pytest.mark.tutorial
+def test_every_algorithm_finds_the_ball(measured):
+    scan = load_scan(measured)
+    grid = scan.scenario.reconstruction.volume_grid
+    x, y, z = grid.axes()
+    off = (x - BALL[0]) ** 2 + ((y - BALL[1]) ** 2)[:, None] + ((z - BALL[2]) ** 2)[:, None, None]
+    inside = off < (RADIUS - 1.5) ** 2
+    for name in algorithms():
+        if name in WITHOUT:
+            continue
+        made = reconstruct_measured(measured, [f"reconstruction.algorithm={name}"])
+        assert 0.35 < made.volume.array[inside].mean() / MU < 1.2, name
+        assert made.judgement.residual_rel < 0.35, name
+        assert made.judgement.edge_width_mm < 4, name
+    told = json.loads((measured / "metrics.json").read_text())
+    assert set(told["reconstructions"]) == set(algorithms()) - WITHOUT
+
+
+def test_report_has_no_figure_that_needs_a_truth(measured):
+    made = reconstruct_measured(measured, ["reconstruction.algorithm=fdk"], halves=True)
+    page = (measured / "report.html").read_text(encoding="utf-8")
+    shown = re.sub(r"<pre>.*?</pre>|data:image[^\"]*", "", page, flags=re.DOTALL)
+    assert "There is no truth" in shown and f"{100 * made.judgement.residual_rel:.2f}" in shown
+    assert not re.search("RMSE|SSIM|PSNR|bone", shown)
+    text = (measured / "metrics.json").read_text()
+    assert not re.search("rmse|ssim|psnr|pose_error", text)
+
+
+@pytest.mark.tutorial
+def test_halves_tell_the_noise(measured, imported, stored, circle):
+    """Twice the noise of the images gives twice the noise of the halves."""
+    clean = np.exp(-ball_images(orbit(120)))
+    noise = np.random.default_rng(3).normal(0, 0.03, clean.shape)
+    turn = circle | {"angles": {"step": 3.0}}
+    found = []
+    for times in (1, 2):
+        section = stored(clean * np.exp(times * noise), "transmissions")
+        folder = imported({"images": section, "geometry": turn, "grid": GRID})[1].folder
+        made = reconstruct_measured(folder, ["reconstruction.algorithm=fdk"], halves=True)
+        found.append(made.judgement.noise_per_mm)
+    assert found[1] / found[0] == pytest.approx(2, rel=0.1)
+
+
+def test_a_wrong_view_stands_out(imported, stored, circle):
+    images = ball_images(orbit())
+    images[7] = np.roll(images[7], 2, axis=1)
+    folder = imported({"images": stored(images), "geometry": circle, "grid": GRID})[1].folder
+    judged = reconstruct_measured(folder, ["reconstruction.algorithm=fdk"]).judgement
+    assert int(np.argmax(judged.residual_by_view)) == 7
+
+
+def test_names_are_free_taken_or_refused(measured):
+    fdk = ["reconstruction.algorithm=fdk"]
+    assert [reconstruct_measured(measured, fdk).name for _ in range(2)] == ["fdk", "fdk-2"]
+    with pytest.raises(ScanExistsError, match="another reconstruction"):
+        reconstruct_measured(measured, fdk, name="fdk")
+    with pytest.raises(InputError, match="only keys of reconstruction"):
+        reconstruct_measured(measured, ["source.mas=2"])
+    with pytest.raises(InputError, match="unknown geometry 'mine'"):
+        reconstruct_measured(measured, fdk, geometry="mine")
+
+
+def test_nothing_is_simulated_for_an_unknown_specimen(measured, tmp_path):
+    scenario = load_scan(measured).scenario
+    for attempt in (
+        lambda: simulate(scenario),
+        lambda: run(scenario, tmp_path / "run", link="local"),
+        lambda: run(measured / "scenario.yaml", measured, link="local", resume=True),
+    ):
+        with pytest.raises(InputError, match="specimen.unknown"):
+            attempt()
+
+
+def test_a_moved_folder_is_read(measured, tmp_path):
+    moved = measured.rename(tmp_path / "elsewhere")
+    scan = load_scan(moved)
+    assert scan.geometry().sdd == pytest.approx(np.full(VIEWS, SDD))
+    assert np.linalg.norm(scan.geometry().source, axis=1) == pytest.approx(np.full(VIEWS, SOD))
+    assert scan.scenario.detector.pixel_pitch_mm == (PITCH, PITCH)
+    assert reconstruct_measured(moved, ["reconstruction.algorithm=fdk"]).name == "fdk"
+
+
+def test_the_command_line_imports_and_reconstructs(measured, stored, circle, tmp_path, capsys):
+    import yaml
+
+    from twinct.cli import run_command
+
+    source = {"images": stored(ball_images(orbit())), "geometry": circle, "grid": GRID}
+    (tmp_path / "scan.yaml").write_text(yaml.safe_dump(source))
+    out = str(tmp_path / "out")
+    assert run_command(["import", str(tmp_path / "scan.yaml"), "--out", out]) == 0
+    assert run_command(["reconstruct", out, "--set", "reconstruction.algorithm=fdk"]) == 0
+    told = capsys.readouterr()
+    assert "source to axis 200 mm, to panel 300 mm, pitch 2 x 2 mm" in told.out
+    assert "residual" in told.out and (tmp_path / "out" / "imported.png").is_file()
