@@ -120,8 +120,11 @@ def _cast_shadows() -> None:
 
 
 def _cross() -> None:
-    from twinct.geometry import Panel
+    from twinct.geometry import Panel, VolumeGrid
+    from twinct.specimen import GreyField
+    from twinct.specimen.materials import material
     from twinct.xray.engine import SceneBody, SceneView
+    from twinct.xray.grey import GreyCaster
     from twinct.xray.mesh import MeshEngine
 
     mesh, panel, (x, y, z) = _specimen().parts[0].mesh, Panel(8, 9, 10.0, 10.0), np.eye(3)
@@ -130,6 +133,9 @@ def _cross() -> None:
     view = SceneView(200 * x, -200 * x, y, z)
     engine.expose(view, image)
     engine.path_lengths(view, 0, image)
+    grid, substance = VolumeGrid((4, 5, 6), 10.0), material("water")
+    field = GreyField((substance,), np.ones((*grid.shape, 1), np.float32), grid)
+    GreyCaster(field, panel).cast(view)
 
 
 def _expose() -> None:

@@ -1,0 +1,187 @@
+"""Rays through grey voxels: against other code, by hand, and at the limits."""
+
+import numba
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates
+from xray_scenes import box, random_pose, random_view
+
+from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.recon import Projector
+from twinct.specimen import GreyField, GreyPart
+from twinct.specimen.grey_part import CutFace
+from twinct.specimen.materials import material
+from twinct.xray.engine import SceneView
+from twinct.xray.grey import GreyCaster, cut_share
+
+NAMES = "water", "bone", "titanium", "brain", "air", "aluminium", "steel"
+PANEL = Panel(19, 37, 7.0, 8.0)
+VOXEL = 3.0, 2.5, 4.0
+
+
+def seen_by(view: ScanGeometry) -> SceneView:
+    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
+
+
+def field(rng, shape=(21, 30, 26), count=3, voxel=VOXEL, pose=None, blur=1.0) -> GreyField:
+    amounts = rng.uniform(0, 1, (*shape, count))
+    amounts = gaussian_filter(amounts, (blur, blur, blur, 0)).astype(np.float32)
+    materials = tuple(material(name) for name in NAMES[:count])
+    return GreyField(materials, amounts, VolumeGrid(shape, voxel, pose or random_pose(rng, 20)))
+
+
+def by_planes(field: GreyField, view: ScanGeometry) -> np.ndarray:
+    """Joseph's sums with scipy: every plane of a ray, by the share of its slab that is crossed."""
+    grid = field.grid
+    local = grid.world_from_grid.inverse() @ view
+    source = (local.source[0] - grid.first_voxel_mm) / grid.voxel
+    pixels = (local.pixel_centres(0) - grid.first_voxel_mm) / grid.voxel
+    sizes, way = np.array(grid.shape_xyz), pixels - source
+    with np.errstate(divide="ignore", invalid="ignore"):
+        times = np.sort(
+            (np.array([np.full(3, -0.5), sizes - 0.5])[:, None, None] - source) / way, 0
+        )
+    near = np.maximum(np.nanmax(times[0], axis=-1), 0.0)
+    far = np.maximum(np.minimum(np.nanmin(times[1], axis=-1), 1.0), near)
+    axes = np.abs(way).argmax(axis=-1)
+    out = np.zeros((field.amounts.shape[-1], *view.panel.shape))
+    for axis in range(3):
+        here = axes == axis
+        steps, planes = way[here], np.arange(sizes[axis])
+        ends = source[axis] + np.stack([near[here], far[here]]) * steps[:, axis]
+        low, high = np.sort(ends, axis=0)[..., None]
+        share = np.clip(np.minimum(planes + 0.5, high) - np.maximum(planes - 0.5, low), 0, None)
+        at = (planes - source[axis]) / steps[:, axis, None]
+        points = np.clip(source + at[..., None] * steps[:, None], 0, sizes - 1)
+        mm = np.linalg.norm(steps * grid.voxel, axis=-1) / np.abs(steps[:, axis])
+        for m in range(len(out)):
+            places = np.moveaxis(points[..., ::-1], -1, 0)
+            values = map_coordinates(field.amounts[..., m], places, order=1)
+            out[m, here] = mm * (share * values).sum(axis=-1)
+    return out
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 7])
+def test_caster_gives_the_sums_of_any_number_of_materials(count):
+    rng = np.random.default_rng(count)
+    body = field(rng, count=count, blur=0.0)
+    view = random_view(rng, PANEL, np.zeros(3))
+    expected = by_planes(body, view)
+    paths = GreyCaster(body, PANEL).cast(seen_by(view))
+    assert expected.max() > 30
+    np.testing.assert_allclose(paths, expected, atol=2e-5 * expected.max())
+
+
+@pytest.mark.parametrize(
+    "shape", [(1, 30, 26), (21, 1, 26), (21, 30, 1), (1, 1, 9), (1, 1, 1), (70, 5, 3), (3, 5, 70)]
+)
+def test_caster_handles_grids_of_any_shape(shape):
+    rng = np.random.default_rng(5)
+    body = field(rng, shape, voxel=(8.0, 9.0, 7.0), pose=Pose.identity())
+    for direction in np.vstack([np.eye(3), -np.eye(3), rng.normal(size=(4, 3))]):
+        view = along(direction + rng.normal(scale=0.01, size=3))
+        expected = by_planes(body, view)
+        paths = GreyCaster(body, PANEL).cast(seen_by(view))
+        np.testing.assert_allclose(paths, expected, atol=2e-5 * max(expected.max(), 1.0))
+
+
+def along(direction, source_mm=400.0, panel_mm=200.0) -> ScanGeometry:
+    """A view along a direction through the origin."""
+    beam = direction / np.linalg.norm(direction)
+    u = np.cross(beam, np.eye(3)[np.abs(beam).argmin()])
+    u /= np.linalg.norm(u)
+    v = np.cross(-beam, u)
+    return ScanGeometry([-source_mm * beam], [panel_mm * beam], [u], [v], PANEL)
+
+
+def test_rays_exactly_along_an_axis_through_the_faces():
+    body = field(np.random.default_rng(3), (6, 6, 6), voxel=2.0, pose=Pose.identity())
+    flat = Panel(7, 7, 2.0, 2.0)
+    far = 1e7  # the rays are parallel, and the outer ones lie in the side faces
+    for axis in range(3):
+        one = along(np.eye(3)[axis], far, 10.0)
+        view = ScanGeometry(one.source, one.detector, one.u, one.v, flat)
+        paths = GreyCaster(body, flat).cast(seen_by(view))
+        sums = np.sort(2.0 * body.amounts.sum(axis=2 - axis), axis=None)
+        between = paths[:, 1:-1, 1:-1]
+        assert np.isfinite(paths).all()
+        assert between.max() < sums.max()
+        assert between.min() > sums.min()
+
+
+def test_uniform_field_gives_the_length_of_each_ray_in_the_grid():
+    rng = np.random.default_rng(11)
+    grid = VolumeGrid((20, 31, 17), (2.0, 3.0, 4.0), random_pose(rng, 20))
+    body = GreyField((material("water"),), np.ones((*grid.shape, 1), np.float32), grid)
+    view = random_view(rng, PANEL, np.zeros(3))
+    paths = GreyCaster(body, PANEL).cast(seen_by(view))[0]
+    lengths = Projector(view, grid).chords()[0]
+    assert (lengths == 0).any()
+    np.testing.assert_allclose(paths, lengths, atol=1e-3)
+
+
+@pytest.mark.parametrize("inside", ["source", "panel"])
+def test_ray_begins_at_the_source_and_ends_at_its_pixel(inside):
+    rng = np.random.default_rng(2)
+    body = field(rng)
+    source, panel = (5.0, 300.0) if inside == "source" else (300.0, 5.0)
+    view = along(rng.normal(size=3), source, panel)
+    expected = by_planes(body, view)
+    paths = GreyCaster(body, PANEL).cast(seen_by(view))
+    whole = by_planes(body, along(-view.normal[0], 300.0, 300.0))
+    assert expected.max() < 0.8 * whole.max()
+    np.testing.assert_allclose(paths, expected, atol=2e-5 * whole.max())
+
+
+def test_caster_agrees_with_the_projector():
+    rng = np.random.default_rng(4)
+    body = field(rng, (40, 44, 48), count=2)
+    amounts = np.zeros_like(body.amounts)  # the projector counts whole planes at the ends
+    amounts[1:-1, 1:-1, 1:-1] = body.amounts[1:-1, 1:-1, 1:-1]
+    body = GreyField(body.materials, amounts, body.grid)
+    for _ in range(3):
+        view = random_view(rng, PANEL, np.zeros(3))
+        paths = GreyCaster(body, PANEL).cast(seen_by(view))
+        for m in range(2):
+            lines = Projector(view, body.grid)(np.ascontiguousarray(body.amounts[..., m]))[0]
+            np.testing.assert_allclose(paths[m], lines, atol=5e-5 * lines.max())
+
+
+def test_threads_do_not_change_the_bytes():
+    rng = np.random.default_rng(6)
+    body, panel = field(rng, (64, 60, 58)), Panel(90, 110, 1.5, 1.5)
+    caster, view = GreyCaster(body, panel), seen_by(random_view(rng, panel, np.zeros(3)))
+    most, images = numba.get_num_threads(), []
+    try:
+        for threads in {1, most}:
+            numba.set_num_threads(threads)
+            images.append(caster.cast(view).tobytes())
+    finally:
+        numba.set_num_threads(most)
+    assert len(set(images)) == 1
+
+
+def test_cut_rays_are_those_that_leave_through_tissue_at_the_end_of_the_volume():
+    grid = VolumeGrid((22, 22, 22), 5.0)
+    tissue = np.zeros((22, 22), dtype=bool)
+    tissue[6:16, 6:12] = True  # (z, y): 50 x 30 mm, 50 mm from the middle
+    amounts = np.zeros((*grid.shape, 1), np.float32)
+    body = GreyField((material("water"),), amounts, grid)
+    low, high = (CutFace(0, end, tissue) for end in (False, True))
+
+    def counted(direction, *cuts, source_mm=2000.0, pose=None):
+        one = along(np.asarray(direction, float), source_mm, 200.0)
+        view = ScanGeometry(one.source, one.detector, one.u, one.v, Panel(121, 121, 1.0, 1.0))
+        pose = pose or Pose.identity()
+        part = GreyPart("a", material("water"), box([0, 0, 0], [1, 1, 1]), body, cuts=cuts)
+        return 121**2 * cut_share(part, pose @ view, pose.inverse())
+
+    assert counted([1, 0, 0]) == 0
+    assert counted([0, 1, 0], low) == pytest.approx(counted([0, 1, 0], high), rel=0.1)
+    for direction, distance in (([1, 0, 0], 1950), ([-1, 0, 0], 2050)):
+        pixels = 50 * 30 * (2200 / distance) ** 2
+        assert counted(direction, low) == pytest.approx(pixels, rel=0.05)
+    turned = random_pose(np.random.default_rng(1), 100.0)
+    assert counted([1, 0, 0], low, pose=turned) == counted([1, 0, 0], low)
+    assert counted([1, 0, 0], low, high) == counted([1, 0, 0], low)  # the far face is in its shadow
+    assert counted([1, 0, 0], low, source_mm=40.0) == 0  # the source is beyond the face
