@@ -81,7 +81,7 @@ def densities(given: Scenario) -> tuple[list[float], object]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description="Density of metal that NMAR puts back.")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
     parser.add_argument("--metals", nargs="+", default=["titanium", "steel"])
     asked = parser.parse_args()

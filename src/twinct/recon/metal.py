@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from twinct.core.errors import InputError
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import SPARE_BYTES, advice, refuse_if_short
-from twinct.recon.metal_density import fitted_excess
+from twinct.recon.metal_density import MetalIntegrals, fitted_excess
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
@@ -171,20 +171,33 @@ def without_metal(
             f"nothing is left to replace it with: {voxels.size} of {solid.size} voxels attenuate "
             f"by at least the threshold of {least:.3g} per mm, the densest by {found[-1]:.3g}"
         )
+    done = WithoutMetal(replaced, *found, *_NO_EXCESS)
     if fit is False:
-        return WithoutMetal(replaced, *found, *_NO_EXCESS)
+        return done
 
     def excess(view: int) -> Singles:
         given = replaced[view]
         return masked_image(p, view, pixels) - given if fit is True else fit(view, given)
 
-    there = solid > 0
-    near, values = fitted_excess(A, there, excess, pixels)
+    return _fitted(done, A, solid > 0, excess, pixels, tissue, metal)
+
+
+def _fitted(
+    found: WithoutMetal,
+    A: Projector,
+    there: NDArray[np.bool_],
+    integrals: MetalIntegrals,
+    mask: Mask | None,
+    tissue: float,
+    metal: float,
+) -> WithoutMetal:
+    """Return the result with the excess of its metal, at most that of the metal named."""
+    near, excess = fitted_excess(A, there, integrals, mask)
     inner = scipy.ndimage.binary_erosion(there).flat[near]
-    density = float(values[inner].mean() + tissue) / metal if inner.any() else None
-    done = WithoutMetal(replaced, *found, near, values, density)
+    density = float(excess[inner].mean() + tissue) / metal if inner.any() else None
+    done = replace(found, near=near, excess=excess, density_rel=density)
     if done.quantitative:
-        np.minimum(values, np.float32(metal - tissue), out=values)
+        np.minimum(excess, np.float32(metal - tissue), out=excess)
     return done
 
 

@@ -100,7 +100,8 @@ def _size(builder: SimulationBuilder) -> SpecimenSize:
 
 def _cut(builder: SimulationBuilder) -> list[str]:
     """Return a warning for each grey part that the edge of its CT cuts within the views."""
-    specimen, warnings = builder.specimen, []
+    specimen = builder.specimen
+    warnings: list[str] = []
     seen = specimen.world_from_specimen.inverse() @ builder.commanded
     for part in specimen.greys:
         shares = cut_share(part, seen)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -137,22 +138,14 @@ def implants_taken_out(
 
     known = known_implants(scenario, section)
     energy = effective_energy_kev(scenario.source, scenario.detector)
-    mus = {name: of.mu_per_mm(energy) for name, of in _prior(section).items()}
+    mus: dict[str, Any] = {name: m.mu_per_mm(energy) for name, m in _prior(section).items()}
     inner, surroundings = _parted(
         scenario, hardening_corrected(scenario, measured, A, mask), A, mask
     )
     iterations = section.first_iterations
-    metal = min(one.material.mu_per_mm(energy) for one in known)
-    replaced = without_metal(
-        A,
-        inner,
-        **mus,
-        metal=metal,
-        first_iterations=iterations,
-        mask=mask,
-        callback=callback,
-        fit=False,
-    ).line_integrals
+    mus["metal"] = min(one.material.mu_per_mm(energy) for one in known)
+    first = partial(without_metal, first_iterations=iterations, mask=mask, callback=callback)
+    replaced = first(A, inner, fit=False, **mus).line_integrals
     del inner
     background = sart(
         A, replaced, iterations=iterations, relaxation=0.3, mask=mask, callback=callback

@@ -105,7 +105,8 @@ def _read(
     image = canonical(image)
     _require_plausible(image, shape, where)
     _warn_of_edge(image, shape, where)
-    return image, *(read_labels(shape.labels, image, where) if shape.labels else ((), None))
+    names, labels = read_labels(shape.labels, image, where) if shape.labels else ((), None)
+    return image, names, labels
 
 
 def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -> None:
