@@ -34,6 +34,11 @@ class Parts:
     """What an imager needs of a built specimen."""
 
     parts: tuple[Part, ...]
+    greys: tuple[()] = ()
+
+    @property
+    def solids(self) -> tuple[Part, ...]:
+        return self.parts
 
 
 def specimen(*bodies: tuple[trimesh.Trimesh, float]) -> Parts:

@@ -128,12 +128,12 @@ def node(
     from twinct.runs import check_physics
     from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
-    from twinct.xray.engines import engine_named
+    from twinct.xray.engines import engine_extras
 
     loaded = load_scenario(scenario, set_)
     with named_places(scenario, set_):
         if which == "xray":
-            require(*engine_named(loaded.xray.engine).extras)
+            require(*engine_extras(loaded.engine))
             check_physics(SimulationBuilder(loaded))
         elif loaded.cell.kind == "arms":
             require("robots")

@@ -53,7 +53,7 @@ def installed_link() -> Link:
 @contextmanager
 def rig_factory(
     link: Link,
-    engine: str,
+    engine: str | None,
     logs: Path,
     audience: Audience,
     hear: Callable[[Heard], None] | None = None,
@@ -62,7 +62,8 @@ def rig_factory(
 
     The ROS domain is claimed and announced at once, so that other nodes can join in time. The
     output of the nodes goes to the folder ``logs``; ``hear`` receives all their ROS messages. The
-    X-ray engine, by its name in the scenario, is loaded at once if it runs in this process.
+    X-ray engine, by its name in the scenario, is loaded at once if it runs in this process; None
+    for a specimen that needs none.
 
     Raises:
         InputError: the link's extra, the requested ROS domain or the X-ray engine cannot be used.
@@ -70,7 +71,8 @@ def rig_factory(
     if link == "local":
         from twinct.xray import prepare_engine
 
-        prepare_engine(engine)
+        if engine is not None:
+            prepare_engine(engine)
         yield local_rig
         return
     from twinct.link import Domain, require_ros, ros_rigs

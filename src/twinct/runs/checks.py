@@ -255,8 +255,8 @@ def require_extras(scenario: Scenario) -> None:
         InputError: a package is missing; names the extra that provides it. Or the X-ray engine is
             unknown or cannot be used.
     """
-    from twinct.xray.engines import engine_named
+    from twinct.xray.engines import engine_extras
 
     robots = ["robots"] if scenario.cell.kind == "arms" else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
-    require(*robots, *engine_named(scenario.xray.engine).extras, *rtk)
+    require(*robots, *engine_extras(scenario.engine), *rtk)

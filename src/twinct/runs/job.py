@@ -159,7 +159,7 @@ def run(
             audience.say(f"link {chosen}{without}")
         with seconds.stage("link"):
             hear = recorder.hear if recorder else None
-            rigs = rig_factory(chosen, scenario.xray.engine, folder.logs, audience, hear)
+            rigs = rig_factory(chosen, scenario.engine, folder.logs, audience, hear)
             make_rig = stack.enter_context(rigs)
         warnings = _prepare(builder, folder, seconds, audience)
         stack.enter_context(storage_errors(folder.path))

@@ -80,7 +80,7 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
     number, many, local = len(views), threads(), link == "local"
     specimen = PROCESS_BYTES + _specimen_bytes(scenario)
     room = ROOM_BYTES if scenario.cell.kind == "arms" else 0
-    engine = engine_named(scenario.xray.engine).memory_bytes
+    engine = engine_named(scenario.engine).memory_bytes if scenario.engine else 0
     simulations = room + engine + 16 * image
     # Each node builds its own specimen; in a single process, the engine stays until the end.
     stays = engine if local else 0

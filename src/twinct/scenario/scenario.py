@@ -201,6 +201,12 @@ class Scenario(Section):
         return json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
     @property
+    def engine(self) -> str | None:
+        """Name of the X-ray engine; None for grey parts alone, which need none."""
+        grey = all(part.is_grey for part in self.specimen.parts)
+        return None if grey else self.xray.engine
+
+    @property
     def believed_seed(self) -> int:
         """Seed of the errors of believed poses."""
         return self.seed if self.uncertainty.seed is None else self.uncertainty.seed

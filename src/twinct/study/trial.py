@@ -199,7 +199,7 @@ def _acquire(spec: TrialSpec, builder: SimulationBuilder, folder: Path) -> None:
     check_physics(builder)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / "scan.zarr"
-    engine = builder.scenario.xray.engine
+    engine = builder.scenario.engine
     with rig_factory(spec.link, engine, folder / "log", Audience()) as make_rig:
         try:
             acquire_to_store(builder, path, make_rig, resume=True)

@@ -13,12 +13,16 @@ are taken at a time. Sums run in the order of the planes, whatever the number of
 # numba cannot be typed: compiled functions take any numeric type.
 # pyright: basic
 import math
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import njit, prange, types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic as numba_intrinsic
+
+# Calls omit the typing context that the function takes, so the type checker must not look.
+intrinsic: Any = numba_intrinsic
 
 OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
 """Without fast mathematics: the bits must not depend on how a process got its code."""

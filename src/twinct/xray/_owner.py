@@ -18,7 +18,13 @@ class SceneOwner:
     """Owner of the scene while ``_open`` is set, until ``close``; usable as a context manager."""
 
     _open = False
-    _engine: XrayEngine
+    _engine: XrayEngine | None = None
+
+    @property
+    def _scene(self) -> XrayEngine:
+        """The engine that holds the scene."""
+        assert self._engine is not None
+        return self._engine
 
     def _acquire(self, engine: XrayEngine, bodies: Sequence[SceneBody], panel: Panel) -> None:
         """Fill the scene of an engine.
@@ -46,6 +52,8 @@ class SceneOwner:
             self._release()
 
     def _release(self) -> None:
+        if self._engine is None:  # grey parts alone need no scene
+            return
         try:
             self._engine.release()
         finally:

@@ -47,6 +47,15 @@ def engine_named(name: str) -> EngineChoice:
     return choice
 
 
+def engine_extras(name: str | None) -> tuple[str, ...]:
+    """Return the extras that an engine needs; none without an engine.
+
+    Raises:
+        InputError: see ``engine_named``.
+    """
+    return engine_named(name).extras if name is not None else ()
+
+
 def prepare_engine(name: str = DEFAULT_ENGINE) -> None:
     """Load an engine and check that it works, so that a later imager starts at once.
 

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
-from twinct.specimen import GreyField, GreyPart
-from twinct.specimen.grey_part import CutFace
+from twinct.geometry import Panel
+from twinct.specimen import GreyField
 from twinct.xray.engine import SceneView
 
 
@@ -54,38 +53,3 @@ class GreyCaster:
         rays = np.vstack([np.vstack([points, steps]) / grid.voxel, grid.voxel])
         count, images = len(self.field.materials), np.array(into, np.int64)
         add_amounts(self._flat, grid.shape, count, rays, images, out)
-
-
-def cut_share(part: GreyPart, view: ScanGeometry, specimen_from_world: Pose) -> float:
-    """Return the share of a view's rays that leave a body where its CT volume ends.
-
-    Args:
-        part: grey part, whose ``cuts`` are the faces that cut the body.
-        view: exactly one view.
-        specimen_from_world: pose of the world in the specimen's frame.
-    """
-    if not part.cuts:
-        return 0.0
-    grid = part.field.grid
-    local = grid.world_from_grid.inverse() @ specimen_from_world @ view
-    source = (local.source[0] - grid.first_voxel_mm) / grid.voxel
-    ways = (local.pixel_centres(0) - grid.first_voxel_mm) / grid.voxel - source
-    cut = np.zeros(view.panel.shape, dtype=np.bool_)
-    for face in part.cuts:
-        cut |= _passes(face, grid, source, ways)
-    return float(cut.mean())
-
-
-def _passes(face: CutFace, grid: VolumeGrid, source: Floats, ways: Floats) -> NDArray[np.bool_]:
-    """Return the rays between source and pixel that pass a face where it holds tissue."""
-    # An empty layer of voxels lies beyond the face.
-    plane = grid.shape_xyz[face.axis] - 1.5 if face.high else 0.5
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (plane - source[face.axis]) / ways[..., face.axis]
-    passes = (t > 0) & (t < 1)
-    places = source + np.where(passes, t, 0.0)[..., None] * ways
-    others = [axis for axis in (2, 1, 0) if axis != face.axis]  # in the order of the array
-    first, second = (np.rint(places[..., axis]).astype(np.int64) for axis in others)
-    rows, columns = face.tissue.shape
-    passes &= (first >= 0) & (first < rows) & (second >= 0) & (second < columns)
-    return passes & face.tissue[np.where(passes, first, 0), np.where(passes, second, 0)]

@@ -8,16 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
-from twinct.geometry import Floats, Pose, ScanGeometry
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltSpecimen
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import physical_panel
 from twinct.xray.chain import Chain, ViewImages
-from twinct.xray.engine import SceneBody, SceneView
+from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
-from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
+from twinct.xray.grey import GreyCaster
+from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer, scene_view
 
 Placed = tuple[ScanGeometry, Pose]
 """Executed geometry at one instant: one view of source and panel, and ``world_from_object``."""
@@ -30,12 +31,14 @@ class Imager(SceneOwner):
     """Renderer for views of one specimen with one source and one panel.
 
     The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame.
-    Only one imager can be open in a process. It may be used from any thread, by one thread at a
-    time.
+    Only one imager of meshes can be open in a process. It may be used from any thread, by one
+    thread at a time. Grey parts are imaged by our own rays beside any engine; without meshes, no
+    engine is loaded.
 
-    A monochromatic point source and an ideal detector give the engine's own image, each pixel
-    sampled at its centre. All other cases use path lengths (``PathRenderer``) and a ``Chain``; an
-    image then costs one render per point of the focal spot and instant of the exposure.
+    A monochromatic point source and an ideal detector give the engine's own image of the meshes,
+    each pixel sampled at its centre. All other cases use path lengths (``PathRenderer``) and a
+    ``Chain``; an image then costs one render per point of the focal spot and instant of the
+    exposure.
     """
 
     def __init__(
@@ -54,7 +57,7 @@ class Imager(SceneOwner):
         Args:
             source: source section of the scenario.
             detector: detector section, with the panel of every view and the response to photons.
-            specimen: disjoint parts, closed meshes in mm, in the specimen's frame.
+            specimen: disjoint parts, closed meshes and grey fields, in the specimen's frame, mm.
             commanded: views of the scan; by default the first rendered view. The first sets the
                 detector's gain and is the view of the flat image, which is scaled for the others. A
                 view beyond them counts as commanded in its executed geometry.
@@ -77,19 +80,23 @@ class Imager(SceneOwner):
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
             bodies = _bodies(specimen, source.energy_kev, edge)
             self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
-            self._acquire(engine_named(engine).engine, bodies, self.panel)
+            self._casters = _casters(specimen, self.panel, source.energy_kev)
+            if bodies:
+                self._acquire(engine_named(engine).engine, bodies, self.panel)
+            self._open = True
         else:
             low, high = specimen.bounds
             self._centre = (low + high) / 2
-            self._materials = tuple(dict.fromkeys(part.material for part in specimen.parts))
+            self._materials = specimen.materials
             if commanded is not None:  # now, to report unusable files at once
                 self._chain = self._new_chain(commanded)
             self._paths = PathRenderer(
-                [Body(part.mesh, part.material, part.name) for part in specimen.parts],
+                [Body(part.mesh, part.material, part.name) for part in specimen.solids],
                 physical_panel(detector),
                 detector.pixel_samples,
                 edge,
                 engine,
+                specimen.greys,
             )
             self._open = True
 
@@ -179,9 +186,14 @@ class Imager(SceneOwner):
     def _ideal(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
         view = world_from_object.inverse() @ geometry
         self._placement.check(view)
-        image = np.empty(self.panel.shape, dtype=np.float32)
-        seen = SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
-        self._engine.expose(seen, image)
+        image, seen = np.ones(self.panel.shape, dtype=np.float32), scene_view(view)
+        if self._engine is not None:
+            self._engine.expose(seen, image)
+        for caster, mu_per_mm in self._casters:
+            depth = np.zeros_like(image)
+            for mu, paths in zip(mu_per_mm, caster.cast(seen), strict=True):
+                depth += mu * paths
+            image *= np.exp(-depth)
         return image
 
     def _release(self) -> None:
@@ -206,7 +218,10 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
         raise SpecimenError("the specimen has no parts: there is nothing to image")
     problems: list[str] = []
     bodies: list[SceneBody] = []
-    for part in specimen.parts:
+    for part in specimen.greys:
+        if fault := mesh_fault(part.mesh):
+            problems.append(f"part '{part.name}' {fault}")
+    for part in specimen.solids:
         mu_per_mm = float(part.material.mu_per_mm(energy_kev))
         fault = mesh_fault(part.mesh)
         if fault is None and not (np.isfinite(mu_per_mm) and mu_per_mm >= 0):
@@ -219,3 +234,14 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
     if problems:
         raise SpecimenError(problems)
     return bodies
+
+
+def _casters(
+    specimen: BuiltSpecimen, panel: Panel, energy_kev: float
+) -> list[tuple[GreyCaster, NDArray[np.float32]]]:
+    """Return the caster of each grey part, and the attenuations of its basis materials, 1/mm."""
+    found = []
+    for part in specimen.greys:
+        mu_per_mm = [m.mu_per_mm(energy_kev) for m in part.field.materials]
+        found.append((GreyCaster(part.field, panel), np.array(mu_per_mm, np.float32)))
+    return found

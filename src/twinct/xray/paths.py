@@ -11,11 +11,13 @@ from numpy.typing import NDArray
 from twinct.core.errors import SpecimenError, TwinctError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.specimen import GreyPart
 from twinct.specimen.materials import Material
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, corners, mesh_fault, split
 from twinct.xray.engine import SceneBody, SceneView
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
+from twinct.xray.grey import GreyCaster
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -42,10 +44,11 @@ class PathRenderer(SceneOwner):
 
     The meshes are uploaded once. Each body is rendered separately, in its own frame, which takes as
     long as one pass over all bodies. Bodies must not overlap: an overlap counts in both. Only one
-    renderer or imager can be open in a process.
+    renderer or imager of meshes can be open in a process. Grey parts need no engine.
 
     Attributes:
-        materials: distinct materials, in the order of their first body and of the images.
+        materials: distinct materials, in the order of their first body, then of the grey parts'
+            basis materials. The images have this order.
         panel: panel of every view.
         samples: samples along each pixel edge.
     """
@@ -57,41 +60,50 @@ class PathRenderer(SceneOwner):
         samples: int = 1,
         longest_edge_mm: float | None = None,
         engine: str = DEFAULT_ENGINE,
+        greys: Sequence[GreyPart] = (),
     ) -> None:
         """Upload the bodies.
 
         Args:
-            bodies: bodies to image; at least one.
+            bodies: bodies to image.
             panel: panel of every view.
             samples: samples along each pixel edge; the cost grows with their square.
             longest_edge_mm: maximum edge of the meshes, longer ones are split; see
                 ``longest_edge``.
             engine: name of the X-ray engine.
+            greys: grey parts to image, at least one if there are no bodies.
 
         Raises:
             SpecimenError: there is no body, or a mesh is open or inside out.
             InputError: the engine, or something that it needs, is missing.
             TwinctError: another imager is open in this process, or the engine failed.
         """
-        if not bodies:
+        if not (bodies or greys):
             raise SpecimenError("the specimen has no parts: there is nothing to image")
         if samples < 1:
             raise ValueError(f"{samples} samples along a pixel edge: at least 1 is needed")
-        if faults := [
-            f"part {quoted(b.label)} {fault}" for b in bodies if (fault := mesh_fault(b.mesh))
-        ]:
-            raise SpecimenError(faults)
-        self.materials: tuple[Material, ...] = tuple(dict.fromkeys(b.material for b in bodies))
+        named = [*((body.label, body.mesh) for body in bodies), *((g.name, g.mesh) for g in greys)]
+        _require_closed(named)
+        basis = (m for part in greys for m in part.field.materials)
+        self.materials: tuple[Material, ...] = tuple(
+            dict.fromkeys([*(body.material for body in bodies), *basis])
+        )
         self._material = [self.materials.index(body.material) for body in bodies]
-        self._placements = [Placement([(b.label, b.mesh)]) for b in bodies]
+        self._placements = [Placement([part]) for part in named]
         self._corners = [corners(body.mesh) for body in bodies]
         self.panel, self.samples = panel, samples
         fine = self._fine = panel.divided(samples)
+        self._casters = [
+            (GreyCaster(part.field, fine), [self.materials.index(m) for m in part.field.materials])
+            for part in greys
+        ]
         tile = Panel(_even(fine.rows), _even(fine.columns), fine.pitch_u, fine.pitch_v)
-        self._tile = np.empty(tile.shape, dtype=np.float32)
+        self._tile = np.empty(tile.shape if bodies else (0, 0), dtype=np.float32)
         meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
         uploads = [SceneBody(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes]
-        self._acquire(engine_named(engine).engine, uploads, tile)
+        if bodies:
+            self._acquire(engine_named(engine).engine, uploads, tile)
+        self._open = True
 
     def render(
         self, view: ScanGeometry, world_from_bodies: Pose | Sequence[Pose]
@@ -100,7 +112,8 @@ class PathRenderer(SceneOwner):
 
         Args:
             view: exactly one view, in the world, with the panel of this renderer.
-            world_from_bodies: pose of each body's frame at exposure, or one pose for all.
+            world_from_bodies: pose of the frame of each body, then of each grey part, at exposure;
+                or one pose for all.
 
         Returns:
             Path lengths, mm, (materials, rows * samples, columns * samples). The samples of a pixel
@@ -118,22 +131,30 @@ class PathRenderer(SceneOwner):
             raise ValueError(f"render takes one view at a time, not {len(view)}")
         if view.panel != self.panel:
             raise ValueError(f"the view has {view.panel}; the renderer was made for {self.panel}")
-        count, poses = len(self._material), world_from_bodies
-        poses = [poses] * count if isinstance(poses, Pose) else poses
-        if len(poses) != count:
-            raise ValueError(f"{len(poses)} poses for {count} bodies")
+        views = self._from_bodies(view, world_from_bodies)
         paths = np.zeros((len(self.materials), *self._fine.shape), dtype=np.float32)
         filled = [False] * len(self.materials)
-        for body, (material, pose) in enumerate(zip(self._material, poses, strict=True)):
-            seen = pose.inverse() @ view
-            self._placements[body].check(seen)
-            if _misses(seen, self._corners[body]):
+        for body, material in enumerate(self._material):
+            if _misses(views[body], self._corners[body]):
                 continue
             for row in range(0, self._fine.rows, self._tile.shape[0]):
                 for column in range(0, self._fine.columns, self._tile.shape[1]):
-                    self._add(body, seen, (row, column), paths[material], filled[material])
+                    self._add(body, views[body], (row, column), paths[material], filled[material])
             filled[material] = True
+        for seen, (caster, into) in zip(views[len(self._material) :], self._casters, strict=True):
+            caster.add(scene_view(seen), into, paths)
         return paths
+
+    def _from_bodies(self, view: ScanGeometry, poses: Pose | Sequence[Pose]) -> list[ScanGeometry]:
+        """Return the view in the frame of each body and grey part, where it can be rendered."""
+        count = len(self._placements)
+        poses = [poses] * count if isinstance(poses, Pose) else poses
+        if len(poses) != count:
+            raise ValueError(f"{len(poses)} poses for {count} bodies")
+        views = [pose.inverse() @ view for pose in poses]
+        for placement, seen in zip(self._placements, views, strict=True):
+            placement.check(seen)
+        return views
 
     def _add(
         self,
@@ -148,12 +169,22 @@ class PathRenderer(SceneOwner):
         down = (row + (tile.shape[0] - fine.rows) / 2) * fine.pitch_v
         right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
         centre = view.detector[0] + right * view.u[0] + down * view.v[0]
-        self._engine.path_lengths(
-            SceneView(view.source[0], centre, view.u[0], view.v[0]), body, tile
-        )
+        seen = scene_view(view)._replace(centre=centre)
+        self._scene.path_lengths(seen, body, tile)
         part = out[row : row + tile.shape[0], column : column + tile.shape[1]]
-        seen = tile[: part.shape[0], : part.shape[1]]
-        part[:] = part + seen if filled else seen
+        lengths = tile[: part.shape[0], : part.shape[1]]
+        part[:] = part + lengths if filled else lengths
+
+
+def _require_closed(parts: Sequence[tuple[str, Trimesh]]) -> None:
+    faults = [f"part {quoted(name)} {why}" for name, mesh in parts if (why := mesh_fault(mesh))]
+    if faults:
+        raise SpecimenError(faults)
+
+
+def scene_view(view: ScanGeometry) -> SceneView:
+    """Return exactly one view in the form of engines."""
+    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
 
 
 def _misses(view: ScanGeometry, box: Floats) -> bool:
