@@ -21,7 +21,7 @@ from twinct.specimen.voxels import volume_fractions
 if TYPE_CHECKING:
     import trimesh
 
-SAMPLES_PER_VOXEL = 2
+SAMPLES_PER_VOXEL = 4
 """Samples along each edge of a voxel of the field, for means in voxels of another grid."""
 
 MOST_SAMPLES = 16
