@@ -178,8 +178,8 @@ class GreyVolume(Section):
             raise ValueError(f"path and phantom {told}: give one")
         if self.phantom:
             self._fits_a_phantom()
-        elif wrong := {"voxel_mm", "seed"} & self.model_fields_set:
-            raise ValueError(f"{' and '.join(sorted(wrong))}: only allowed with phantom")
+        elif wrong := [n for n in ("seed", "voxel_mm") if getattr(self, n) != _default(n)]:
+            raise ValueError(f"{' and '.join(wrong)}: only allowed with phantom")
         if self.keep == "labelled" and not self.labelled:
             raise ValueError("keep: labelled needs labels")
         if self.hu is not None and self.calibration.kind == "attenuation":
@@ -206,3 +206,7 @@ class GreyVolume(Section):
     def source(self) -> str:
         """File or phantom, for messages."""
         return f"the {self.phantom} phantom" if self.phantom else f"CT volume {self.path}"
+
+
+def _default(key: str) -> object:
+    return GreyVolume.model_fields[key].default
