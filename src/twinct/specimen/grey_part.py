@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
+from twinct.evaluation import part_of
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.geometry.arrays import lock
 from twinct.specimen.grey import GreyField
@@ -203,8 +205,11 @@ class GreyPart:
         """Return the voxels of a grid that a label fills by half at least."""
         assert self.labels is not None
         share = np.zeros(grid.shape, dtype=np.float32)
-        values = self.labels.mask(name).astype(np.float32)
-        add_means(values, self.field.grid, grid, world_from_specimen, share)
+        mask = self.labels.mask(name)
+        box = scipy.ndimage.find_objects(mask.view(np.uint8))
+        if box:
+            values = mask[box[0]].astype(np.float32)
+            add_means(values, part_of(self.field.grid, box[0]), grid, world_from_specimen, share)
         return share >= 0.5
 
     def update(self, digest: hashlib._Hash) -> None:
