@@ -100,8 +100,7 @@ def _size(builder: SimulationBuilder) -> SpecimenSize:
 
 def _cut(builder: SimulationBuilder) -> list[str]:
     """Return a warning for each grey part that the edge of its CT cuts within the views."""
-    specimen = builder.specimen
-    warnings: list[str] = []
+    specimen, warnings = builder.specimen, list[str]()
     seen = specimen.world_from_specimen.inverse() @ builder.commanded
     for part in specimen.greys:
         shares = cut_share(part, seen)

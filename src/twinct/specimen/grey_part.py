@@ -23,11 +23,11 @@ from twinct.specimen.voxels import volume_fractions
 if TYPE_CHECKING:
     import trimesh
 
-SAMPLES_PER_VOXEL = 4
-"""Samples along each edge of a voxel of the field, for means in voxels of another grid."""
+FEW_SAMPLES = 4
+"""Samples along an edge of a voxel of the field or of another grid, whichever is larger."""
 
-MOST_SAMPLES = 16
-"""Largest number of samples along an edge of a voxel of that grid."""
+SAMPLES_PER_VOXEL = 2
+"""Samples along each edge of the field's voxels in a voxel that spans several of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,10 +206,9 @@ class GreyPart:
         assert self.labels is not None
         share = np.zeros(grid.shape, dtype=np.float32)
         mask = self.labels.mask(name)
-        box = scipy.ndimage.find_objects(mask.view(np.uint8))
-        if box:
-            values = mask[box[0]].astype(np.float32)
-            add_means(values, part_of(self.field.grid, box[0]), grid, world_from_specimen, share)
+        for z, y, x in scipy.ndimage.find_objects(mask.view(np.uint8)):
+            values, of = mask[z, y, x].astype(np.float32), part_of(self.field.grid, (z, y, x))
+            add_means(values, of, grid, world_from_specimen, share)
         return share >= 0.5
 
     def update(self, digest: hashlib._Hash) -> None:
@@ -235,8 +234,7 @@ def add_means(
 ) -> None:
     """Add the mean of a linear field in each voxel of a grid to ``out``.
 
-    The field is sampled at least ``SAMPLES_PER_VOXEL`` times along each edge of its own voxels, up
-    to ``MOST_SAMPLES`` times along those of the grid.
+    It is the mean of samples, whose number ``FEW_SAMPLES`` and ``SAMPLES_PER_VOXEL`` define.
 
     Args:
         values: field at the voxel centres of its grid, (nz, ny, nx).
@@ -252,8 +250,9 @@ def add_means(
     steps = (field_from_grid.rotation * grid.voxel).T / of.voxel
     corner = grid.first_voxel_mm - grid.voxel / 2
     first = (field_from_grid.apply(corner) - of.first_voxel_mm) / of.voxel
-    counts = np.ceil(SAMPLES_PER_VOXEL * np.abs(steps).max(axis=1) - 1e-9)
-    counts = np.clip(counts, 1, MOST_SAMPLES).astype(np.int64)
+    spanned = np.abs(steps).max(axis=1)
+    counts = np.maximum(FEW_SAMPLES * np.minimum(spanned, 1), SAMPLES_PER_VOXEL * spanned)
+    counts = np.ceil(counts - 1e-9).astype(np.int64)
     box = _touched(values.shape, first, steps, grid.shape)
     if any(side.start >= side.stop for side in box):
         return

@@ -105,8 +105,10 @@ def _read(
     image = canonical(image)
     _require_plausible(image, shape, where)
     _warn_of_edge(image, shape, where)
-    names, labels = read_labels(shape.labels, image, where) if shape.labels else ((), None)
-    return image, names, labels
+    if shape.labels is None:
+        return image, (), None
+    names, numbers = read_labels(shape.labels, image, where)
+    return image, names, numbers
 
 
 def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -> None:
@@ -182,8 +184,10 @@ def _counting(
 def _body(values: NDArray[np.float32], level: float) -> NDArray[np.bool_]:
     """Return the largest connected piece above a level, with its cavities and its slope."""
     pieces = np.empty(values.shape, dtype=np.int32)
-    scipy.ndimage.label(values > level, output=pieces)
-    sizes = np.bincount(pieces.ravel())
+    count = int(scipy.ndimage.label(values > level, output=pieces))  # type: ignore[call-overload]
+    sizes = np.zeros(count + 1, dtype=np.int64)
+    for plane in pieces:  # a whole volume would be copied as 64-bit numbers
+        sizes += np.bincount(plane.ravel(), minlength=count + 1)
     sizes[0] = 0
     body = _filled(pieces == int(sizes.argmax()))
     return scipy.ndimage.binary_dilation(body, _TOUCHING, iterations=SLOPE_VOXELS)
