@@ -52,14 +52,24 @@ def test_what_is_asked_for_is_read(file: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "replaced", "by", "said"),
     [
-        (11, "part: rod", "part: rot", "regions.2.shape.part: unknown part or label 'rot'; choose from"),
+        (
+            11,
+            "part: rod",
+            "part: rot",
+            "regions.2.shape.part: unknown part or label 'rot'; choose from",
+        ),
         (12, "region: inner", "region: inne", "contrasts.0.region: unknown region 'inne'"),
         (12, "against: outer", "against: ball", "contrasts.0.against: unknown region 'ball'"),
         (13, "at: rod", "at: water", "mtf.1.at: 'water' is neither a sphere nor a cylinder"),
         (13, "at: ball}}", "at: bowl}}", "mtf.0.at: unknown part or region 'bowl'; choose from"),
         (14, "region: outer", "region: out", "nps.0.region: unknown region 'out'; choose from"),
         (17, "mtf: ball", "mtf: inner", "tasks.0.mtf: unknown entry of evaluation.mtf 'inner'"),
-        (18, "part: rod", "part: screw", "streaks.0.part: unknown part or label 'screw'; choose from"),
+        (
+            18,
+            "part: rod",
+            "part: screw",
+            "streaks.0.part: unknown part or label 'screw'; choose from",
+        ),
         (9, "name: inner", "name: ball", "regions.0.name: a part is also called 'ball'"),
         (10, "name: outer", "name: inner", "regions: 'inner' appears more than once"),
         (18, "to_mm: 10", "to_mm: 1", "to_mm (1) must be above from_mm (2)"),

@@ -132,7 +132,8 @@ class ImageReference:
         mu_reference: mu(bone), 1/mm.
         grid: the lattice of both.
         bone_distance_mm: largest distance of voxels "near bone".
-        body: voxels that count as bone and as pure bone, (z, y, x), bool; None: by their truth.
+        body: voxels of a grey body that count as bone, (z, y, x), bool; ``mean_bone_rel`` is then
+            the mean in them over that of the truth. None: bone is uniform.
     """
 
     truth: NDArray[Any]
@@ -219,12 +220,14 @@ class ImageReference:
         return figures.honest()
 
     def _in_body(self, sums: _VoxelSums, volume: NDArray[Any]) -> _VoxelSums:
-        """Return the sums with bone and pure bone as the body defines them, if it does."""
+        """Return the sums with bone as the body defines it, and the mean in it over the truth's."""
         if self.body is None:
             return sums
         inside = self.body & self.roi
-        bone, value = float(inside.sum()), float(volume[inside].sum(dtype=np.float64))
-        return replace(sums, bone=bone, pure=bone, pure_value=value)
+        found, true = (float(a[inside].sum(dtype=np.float64)) for a in (volume, self.truth))
+        bone = float(inside.sum())
+        mean_rel = found / true if true else math.nan
+        return replace(sums, bone=bone, pure=1.0, pure_value=self.mu_reference * mean_rel)
 
     def _require_shape(self, name: str, array: NDArray[Any]) -> None:
         if array.shape != self.grid.shape:

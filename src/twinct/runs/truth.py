@@ -23,12 +23,13 @@ from twinct.evaluation import (
     region_depth,
     region_of_interest,
 )
+from twinct.evaluation.image import BONE_SHARE
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.geometry.arrays import lock
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
 from twinct.scan import Scan, SimulationBuilder
-from twinct.specimen import BuiltSpecimen, material
+from twinct.specimen import BuiltSpecimen, GreyPart, material
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +52,7 @@ class Truth:
         executed: executed geometry of the views, relative to the specimen.
         note: note in the volume's file, which identifies it.
         mu_water: attenuation of water at the energy of the volume, 1/mm.
-        body: voxels of the label to which figures are relative, (z, y, x), bool, if it is one.
+        body: voxels that count as bone, (z, y, x), bool, if the reference is grey.
     """
 
     volume: NDArray[np.float32]
@@ -125,8 +126,8 @@ def truth_of(
             step()
             region = region_of_interest(executed, grid)
             step()
-        body = specimen.reference_voxels(grid, scan.stands)
         mu = specimen.reference_mu(energy)
+        body = grey_body(specimen, volume, mu, grid, scan.stands)
         water = material("water").mu_per_mm(energy)
         return Truth(volume, region, mu, grid, executed, note, water, body)
 
@@ -139,6 +140,28 @@ def truth_of(
     told = [note, views.hexdigest(), repr(executed.panel), specimen.reference_mu(energy)]
     told += [specimen.reference] if specimen.greys else []
     return once("truth", json.dumps(told), make)
+
+
+def grey_body(
+    specimen: BuiltSpecimen,
+    volume: NDArray[np.float32],
+    mu_reference: float,
+    grid: VolumeGrid,
+    world_from_specimen: Pose,
+) -> NDArray[np.bool_] | None:
+    """Return the voxels that count as bone if the reference is grey: of its label, or dense ones.
+
+    Args:
+        specimen: specimen with its reference.
+        volume: its true attenuation on the grid, (z, y, x), 1/mm.
+        mu_reference: attenuation of the reference, 1/mm.
+        grid: grid of the volume.
+        world_from_specimen: pose of the specimen.
+    """
+    if not isinstance(specimen.reference_part, GreyPart):
+        return None
+    label = specimen.reference_voxels(grid, world_from_specimen)
+    return volume >= BONE_SHARE * mu_reference if label is None else label
 
 
 def _digest(

@@ -34,6 +34,7 @@ from twinct.runs import (
 )
 from twinct.runs.acquisition import rig_factory
 from twinct.runs.reporting import figures_of
+from twinct.runs.truth import grey_body
 from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
 from twinct.scenario.reading import key_of
@@ -347,14 +348,15 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
         return region_of_interest(executed, section.volume_grid)
 
     def both() -> Truth:
+        volume, mu = cache.array(of_truth, truth), specimen.reference_mu(energy)
         return Truth(
-            cache.array(of_truth, truth),
+            volume,
             cache.array(of_region, region),
-            specimen.reference_mu(energy),
+            mu,
             section.volume_grid,
             executed,
             mu_water=material("water").mu_per_mm(energy),
-            body=specimen.reference_voxels(section.volume_grid, stands),
+            body=grey_body(specimen, volume, mu, section.volume_grid, stands),
         )
 
     return once("truth", f"{of_truth} {of_region}", both)
