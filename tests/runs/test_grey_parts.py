@@ -16,6 +16,7 @@ from twinct.geometry import Panel, Pose
 from twinct.report import physics_in_words
 from twinct.runs.checks import check_sight, findings
 from twinct.runs.integrals import hardening_corrected
+from twinct.runs.needs import needs
 from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
@@ -170,3 +171,16 @@ def test_hardening_of_the_bulk(grey: Maker) -> None:
         for scenario in (grey(*keys), grey(keys[0], keys[1].replace("}", ", material: water}")))
     )
     assert found == pytest.approx(water) and not np.allclose(found, integrals)
+
+
+def test_memory_of_packed_and_plain_files(grey: Maker, tmp_path: Path) -> None:
+    """A packed file needs more for each of its bytes, but not more than it unpacks to needs."""
+    plain = tmp_path / "head.nii"
+    packed = write(tmp_path / "packed.nii.gz", head())
+    by_plain, by_packed = (
+        needs(grey(shape="surface_hu: -300", path=path))["specimen"].memory_bytes
+        for path in (plain, packed)
+    )
+    ratio = packed.stat().st_size / plain.stat().st_size
+    base = by_plain - 10 * plain.stat().st_size
+    assert base > 0 and by_packed - base == pytest.approx(3.6 * ratio * (by_plain - base))
