@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from twinct import scenario
+from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.evaluation import (
     Measurement,
@@ -94,6 +95,8 @@ class Places:
 
     def check(self) -> list[str]:
         """Return a sentence for each entry that cannot be measured, beginning with its key."""
+        if unknown := self._unknown_parts():
+            return unknown
         found: dict[str, str] = {}
         for i, region in enumerate(self.section.regions):
             # A shell is covered if its part is: see below.
@@ -108,6 +111,17 @@ class Places:
                 problems = kind.check(self, one)
                 found |= {f"{kind.name}.{i}.{key}": why for key, why in problems.items()}
         return [f"evaluation.{key}: {why}" for key, why in found.items()]
+
+    def _unknown_parts(self) -> list[str]:
+        """Return a sentence for each name that no part and no label has."""
+        found: list[str] = []
+        for key, name, target in self.section.references():
+            if target == "part":
+                try:
+                    self.specimen.named(name, f"evaluation.{key}")
+                except SpecimenError as error:
+                    found += error.problems
+        return found
 
     def figures(
         self,
