@@ -68,13 +68,14 @@ def main() -> None:
 
 
 def body(voxels: int):  # noqa: ANN201 - the class loads libraries
-    """Return a grid full of three basis materials, of which the first fills it evenly."""
+    """Return a grid full of three materials, with an empty layer around, as grey parts have."""
     from twinct.geometry import VolumeGrid
     from twinct.specimen.grey import GreyField
     from twinct.specimen.materials import material
 
     names = "water", "bone", "titanium"
-    amounts = np.ones((voxels, voxels, voxels, len(names)), np.float32)
+    amounts = np.zeros((voxels + 2, voxels + 2, voxels + 2, len(names)), np.float32)
+    amounts[1:-1, 1:-1, 1:-1] = 1.0
     materials = tuple(material(name) for name in names)
     return GreyField(materials, amounts, VolumeGrid(amounts.shape[:3], WIDTH_MM / voxels))
 

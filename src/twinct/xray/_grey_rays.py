@@ -36,7 +36,7 @@ PAIRED = 4
 _TILE_ROWS, _TILE_COLUMNS = 32, 32
 """Rays that go through a slab of planes before the next slab is read."""
 
-_SLAB = 16
+_SLAB = 32
 """Planes of a slab, a multiple of ``LANES``."""
 
 _LINE = 16
