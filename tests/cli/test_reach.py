@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ def test_check_names_a_cure_and_draws(tmp_path: Path, capfd: pytest.CaptureFixtu
 def test_a_search_for_a_cure_can_be_left(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         assert "out of reach by 2" in capfd.readouterr().err  # told before it
         raise KeyboardInterrupt
 
@@ -82,6 +83,35 @@ def test_a_search_for_a_cure_can_be_left(
     assert run_command(["check", DEMO, *BALL, *TURNED, "--picture", str(picture)]) == 2
     assert "view 2: source arm: out of reach by 2" in capfd.readouterr().err
     assert not picture.exists()
+
+
+def test_without_cures_only_the_problems_are_told(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("twinct.cli.reach.reasons", None)
+    monkeypatch.chdir(tmp_path)
+    assert run_command(["check", DEMO, *BALL, *TURNED, "--no-cures", "--threads", "1"]) == 2
+    said = capfd.readouterr().err
+    assert "view 2: source arm: out of reach by 2" in said and "remedy" not in said
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_search_for_a_cure_ends_with_the_time(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def endless(*_: object, **__: object) -> None:
+        signal.raise_signal(signal.SIGALRM)
+
+    monkeypatch.setattr("twinct.cli.reach.reasons", endless)
+    picture = tmp_path / "view.png"
+    limit = ("--time-limit", "3600", "--picture", str(picture))
+    assert run_command(["check", DEMO, *BALL, *TURNED, *limit]) == 2
+    said = capfd.readouterr().err
+    assert "view 2: source arm: out of reach by 2" in said
+    assert "stopped after 3600 s (--time-limit)" in said
+    assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
+    assert run_command(["check", DEMO, *BALL, "--time-limit", "0"]) == 2
+    assert "--time-limit 0: must be above 0" in capfd.readouterr().err
 
 
 def test_of_a_plan_in_a_file_no_cure_is_sought(

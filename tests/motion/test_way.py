@@ -13,6 +13,7 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Target
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
+from twinct.robots.motion.refusals import sample_of
 from twinct.scenario import Detector, Motion
 from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views
 
@@ -145,3 +146,9 @@ def test_three_views_over_210_degrees_and_the_same_bytes_again(cell: CellModel) 
     way = checked(cell, find_joint_path(cell, MOTION, few, seed=4), few)
     find_joint_path(cell, MOTION, few[:2], seed=9)
     np.testing.assert_array_equal(way.joints, find_joint_path(cell, MOTION, few, seed=4).joints)
+
+
+def test_a_lost_view_is_told_by_the_ends_and_the_middle_of_its_run() -> None:
+    lost = [2, 3, 4, 5, 6, 7, 8, 20]
+    assert [sample_of(view, lost) for view in (2, 3, 4, 6, 8, 20)] == [2, 2, 5, 5, 8, 20]
+    assert sample_of(9, lost) == 9

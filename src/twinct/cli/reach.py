@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from twinct.cli.progress import on_terminal, say
+from twinct.cli.time_limit import TimeUpError
 from twinct.core.errors import InputError, TrajectoryError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, check_picture, storage_errors
@@ -28,9 +29,13 @@ from twinct.robots.reach import (
 )
 from twinct.robots.reach.results import draw_room, draw_sphere, shares, write_tables
 from twinct.robots.reach.sphere import check_asked
+from twinct.runs.longest_arc import longest_arc
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_scenario
 from twinct.trajectory import OrbitSettings
+
+PICTURE_PX = (1000, 625)
+"""Width and height of the picture of an infeasible view."""
 
 SEARCHED_VIEWS = 60
 """Number of views of a trajectory that a search uses, spread evenly."""
@@ -199,7 +204,7 @@ def _asked(builder: SimulationBuilder) -> Poses:
 def explained(builder: SimulationBuilder, picture: Path) -> Iterator[None]:
     """Add a remedy, and a picture of one view, to an error about infeasible views.
 
-    The problem is reported before the search for a remedy, which may take minutes and be
+    The problem is reported before the search for a remedy, which takes seconds and may be
     interrupted.
 
     Raises:
@@ -216,9 +221,22 @@ def explained(builder: SimulationBuilder, picture: Path) -> Iterator[None]:
         more = f", and {len(others)} more" if others else ""
         say(f"{first}{more}; looking for a remedy (Ctrl-C skips this)", warning=True)
         try:
-            views, words = reasons(scenario.cell, builder.cell_of, scenario.motion, poses, free)
+            with on_terminal() as audience:
+                views, words = reasons(
+                    scenario.cell,
+                    builder.cell_of,
+                    scenario.motion,
+                    poses,
+                    free,
+                    rough=builder.rough_cell_of,
+                    progress=audience,
+                )
+                if views and (arc := longest_arc(builder, views)):
+                    words.append(arc)
         except KeyboardInterrupt:
             raise error from None
+        except TimeUpError as over:
+            raise TrajectoryError([*error.problems, str(over)]) from None
         if views:
             words += _pictured(builder, picture, views[0])
         raise TrajectoryError([*error.problems, *words]) from error
@@ -254,7 +272,8 @@ def _pictured(builder: SimulationBuilder, picture: Path, view: int) -> list[str]
     one = shown(_holder(builder), _asked(builder), view)
     with storage_errors(picture):
         picture.parent.mkdir(parents=True, exist_ok=True)
-        render_cell(builder.room, picture, one.joints, marks=one.marks)
+        width, height = PICTURE_PX
+        render_cell(builder.sketched_room, picture, one.joints, width, height, one.marks)
     return [f"picture of view {view}: {picture}"]
 
 

@@ -13,8 +13,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from twinct.cli.arguments import Overrides, ScenarioFile
-from twinct.cli.progress import say
+from twinct.cli.arguments import Flag, Overrides, ScenarioFile, Threads
+from twinct.cli.progress import on_terminal, say
+from twinct.cli.time_limit import limited
 
 if TYPE_CHECKING:
     from twinct.scan import SimulationBuilder
@@ -28,6 +29,9 @@ def check(
     *,
     save: Annotated[Path | None, tyro.conf.arg(metavar="NPZ")] = None,
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
+    no_cures: Flag = False,
+    time_limit: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
+    threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
     """Validate a scenario, build its specimen, plan its motion and rehearse it, without running it.
@@ -39,7 +43,18 @@ def check(
     Args:
         save: File for the plan; a scenario follows it with the key motion.plan.
         picture: File for the picture of an infeasible view.
+        no_cures: Report infeasible views without a remedy and a picture.
+        time_limit: Largest time of the check; what is known by then is reported.
     """
+    from twinct.core.threads import limit_threads
+
+    limit_threads(threads)
+    with limited(time_limit, "--time-limit"):
+        _check(scenario, save, None if no_cures else picture, set_)
+
+
+def _check(scenario: Path, save: Path | None, picture: Path | None, set_: Overrides) -> None:
+    """Check a scenario; without a path for a picture, no remedy is sought."""
     from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
@@ -59,7 +74,7 @@ def check(
         require_extras(loaded)
     builder = SimulationBuilder(loaded)
     remedy = nullcontext
-    if loaded.cell.kind == "arms":  # a gantry needs no MuJoCo
+    if loaded.cell.kind == "arms" and picture is not None:  # a gantry needs no MuJoCo
         from twinct.cli.reach import explained
 
         remedy = partial(explained, builder, picture)
@@ -68,20 +83,29 @@ def check(
         check_geometries(loaded)
         if builder.plan_chooses:  # otherwise, the views are known without a plan
             with remedy():
-                _ = builder.plan
+                _planned(builder)
         check_physics(builder)
         require_feasible(loaded, builder.commanded)
         for warning in check_sight(builder):
             say(warning, warning=True)
         with remedy():
-            _ = builder.plan
-        rehearse(builder)
+            _planned(builder)
+        with on_terminal() as audience:
+            rehearse(builder, audience)
         table = Table(title=f"{loaded.name}: can be run", show_header=False)
         for name, words in findings(builder).items():
             table.add_row(name, words.replace("×", "x"))
         if save is not None:
             _save_plan(builder, save)
     Console().print(table)
+
+
+def _planned(builder: SimulationBuilder) -> None:
+    """Plan the motion, with a stage on the terminal."""
+    if builder.scenario.cell.kind == "arms":
+        with on_terminal() as audience, audience.stage("planning the motion", 1) as step:
+            _ = builder.plan
+            step()
 
 
 def _save_plan(builder: SimulationBuilder, path: Path) -> None:

@@ -16,6 +16,7 @@ from twinct.core.errors import (
 )
 from twinct.core.extras import require
 from twinct.core.foreign_text import quoted
+from twinct.core.progress import SILENT, Progress
 from twinct.evaluation import sight
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
@@ -210,8 +211,12 @@ def _duration(builder: SimulationBuilder, plan: MotionPlan) -> str:
     return f"{plan.duration_s:.1f} s, planned; limited by {', '.join(named[:LIMITS])}"
 
 
-def rehearse(builder: SimulationBuilder) -> None:
+def rehearse(builder: SimulationBuilder, progress: Progress = SILENT) -> None:
     """Simulate the arms' motion of a scan without images, to find views that would be missed.
+
+    Args:
+        builder: simulations of the scan.
+        progress: progress display.
 
     Raises:
         TrajectoryError: a view is missed; the message names the cause.
@@ -220,8 +225,10 @@ def rehearse(builder: SimulationBuilder) -> None:
         return
     robots = builder.robots()
     try:
-        for view, target in enumerate(builder.targets):
-            robots.move(view, target)
+        with progress.stage("rehearsal of the motion", len(builder.targets)) as step:
+            for view, target in enumerate(builder.targets):
+                robots.move(view, target)
+                step()
     except TargetRefusedError as error:
         raise TrajectoryError(str(error)) from None
     finally:

@@ -15,7 +15,7 @@ import numpy as np
 
 from twinct.core.errors import InputError
 from twinct.core.kept import once
-from twinct.geometry import Floats, Pose, ScanGeometry
+from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
 from twinct.geometry.wire import PosePairs, Target
 from twinct.robots.gantry import Gantry
 from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from twinct.robots.cell import CellModel
     from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter
     from twinct.xray import Imager
+
+
+ROUGH_DIRECTIONS = 150
+"""Directions in which the simpler specimen of a search for remedies has its corners."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +162,13 @@ class SimulationBuilder:
         """Operating room with the true surface of the specimen, for pictures."""
         return self._cell_with(self.specimen.surface())
 
+    @cached_property
+    def sketched_room(self) -> CellModel:
+        """Operating room with a coarse surface of the specimen, for pictures in a hurry."""
+        from twinct.specimen.sketch import sketch
+
+        return self._cell_with(sketch(self.specimen.surface()))
+
     def urdf(self, meshes: Path | None = None) -> str:
         """Return the room's robot description, with the camera at the first view's source.
 
@@ -184,6 +195,24 @@ class SimulationBuilder:
 
         pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
         return build_cell(section, self.hull, pose, panel)
+
+    def rough_cell_of(self, section: Cell) -> CellModel:
+        """Return the room of ``cell_of`` with a simpler specimen inside the real one.
+
+        It is built several times faster, and holds every view that the real one holds.
+        """
+        from twinct.robots.cell import build_cell
+
+        pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
+        return build_cell(section, self._rough_hull, pose, panel)
+
+    @cached_property
+    def _rough_hull(self) -> Trimesh:
+        import trimesh
+
+        corners = self.hull.vertices
+        farthest = (fibonacci_directions(ROUGH_DIRECTIONS) @ corners.T).argmax(axis=1)
+        return trimesh.Trimesh(corners[np.unique(farthest)]).convex_hull
 
     def _cell_with(self, mesh: Trimesh) -> CellModel:
         from twinct.robots.cell import build_cell

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,13 +66,23 @@ def load_arm(arm: Arm, key: str) -> ArmModel:
     if name is None:
         origin = f"{key}.file: {arm.file}"
         own = read_own_arm(arm, origin)
-        return _normalised(own.spec, arm, key, origin, own)
+        return _normalised(own.spec, own.spec.compile(), arm, key, origin, own)
     if name.startswith("menagerie:"):
         spec = mujoco.MjSpec.from_file(str(_menagerie_file(name.removeprefix("menagerie:"), key)))
+        model = spec.compile()
     else:
-        with as_file(files("twinct.robots.cell") / f"{name}.xml") as path:
-            spec = mujoco.MjSpec.from_file(str(path))
-    return _normalised(spec, arm, key, f"{key}.model: {name}")
+        spec, model = _built_in(name)
+        spec = spec.copy()
+    return _normalised(spec, model, arm, key, f"{key}.model: {name}")
+
+
+@cache
+def _built_in(name: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Return an arm of this package; a search builds the same arms hundreds of times."""
+    mujoco = mujoco_module()
+    with as_file(files("twinct.robots.cell") / f"{name}.xml") as path:
+        spec = mujoco.MjSpec.from_file(str(path))
+    return spec, spec.compile()
 
 
 def _menagerie_file(name: str, key: str) -> Path:
@@ -118,10 +129,14 @@ def _menagerie_file(name: str, key: str) -> Path:
 
 
 def _normalised(
-    spec: mujoco.MjSpec, arm: Arm, key: str, origin: str, own: OwnArm | None = None
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    arm: Arm,
+    key: str,
+    origin: str,
+    own: OwnArm | None = None,
 ) -> ArmModel:
     mujoco = mujoco_module()
-    model = spec.compile()
     if model.njnt < 5 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         raise ScenarioError(
             f"{origin} is not a single arm: it has {model.njnt} joints; an arm needs five or more, "

@@ -428,10 +428,13 @@ def _tune_servos(model: mujoco.MjModel) -> None:
     rng = np.random.default_rng(0)
     inertia = np.zeros(model.nv)
     full = np.zeros((model.nv, model.nv))
+    # Only what the inertia needs: a search builds hundreds of cells.
+    steps = (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_makeM)
     low, high = np.maximum(model.jnt_range.T[0], -np.pi), np.minimum(model.jnt_range.T[1], np.pi)
     for _ in range(64):
         data.qpos[:] = rng.uniform(low, high)
-        mujoco.mj_forward(model, data)
+        for step in steps:
+            step(model, data)
         mujoco.mj_fullM(model, data, full)
         inertia = np.maximum(inertia, np.diag(full))
     stiffness = BANDWIDTH_RAD_S**2 * inertia

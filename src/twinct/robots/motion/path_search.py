@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +35,7 @@ from twinct.robots.motion.layers import (
     speeds_of,
 )
 from twinct.robots.motion.path_planner import SEARCHES, Detours
-from twinct.robots.motion.refusals import far_problems, gap_problems, gap_text
+from twinct.robots.motion.refusals import far_problems, gap_problems, gap_text, sample_of
 from twinct.robots.motion.tour import moving_seconds, shortest_tour
 from twinct.scenario import Motion
 
@@ -54,6 +55,9 @@ MANY_STARTS = 500
 
 NEAREST_STARTS = 8
 """Starts of the search for the remaining error of an arm out of reach."""
+
+FAR_MM = 1.0
+"""Distance beyond which a view is out of reach like its neighbours; nearer ones are solved."""
 
 WIDEST_OF = 64
 """Largest number of configurations of which the largest clearance is reported."""
@@ -219,8 +223,11 @@ class _Finder:
         found = branches.of(asked.reshape(-1, 4, 4))
         clear = room.clear(self._placed(found.joints, arm), self._least_mm)
         candidates, far, gaps = [], {}, {}
+        ends = np.searchsorted(found.pose, np.arange(len(poses) + 1) * len(rolls))
+        lost = np.flatnonzero(np.diff(ends) == 0).tolist() if branches.closed_form else []
+        nearest = cache(lambda view: self._nearest(view, arm))
         for view in range(len(poses)):
-            mine = slice(*np.searchsorted(found.pose, np.array([view, view + 1]) * len(rolls)))
+            mine = slice(*ends[view : view + 2])
             joints, roll = found.joints[mine], rolls[found.pose[mine] - view * len(rolls)]
             good = clear[mine]
             if not good.any() and not branches.closed_form:
@@ -228,7 +235,9 @@ class _Finder:
                 joints, roll = more.joints, rolls[more.pose]
                 good = room.clear(self._placed(joints, arm), self._least_mm)
             if not len(joints):
-                joints, roll, off = self._nearest(view, arm)
+                joints, roll, off = nearest(sample_of(view, lost))
+                if off is None or off[0] < FAR_MM:  # near the border, each view counts
+                    joints, roll, off = nearest(view)
                 if off is not None:
                     far[view] = off
                 good = room.clear(self._placed(joints, arm), self._least_mm)

@@ -72,3 +72,18 @@ def runs(views: Iterable[int]) -> list[tuple[int, int]]:
 def named(first: int, last: int) -> str:
     """Return the text for one view or a range of views."""
     return f"view {first}" if first == last else f"views {first} to {last}"
+
+
+def sample_of(view: int, lost: Sequence[int]) -> int:
+    """Return the first, middle or last view of the run of lost views that holds a view.
+
+    Args:
+        view: number of the view.
+        lost: views that no configuration reaches, in ascending order; a view that is not among
+            them stands for itself.
+    """
+    for first, last in runs(lost):
+        if first <= view <= last:
+            samples = (first, (first + last) // 2, last)
+            return min(samples, key=lambda sample: abs(sample - view))
+    return view

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct.core.errors import ScenarioError
+from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel, Clearance, Gap, Marks, apart
@@ -122,6 +123,8 @@ def reasons(
     motion: Motion,
     poses: Poses,
     roll_free: tuple[bool, bool],
+    rough: Callable[[Cell], CellModel] | None = None,
+    progress: Progress = SILENT,
 ) -> tuple[list[int], list[str]]:
     """Find the views that cannot be held, and the smallest tested change that cures them.
 
@@ -134,6 +137,8 @@ def reasons(
         motion: tolerances, and the required clearance.
         poses: poses of all views.
         roll_free: whether source and panel may roll about the beam.
+        rough: builds a model faster that holds every view that the model of ``build`` holds.
+        progress: progress display.
 
     Returns:
         indices of the views that cannot be held, and messages.
@@ -146,26 +151,53 @@ def reasons(
             told += "; motion.scheme: planned searches for detours and changes of configuration"
         return [], [told]
     asked, kept = _some(failing, FAILING), _some(fine, OTHERS)
-    looked_at = np.concatenate([asked, kept])
     scope = f"{len(asked)} tested views (of {len(failing)} that cannot be held)"
-    best, best_words = 0, ""
-    for words, changed, turned, scale in _changes(cell, roll_free):
-        some = _scaled(poses[looked_at], scale)
-        try:
-            now = Holder(apart(build(changed)), motion, roll_free=turned).held(some)
-        except ScenarioError:  # a stand-off without room for the panel, or a base in the table
-            continue
-        if now.all():
-            return failing.tolist(), [f"cure: {words}; this cures the {scope}"]
-        gained = int(now[: len(asked)].sum())
-        if now[len(asked) :].all() and gained > best:
-            best, best_words = gained, words
-    if best:
-        return failing.tolist(), [f"partial cure: {best_words}; this cures {best} of the {scope}"]
+    tests = [(make, poses[asked], poses[kept]) for make in ((rough, build) if rough else (build,))]
+    gained, words = _best_change(cell, motion, roll_free, tests, progress)
+    if gained == len(asked):
+        return failing.tolist(), [f"cure: {words}; this cures the {scope}"]
+    if gained:
+        told = f"partial cure: {words}; this cures {gained} of the {scope}"
+        return failing.tolist(), [told]
     tried = "turns about the beam, base shifts to 200 mm, stand-offs to 100 mm, radii to 20 %"
     return failing.tolist(), [
         f"no single change cures the {scope}; tested: {tried}; see twinct place"
     ]
+
+
+def _best_change(
+    cell: Cell,
+    motion: Motion,
+    roll_free: tuple[bool, bool],
+    tests: list[tuple[Callable[[Cell], CellModel], Poses, Poses]],
+    progress: Progress,
+) -> tuple[int, str]:
+    """Return the number of views that the best change cures, and its words.
+
+    Each test has a builder of the cell, views to cure, and views to keep; most changes fail the
+    first one.
+    """
+    best, best_words = 0, ""
+    changes = list(_changes(cell, roll_free))
+    with progress.stage("changes that may be a remedy", len(changes)) as step:
+        for words, changed, turned, scale in changes:
+            step()
+            gained = 0
+            for build, asked, kept in tests:
+                try:
+                    holder = Holder(apart(build(changed)), motion, roll_free=turned)
+                except ScenarioError:  # no room for the panel, or a base in the table
+                    gained = 0
+                    break
+                gained = int(holder.held(_scaled(asked, scale)).sum())
+                if gained <= best or not holder.held(_scaled(kept, scale)).all():
+                    gained = 0
+                    break
+            if gained > best:
+                best, best_words = gained, words
+            if best == len(tests[0][1]):
+                break
+    return best, best_words
 
 
 def _some(views: Indices, count: int) -> Indices:

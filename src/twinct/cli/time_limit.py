@@ -1,0 +1,44 @@
+"""Limit on the time of a command, kept by a timer of the operating system."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from twinct.core.errors import InputError
+
+
+class TimeUpError(InputError):
+    """The time that a command may take is over."""
+
+
+@contextmanager
+def limited(seconds: float | None, option: str) -> Iterator[None]:
+    """Limit the time of a block in the main thread.
+
+    Args:
+        seconds: largest time; None: no limit.
+        option: option that states it, for the message.
+
+    Raises:
+        InputError: the limit is not above 0.
+        TimeUpError: the block took longer; raised inside it.
+    """
+    if seconds is None:
+        yield
+        return
+    if not seconds > 0:
+        raise InputError(f"{option} {seconds:g}: must be above 0 seconds")
+
+    def over(number: int, frame: FrameType | None) -> None:
+        raise TimeUpError(f"stopped after {seconds:g} s ({option}); what is told is complete")
+
+    before = signal.signal(signal.SIGALRM, over)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)

@@ -1,0 +1,66 @@
+"""The refusal of a full circle names the longest arc of which a plan was made."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import yaml
+
+from twinct.robots.reach import Holder, Poses
+from twinct.runs.longest_arc import _split, _stretches, longest_arc
+from twinct.scan import SimulationBuilder
+from twinct.scenario import load_scenario
+
+
+def builder(**trajectory: object) -> SimulationBuilder:
+    return SimulationBuilder(
+        load_scenario(
+            {
+                "trajectory": trajectory,
+                "specimen": {
+                    "parts": [
+                        {"shape": {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 8}}
+                    ]
+                },
+            }
+        )
+    )
+
+
+def test_the_arc_that_is_named_is_planned_and_consists_of_views_of_the_circle() -> None:
+    circle = builder(kind="circle", views=24, centre_longitude_deg=100)
+    asked = circle.asked
+    poses = Poses.of(asked.source_poses(), asked.detector_poses())
+    held = Holder(circle.cell, circle.scenario.motion, roll_free=circle.roll_free).held(poses)
+    told = longest_arc(circle, np.flatnonzero(~held).tolist())
+    assert told is not None
+    found = re.search(r"trajectory: (\{.*\})", told)
+    assert found is not None
+    arc = builder(**yaml.safe_load(found[1]))
+    assert arc.plan is not None
+    views = arc.asked.source
+    assert 8 < len(views) < 24
+    far = np.linalg.norm(views[:, None] - asked.source[None], axis=2).min(axis=1)
+    assert far.max() < 1e-3
+
+
+def test_only_circles_have_one() -> None:
+    assert longest_arc(builder(kind="arc", views=3), [0]) is None
+
+
+def test_stretches_go_on_past_the_last_view() -> None:
+    assert _stretches({2, 5}, 8) == [range(3, 5), range(6, 10)]
+    assert _stretches(set(), 8) == [range(8)]
+    assert _stretches(set(range(8)), 8) == [range(1, 1)] + [range(k, k) for k in range(2, 9)]
+
+
+def test_a_stretch_is_split_where_problems_lie() -> None:
+    stretch = range(6, 16)
+    assert _split(stretch, ["views 2 to 3: out of reach", "view 7: too near"]) == [
+        *(range(6, 8), range(9, 9)),
+        *(range(10, 13), range(14, 16)),
+    ]
+    way = "from view 3 to view 4: no path found in 3 searches"
+    assert _split(stretch, [way]) == [range(6, 10), range(11, 16)]
+    assert _split(stretch, ["found no timing"]) == [range(7, 15)]
