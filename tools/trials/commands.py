@@ -103,6 +103,7 @@ COMMANDS = {
     "film": Command("view MADE/run --movie OUT/film.mp4", ("*",), over=True),
     "import": Command("import MADE/run/scan.mcap --out OUT", ("scan.zarr/**/*", "scenario.yaml")),
     "export": Command("export MADE/run --to rtk --out OUT/rtk", ("rtk/*",)),
+    "motion": Command("motion MADE/arms.yaml --to csv --out OUT/plan", ("plan/*",)),
     "specimen": Command("specimen MADE/gantry.yaml --out OUT", ("*.stl", "truth.nii"), over=True),
     "uncertainty": Command(
         "uncertainty MADE/arms.yaml --draws 20 --out OUT", ("uncertainty.json",), over=True

@@ -15,7 +15,7 @@ from twinct.cli.finished import (
     report,
     verify,
 )
-from twinct.cli.planning import place, plan, reach, uncertainty
+from twinct.cli.planning import motion, place, plan, reach, uncertainty
 from twinct.cli.running import node, run, view
 from twinct.cli.scenarios import check, render, schema, specimen, urdf
 from twinct.cli.study import study
@@ -24,7 +24,7 @@ app = tyro.extras.SubcommandApp()
 
 for command in (check, run, view, render, reach, plan, uncertainty, place, node, urdf, schema):
     app.command(command)
-for command in (specimen, export):
+for command in (motion, specimen, export):
     app.command(command)
 app.command(name="import")(import_)
 for command in (report, compare, verify, reconstruct, geometry):

@@ -1,4 +1,4 @@
-"""Commands that search for positions, views and errors before a run."""
+"""Commands that search for positions, views, errors and motions before a run."""
 
 from __future__ import annotations
 
@@ -120,3 +120,50 @@ def uncertainty(
     from twinct.cli.uncertainty import uncertainty_command
 
     uncertainty_command(scenario, set_, draws, out, picture)
+
+
+def motion(
+    scenario: ScenarioFile,
+    *,
+    to: Annotated[str, tyro.conf.arg(metavar="FORMAT")],
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    source_prefix: str = "",
+    detector_prefix: str = "",
+    set_: Overrides = (),
+) -> None:
+    """Plan the motion of a scenario, and write it for the controllers of real arms.
+
+    DIR also gets triggers.csv, with the time and the commanded poses of each view. No such file has
+    been run on hardware yet.
+
+    Args:
+        to: joint-trajectory (ROS 2), csv or urscript, or one of another package.
+        out: Folder to write, which must not exist.
+        source_prefix: Prefix of the joint names of the source arm's driver.
+        detector_prefix: Prefix of the joint names of the detector arm's driver.
+    """
+    from twinct.cli.progress import on_terminal, say
+    from twinct.core.errors import InputError
+    from twinct.core.extras import require
+    from twinct.scan import SimulationBuilder
+    from twinct.scenario import load_scenario, named_places
+
+    loaded = load_scenario(scenario, set_)
+    if loaded.cell.kind != "arms":
+        raise InputError(f"cell.kind: a {loaded.cell.kind} has no arms to move")
+    require("robots")
+    from twinct.robots.programs import check_absent, language_named, program_of, write_program
+
+    language, builder = language_named(to), SimulationBuilder(loaded)
+    if loaded.motion.scheme == "reactive":
+        raise InputError("motion.scheme: reactive has no plan to write; set it to planned")
+    check_absent(out)
+    with named_places(scenario, set_), on_terminal() as audience:
+        with audience.stage("planning the motion", 1) as step:
+            plan = builder.followed
+            step()
+    assert plan is not None
+    origin = f"{loaded.name}, plan {plan.digest[:12]}"
+    program = program_of(plan, origin, (source_prefix, detector_prefix))
+    write_program(out, language.write(program))
+    say(f"wrote {out}: {len(plan.targets)} views in {plan.duration_s:.1f} s")
