@@ -145,7 +145,7 @@ def test_every_key_of_source_and_detector_is_said_refused_or_sampling():
             "correction",
         },
     }  # fmt: skip
-    sampling, without_effect = {"pixel_samples"}, {"photons_per_mm2_mas", "keep"}
+    sampling, without_effect = {"pixel_samples"}, {"photons_per_mm2_mas", "keep", "frame_ms"}
     for name, model in (("source", Source), ("detector", Detector)):
         refused = {key.split(".")[1] for key in UNSAID if key.startswith(name)}
         known = said[name] | refused | sampling | without_effect
