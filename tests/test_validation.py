@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from twinct.measured import read_description
 from twinct.scenario import load_scenario
 from twinct.study import load_study
 
@@ -93,6 +94,10 @@ def _twinct(arguments: list[str]) -> None:
     if command == "place":
         load_scenario(ROOT / scenario)
         assert {word for word in rest if word.startswith("--")} <= PLACE_OPTIONS
+        return
+    if command == "import":
+        assert read_description(ROOT / scenario).images
+        assert [word for word in rest if word.startswith("--")] in (["--out"], ["--out", "--try"])
         return
     assert command in ("run", "check", "reach")
     rest = [word for word in rest if (command, word) != ("reach", "--connected")]

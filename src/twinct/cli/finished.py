@@ -26,6 +26,7 @@ def import_(
     ],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    try_: Annotated[Flag, tyro.conf.arg(name="try")] = False,
 ) -> None:
     """Import a measured scan, or a scan's recordings: DIR/scan.zarr and DIR/scenario.yaml.
 
@@ -38,6 +39,9 @@ def import_(
 
     Args:
         out: Folder to write, without a run in it.
+        try_: Of a measured scan: import nothing, but try other conventions (direction of rotation,
+            flips, transposed images, sign and unit of offsets), rank them, and show them in
+            DIR/tried.png.
     """
     from twinct.core.errors import InputError
     from twinct.measured import is_measured
@@ -47,8 +51,10 @@ def import_(
             raise InputError(
                 f"{len(files)} sources: a measured scan has one; {files[1]} is another"
             )
-        _import_measured(Path(*files), out)
+        (_try_conventions if try_ else _import_measured)(Path(*files), out)
         return
+    if try_:
+        raise InputError(f"--try: only for a measured scan; {', '.join(map(str, files))} is none")
     from twinct.runs import import_scan
 
     found = import_scan(files, out)
@@ -68,6 +74,23 @@ def _import_measured(source: Path, out: Path) -> None:
     for sentence in found.told:
         say(sentence)
     say(f"imported to {out}; {out / 'imported.png'} shows it, 'twinct reconstruct {out}' goes on")
+
+
+def _try_conventions(source: Path, out: Path) -> None:
+    from twinct.core.files.writing import storage_errors
+    from twinct.measured import description_of, try_conventions
+    from twinct.runs import Folder
+
+    folder = Folder(out)
+    folder.refuse_others()
+    with on_terminal() as audience:
+        ranking = try_conventions(description_of(source), audience)
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+        ranking.show(folder.tried)
+    for sentence in ranking.told:
+        say(sentence)
+    say(f"wrote {folder.tried}; nothing was imported")
 
 
 def _format_argument() -> Any:

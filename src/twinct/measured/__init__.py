@@ -1,5 +1,6 @@
 """Measured scans: import of images and geometry, reconstruction and judgement without a truth."""
 
+from twinct.measured.conventions import Ranking, try_conventions
 from twinct.measured.description import Measured, read_description
 from twinct.measured.importing import Imported, import_measured
 from twinct.measured.sources import description_of, is_measured
@@ -9,10 +10,12 @@ __all__ = [
     "Imported",
     "Measured",
     "MeasuredVolume",
+    "Ranking",
     "description_of",
     "import_measured",
     "is_measured",
     "is_measured_scan",
     "read_description",
     "reconstruct_measured",
+    "try_conventions",
 ]

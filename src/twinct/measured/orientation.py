@@ -13,7 +13,7 @@ from twinct.geometry import ScanGeometry
 from twinct.measured.description import Images
 from twinct.measured.views import Views, cut
 
-Numbers = TypeVar("Numbers", np.float64, np.bool_)
+Numbers = TypeVar("Numbers", bound=np.generic)
 
 
 def turned_shape(section: Images, shape: tuple[int, int]) -> tuple[int, int]:
@@ -72,7 +72,7 @@ class Placement:
             )
         return part.binned(by, by)
 
-    def image(self, stored: NDArray[np.float64]) -> NDArray[np.float64]:
+    def image(self, stored: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return a stored image on the panel of the scan, (rows, columns)."""
         image, by = self._cut(turned(self.section, stored)), self.section.bin
         if by == 1:

@@ -39,6 +39,7 @@ class Folder:
         inputs: meshes and views that the scenario took from a program's memory.
         views: views of a scan that was imported from another tool's recording.
         imported: picture of a measured scan that was imported.
+        tried: picture of a measured scan with several conventions.
         seconds: timing of an unfinished run.
         logs: output of the nodes of the ROS 2 link.
         log: the log of the run.
@@ -59,6 +60,7 @@ class Folder:
     inputs = Below("inputs")
     views = Below("views.csv")
     imported = Below("imported.png")
+    tried = Below("tried.png")
     seconds = Below("seconds.json")
     logs = Below("log")
     log = Below("twinct.log")

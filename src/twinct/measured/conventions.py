@@ -1,0 +1,259 @@
+"""Conventions of a measured scan, tried: each candidate is reconstructed coarsely and ranked.
+
+A candidate is judged by views that did not take part: every other view is reconstructed by SART,
+and the others are predicted. Two candidates of which one only mirrors the volume predict equally
+well, and rank as one class: a marker on the object decides between them. A common scale of all
+lengths changes no projection, and cannot be found.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.files.pictures import show
+from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.measured.circle import Circle
+from twinct.measured.corrections import corrections
+from twinct.measured.description import Measured
+from twinct.measured.field_of_view import grid_of
+from twinct.measured.orientation import Placement, turned_shape
+from twinct.measured.views import ImageFacts, Views
+from twinct.observers import Observers, audience_of
+from twinct.recon import Projector, sart
+from twinct.scan import line_integrals
+
+MOST_VIEWS = 80
+"""Largest number of views of a candidate, half of them reconstructed."""
+
+MOST_PIXELS = 64
+"""Largest number of coarse pixels along an axis."""
+
+PASSES = 3
+
+SAME = 0.002
+"""Largest relative difference of residuals within a class."""
+
+MOST_SHOWN = 8
+
+SCALE = (
+    "a common scale of all lengths changes no projection: distances and pitch cannot be found "
+    "by trying"
+)
+MIRROR = (
+    "candidates of one class differ by a mirrored or moved volume only: a marker on the object "
+    "decides"
+)
+
+
+class Candidate(NamedTuple):
+    """Changes to the stated conventions.
+
+    Attributes:
+        reversed_order: the object turns the other way.
+        rows: rows run the other way.
+        columns: columns run the other way.
+        transposed: rows and columns are exchanged.
+        offset_sign: offsets have the other sign.
+        offset_px: offsets are pixels, not mm.
+    """
+
+    reversed_order: bool = False
+    rows: bool = False
+    columns: bool = False
+    transposed: bool = False
+    offset_sign: bool = False
+    offset_px: bool = False
+
+    @property
+    def in_words(self) -> str:
+        """The changes in words."""
+        words = {
+            "rotation reversed": self.reversed_order,
+            "rows flipped": self.rows,
+            "columns flipped": self.columns,
+            "transposed": self.transposed,
+            "offsets of the other sign": self.offset_sign,
+            "offsets in pixels": self.offset_px,
+        }
+        return ", ".join(name for name, on in words.items() if on) or "as stated"
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A candidate that was reconstructed.
+
+    Attributes:
+        candidate: its changes.
+        residual_rel: root mean square of p - A x over the views that were not reconstructed,
+            relative to that of p.
+        plane: middle plane of its coarse volume, (y, x), 1/mm.
+    """
+
+    candidate: Candidate
+    residual_rel: float
+    plane: NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Candidates by classes of equal residuals, the best class first."""
+
+    classes: tuple[tuple[Tried, ...], ...]
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """One sentence for each class, and what cannot be found."""
+        lines = [
+            f"{rank}. {100 * one[0].residual_rel:.2f} %: "
+            + "; or ".join(tried.candidate.in_words for tried in one)
+            for rank, one in enumerate(self.classes[:MOST_SHOWN], start=1)
+        ]
+        if len(self.classes) > MOST_SHOWN:
+            lines.append(f"and {len(self.classes) - MOST_SHOWN} worse classes")
+        return (*lines, *([MIRROR] if len(self.classes[0]) > 1 else []), SCALE)
+
+    def show(self, path: Path) -> None:
+        """Draw the middle planes of the best classes side by side."""
+        best = [one[0] for one in self.classes[:MOST_SHOWN]]
+        show(partial(_draw, best), (10.4, 2.9 * -(-len(best) // 4)), path)
+
+
+def try_conventions(told: Measured, observers: Observers = ()) -> Ranking:
+    """Reconstruct a measured scan coarsely with each candidate of its conventions, and rank them.
+
+    Args:
+        told: description of the scan.
+        observers: notified of the candidates.
+
+    Raises:
+        InputError: images or geometry cannot be read, or there are too few views.
+    """
+    images = corrections(told.images)
+    count, shape = images.stack.count, images.stack.shape
+    views = np.unique(np.linspace(0, count - 1, min(count, MOST_VIEWS)).round().astype(int))
+    if len(views) < 6:
+        raise InputError(f"--try: {len(views)} views are too few; at least 6 are needed")
+    by = max(1, -(-max(shape) // MOST_PIXELS))
+    stored = [images.transmission(int(view))[0].astype(np.float32) for view in views]
+    found: list[Tried] = []
+    candidates = list(_candidates(told, shape))
+    with audience_of(observers) as audience:
+        with audience.stage("conventions", len(candidates)) as step:
+            for candidate in candidates:
+                found.append(_tried(told, candidate, stored, views, (count, *shape), by))
+                step()
+    found.sort(key=lambda one: one.residual_rel)
+    return Ranking(tuple(_classes(found)))
+
+
+def _classes(found: list[Tried]) -> Iterator[tuple[Tried, ...]]:
+    """Yield candidates with the residual of the first of their class, the simplest first."""
+    while found:
+        limit = found[0].residual_rel * (1 + SAME)
+        alike = [one for one in found if one.residual_rel <= limit]
+        yield tuple(sorted(alike, key=lambda one: sum(one.candidate)))
+        found = found[len(alike) :]
+
+
+def _candidates(told: Measured, shape: tuple[int, int]) -> Iterator[Candidate]:
+    """Yield all combinations that the description leaves open."""
+    geometry, both = told.geometry, (False, True)
+    circle = isinstance(geometry, Circle)
+    offsets = circle and bool(np.any([*geometry.panel_offset_mm, geometry.axis_offset_mm]))
+    other_shape = circle or shape[0] == shape[1]
+    cropped = any(told.images.crop.model_dump().values())
+    yield from itertools.starmap(
+        Candidate,
+        itertools.product(
+            *(both, both, both),
+            both if other_shape and not cropped else (False,),
+            both if offsets else (False,),
+            both if offsets else (False,),
+        ),
+    )
+
+
+def changed(told: Measured, candidate: Candidate) -> Measured:
+    """Return a description with the conventions of a candidate, except for reversed views."""
+    images, geometry = told.images, told.geometry
+    if candidate.transposed:
+        images = images.model_copy(update={"transpose": not images.transpose})
+    if isinstance(geometry, Circle):
+        keys: dict[str, Any] = {}
+        if candidate.reversed_order:
+            back = {"clockwise": "counterclockwise", "counterclockwise": "clockwise"}
+            keys["direction"] = back[geometry.direction]
+        sign = -1.0 if candidate.offset_sign else 1.0
+        pitch = ImageFacts(1, 1, 1).panel(geometry.pitch_mm)
+        scale = (pitch.pitch_u, pitch.pitch_v) if candidate.offset_px else (1.0, 1.0)
+        right, up = geometry.panel_offset_mm
+        keys["panel_offset_mm"] = (sign * scale[0] * right, sign * scale[1] * up)
+        at_axis = scale[0] * (geometry.sod_mm / geometry.sdd_mm if candidate.offset_px else 1.0)
+        keys["axis_offset_mm"] = sign * at_axis * geometry.axis_offset_mm
+        geometry = geometry.model_copy(update=keys)
+    return told.model_copy(update={"images": images, "geometry": geometry})
+
+
+def _tried(
+    told: Measured,
+    candidate: Candidate,
+    stored: list[NDArray[np.float32]],
+    views: NDArray[np.intp],
+    sizes: tuple[int, int, int],
+    by: int,
+) -> Tried:
+    """Reconstruct a candidate from every other view, and predict the others."""
+    measured = changed(told, candidate)
+    section = measured.images.model_copy(update={"bin": max(by, 1)})
+    rows, columns = turned_shape(section, (sizes[1], sizes[2]))
+    stated = measured.geometry.views(ImageFacts(sizes[0], rows, columns, *_spacing(told)))
+    chosen = stated.geometry[views]
+    if candidate.reversed_order and not isinstance(told.geometry, Circle):
+        chosen = chosen[::-1]
+    flips = stated.flip_rows != candidate.rows, stated.flip_columns != candidate.columns
+    placement = Placement(section, Views(chosen, *flips))
+    geometry = placement.geometry
+    p = line_integrals(np.array([placement.image(image) for image in stored], np.float32))
+    grid = _grid(geometry)
+    volume = sart(
+        Projector(geometry[::2], grid), p[::2], iterations=PASSES, relaxation=0.5, nonnegative=True
+    )
+    held = p[1::2]
+    off = held - Projector(geometry[1::2], grid)(volume.array)
+    residual = float(np.sqrt(np.mean(off**2) / max(float(np.mean(held**2)), 1e-30)))
+    return Tried(candidate, residual, volume.array[len(volume) // 2].copy())
+
+
+def _spacing(told: Measured) -> tuple[Any, Any]:
+    """Return spacing and first pixel that the files state, for RTK's geometry."""
+    from twinct.measured.stack import open_stack
+
+    stack = open_stack(told.images, "images")
+    return stack.spacing, stack.first_pixel
+
+
+def _grid(geometry: ScanGeometry) -> VolumeGrid:
+    from twinct.scenario.reconstruction import Grid
+
+    return Grid.model_validate(grid_of(geometry)).volume_grid
+
+
+def _draw(best: list[Tried], figure: Any) -> None:
+    rows = -(-len(best) // 4)
+    axes = figure.subplots(rows, min(4, len(best)), squeeze=False)
+    for at in axes.flat[len(best) :]:
+        at.set_visible(False)
+    for at, tried in zip(axes.flat, best, strict=False):
+        top = max(float(np.percentile(tried.plane, 99.5)), 1e-9)
+        at.imshow(tried.plane, cmap="gray", vmin=0, vmax=top, origin="lower")
+        at.set_title(f"{100 * tried.residual_rel:.1f} %\n{tried.candidate.in_words}", fontsize=8)
+        at.set_axis_off()
