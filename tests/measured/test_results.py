@@ -80,6 +80,18 @@ def test_a_wrong_view_stands_out(imported, stored, circle):
     assert int(np.argmax(judged.residual_by_view)) == 7
 
 
+def test_a_changed_volume_is_found(measured):
+    from twinct.runs import verify
+
+    made = reconstruct_measured(measured, ["reconstruction.algorithm=fdk"])
+    assert verify(measured).problems == ()
+    file = made.path / "volume.nii"
+    content = bytearray(file.read_bytes())
+    content[-9] ^= 1
+    file.write_bytes(content)
+    assert "volume.nii differs from the file written for fdk" in "".join(verify(measured).problems)
+
+
 def test_names_are_free_taken_or_refused(measured):
     fdk = ["reconstruction.algorithm=fdk"]
     assert [reconstruct_measured(measured, fdk).name for _ in range(2)] == ["fdk", "fdk-2"]

@@ -120,7 +120,7 @@ def balls(
         f"{len(bundle.balls)} balls found, median {np.median(seen):.0f} per view, reprojection "
         f"error {found.rms_px:.3f} px (RMS), {bundle.outliers.sum()} outliers"
     )
-    _say_against_executed(told.believed, told.after)
+    _say_against_executed(told.believed, told.after, folder)
     for view, ball in np.argwhere(bundle.outliers):
         place = ", ".join(f"{x:.1f}" for x in bundle.balls[ball])
         say(f"view {view}: the shadow of the ball at ({place}) mm is an outlier")
@@ -176,7 +176,7 @@ def self_(
         f"{as_}: {len(found.change)} views, {moved} (RMS); residual "
         f"{found.residuals[0]:.4g} at first, {found.residuals[-1]:.4g} in the last round"
     )
-    _say_against_executed(told.believed, told.after)
+    _say_against_executed(told.believed, told.after, folder)
 
 
 def kinematics(
@@ -236,7 +236,16 @@ def _say_start(start: EpipolarConsistency, started: Aligned) -> None:
         say(f"view {view} starts from its believed pose: {problem}", warning=True)
 
 
-def _say_against_executed(believed: Aligned, found: Aligned) -> None:
+def _say_against_executed(believed: Aligned, found: Aligned, folder: Path) -> None:
+    from twinct.measured import is_measured_scan
+
+    if is_measured_scan(folder):
+        say(
+            f"distance to the imported geometry: {found.after_px:.3f} px (RMS over points of the "
+            f"grid, after removing the motion and scale that no image shows; scale "
+            f"{found.scale:.5f}); what is right, no truth tells: compare the residuals of both"
+        )
+        return
     say(
         f"distance to the executed geometry: {believed.after_px:.3f} px believed, "
         f"{found.after_px:.3f} px found (RMS over points of the grid, after removing the motion "

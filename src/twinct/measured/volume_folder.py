@@ -27,13 +27,13 @@ from twinct.report import MeasuredColumn, found_of, plain, with_found, write_mea
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.folder import as_yaml, refuse_other_keys
 from twinct.runs.log import logged_to
+from twinct.runs.reconstruction_folder import JUDGEMENT, file_digest
 from twinct.scan import Scan, checked_name
 from twinct.scenario import Scenario
 
 log = logging.getLogger(__name__)
 
 FORMAT = "twinct measured volume 1"
-FILE = "judgement.json"
 VOLUME = "volume.nii"
 
 
@@ -73,9 +73,10 @@ class MeasuredVolume:
         try:
             draft.mkdir(parents=True)
             volume.write(draft / VOLUME, f"twinct {self.in_words}"[:78])
-            told = {"format": FORMAT, **asdict(self)}
+            digests = {VOLUME: file_digest(draft / VOLUME)}
+            told = {"format": FORMAT, **asdict(self), "files": digests}
             del told["path"]
-            write_json(draft / FILE, plain(told))
+            write_json(draft / JUDGEMENT, plain(told))
             draft.rename(self.path)
         finally:
             shutil.rmtree(draft, ignore_errors=True)
@@ -87,7 +88,7 @@ class MeasuredVolume:
         Raises:
             InputError: the folder holds no such volume, or is damaged.
         """
-        told = read_json(path / FILE)
+        told = read_json(path / JUDGEMENT)
         try:
             if told.pop("format") != FORMAT:
                 raise ValueError("another format")
@@ -99,7 +100,7 @@ class MeasuredVolume:
             named = {key: value for key, value in told.items() if key in known}
             return cls(**named, judgement=Judgement(**numbers), path=path)
         except (TypeError, KeyError, ValueError) as error:
-            raise InputError(f"{path / FILE}: not a measured volume: {error}") from None
+            raise InputError(f"{path / JUDGEMENT}: not a measured volume: {error}") from None
 
 
 def reconstruct_measured(
@@ -158,7 +159,7 @@ def measured_volumes(folder: Path) -> dict[str, MeasuredVolume]:
     """Return the reconstructions in a folder by name; an absent folder has none."""
     if no_file(folder, folder=True):
         return {}
-    found = sorted(p for p in folder.iterdir() if (p / FILE).is_file() and p.name[0] != ".")
+    found = sorted(p for p in folder.iterdir() if (p / JUDGEMENT).is_file() and p.name[0] != ".")
     return {path.name: MeasuredVolume.read(path) for path in found}
 
 

@@ -20,6 +20,8 @@ from twinct.recon.volume import Volume
 from twinct.report import CrossSection, plain, with_found
 
 FORMAT = "twinct reconstruction 1"
+JUDGEMENT = "judgement.json"
+"""File of a measured scan's volume, in place of the reconstruction's own."""
 _FILES = ("volume.nii", "sections.npz")
 """Files whose digests are stored; see ``check_files``."""
 _ARRAYS = ("reconstruction", "truth", "roi")
@@ -88,7 +90,7 @@ class Reconstruction:
                 plane: (section.extent_mm, section.axes, section.position)
                 for plane, section in self.slices.items()
             }
-            kept["files"] = {name: _digest(draft / name) for name in _FILES}
+            kept["files"] = {name: file_digest(draft / name) for name in _FILES}
             write_json(draft / "reconstruction.json", kept)
             draft.rename(self.path)
 
@@ -147,14 +149,18 @@ def check_files(path: Path) -> None:
     Raises:
         InputError: the folder cannot be read, or a file differs from its digest.
     """
-    found = Reconstruction.read(path)
-    told = read_json(path / "reconstruction.json")
+    if (path / JUDGEMENT).is_file():
+        told = read_json(path / JUDGEMENT)
+    else:
+        Reconstruction.read(path)
+        told = read_json(path / "reconstruction.json")
     for name, digest in told.get("files", {}).items():
-        if not (path / name).is_file() or _digest(path / name) != digest:
-            raise InputError(f"{path / name} differs from the file written for {found.name}")
+        if not (path / name).is_file() or file_digest(path / name) != digest:
+            raise InputError(f"{path / name} differs from the file written for {path.name}")
 
 
-def _digest(path: Path) -> str:
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
