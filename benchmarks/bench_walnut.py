@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ ROOT = Path(__file__).parents[1]
 
 def rtk_fdk(voxels: int, edge_mm: float) -> tuple[np.ndarray, float]:
     """Return RTK's volume (z, y, x), turned to the axes of the import, and its seconds."""
-    import itk
+    itk: Any = import_module("itk")
 
     RTK: Any = itk.RTK
     data = np.load(ROOT / "data" / "walnut_cone.npz")
@@ -41,7 +42,7 @@ def rtk_fdk(voxels: int, edge_mm: float) -> tuple[np.ndarray, float]:
     for angle in np.degrees(data["angles"].astype(np.float64)):
         geometry.AddProjection(sod, sdd, float(-angle))
 
-    def image(array: np.ndarray, spacing: tuple[float, float, float], centred: int) -> Any:
+    def image(array: np.ndarray, spacing: tuple[float, ...], centred: int) -> Any:
         made = itk.image_view_from_array(array)
         made.SetSpacing(spacing)
         shape = array.shape[::-1]
