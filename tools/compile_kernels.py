@@ -48,8 +48,10 @@ def compile_rest() -> None:
 
 def _reconstruct(engine: str) -> None:
     """Call every kernel of an engine through the algorithms that use it."""
-    from twinct.geometry import Panel, VolumeGrid
+    from twinct.geometry import Panel, Pose, VolumeGrid
     from twinct.recon import Projector, fdk, fista_tv, sart
+    from twinct.recon.deformation import Deformation
+    from twinct.recon.moving import MovingProjector
     from twinct.trajectory import CircleTrajectory, commanded_views
 
     circle = CircleTrajectory(kind="circle", views=4, sod_mm=200, sdd_mm=400)
@@ -60,6 +62,9 @@ def _reconstruct(engine: str) -> None:
     sart(projector, projections, iterations=1, relaxation=0.5)
     fista_tv(projector, projections, iterations=1, regularisation=0.01)
     fdk(projector, projections)
+    still = Deformation(np.zeros_like, Pose.identity())
+    moving = MovingProjector(geometry, projector.grid, [still] * 4, engine)
+    moving.T(moving(np.ones(moving.domain_shape, np.float32)))
 
 
 def _specimen():

@@ -231,7 +231,7 @@ def _propagated(
     while shortest >= 2 * factor * SMALL and len(A) >= 2 * factor * FEWEST_VIEWS:
         factor *= 2
     views = A.geometry[::factor].binned(factor, factor)
-    small = A.on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel), views)
+    small = A[::factor].on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel), views)
     mask = pixels if pixels is None or pixels.ndim == 2 else pixels[::factor]
     larger, mask = binned(p[::factor], mask, (factor, factor))
     drawn = fast(

@@ -35,6 +35,7 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
 def require_memory(algorithm: Algorithm[Any], A: Projector, extra_volumes: float = 0.0) -> None:
     """Raise MemoryShortageError unless the algorithm fits into the available memory."""
     voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
+    extra_volumes += A.own_volumes
     parts = f"{algorithm.volumes + extra_volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
     if algorithm.projections:
         parts += f" and {algorithm.projections:g} x {pixels * 4 / 2**30:.2f} GiB of pixels"

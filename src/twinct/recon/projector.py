@@ -30,7 +30,10 @@ class Projector:
         range_shape: (views, rows, columns).
         engine: ``vector`` or ``plain``, if one was requested.
         kernels: kernels of the engine.
+        own_volumes: float32 volumes that it allocates itself.
     """
+
+    own_volumes = 0.0
 
     def __init__(self, geometry: ScanGeometry, grid: VolumeGrid, engine: str | None = None) -> None:
         """Express the views in voxel indices of the grid.
@@ -52,8 +55,8 @@ class Projector:
 
         They are written to ``out``, float32 in C order, if it is given.
         """
-        x = _readable(x, self.domain_shape, "the volume")
-        y = _writable(out, self.range_shape)
+        x = readable(x, self.domain_shape, "the volume")
+        y = writable(out, self.range_shape)
         for rays, image in zip(self._rays, y, strict=True):
             self.kernels.forward(x, rays, image)
         return y
@@ -64,8 +67,8 @@ class Projector:
         <A(x), y> = <x, A.T(y)>. The adjoint is written to ``out``, float32 in C order, if it is
         given.
         """
-        y = _readable(y, self.range_shape, "the projections")
-        x = _writable(out, self.domain_shape)
+        y = readable(y, self.range_shape, "the projections")
+        x = writable(out, self.domain_shape)
         x[:] = 0.0
         for rays, image in zip(self._rays, y, strict=True):
             self.kernels.adjoint(image, rays, x)
@@ -200,8 +203,12 @@ def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:
         )
 
 
-def _readable(values: ArrayLike, shape: tuple[int, ...], name: str) -> Singles:
-    """Return a float32 array in C order that is writable, as the kernels require."""
+def readable(values: ArrayLike, shape: tuple[int, ...], name: str) -> Singles:
+    """Return a float32 array in C order that is writable, as the kernels require.
+
+    Raises:
+        InputError: the values have another shape.
+    """
     array = np.ascontiguousarray(values, dtype=np.float32)
     if array.shape != shape:
         raise InputError(f"the shape of {name} is {array.shape}; it must be {shape}")
@@ -220,7 +227,12 @@ class _Unlocked:
         return given | {"data": (given["data"][0], False)}
 
 
-def _writable(out: Singles | None, shape: tuple[int, ...]) -> Singles:
+def writable(out: Singles | None, shape: tuple[int, ...]) -> Singles:
+    """Return ``out`` if it can take the result, or new memory.
+
+    Raises:
+        InputError: ``out`` has another shape, type or order.
+    """
     if out is None:
         return np.empty(shape, np.float32)
     kind, flags = (out.shape, out.dtype), out.flags

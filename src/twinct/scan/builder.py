@@ -143,19 +143,26 @@ class SimulationBuilder:
 
     @cached_property
     def cell(self) -> CellModel:
-        """Operating room with the specimen as its convex hull, for simulation.
+        """Operating room with the specimen as its obstacle, for simulation.
 
         Raises:
             ScenarioError: an arm cannot be built, or fixed bodies overlap.
         """
         from twinct.robots.cell import apart
 
-        return apart(self._cell_with(self.hull))
+        # The specimen may lie closer to its table than to an arm.
+        touching = apart(self._cell_with(self.hull))
+        return touching if self._obstacle is self.hull else self._cell_with(self._obstacle)
 
     @cached_property
     def hull(self) -> Trimesh:
         """Convex hull of the specimen in its own frame, for collision."""
         return self.specimen.hull
+
+    @cached_property
+    def _obstacle(self) -> Trimesh:
+        """Hull with the specimen's safety distance."""
+        return self.specimen.obstacle(self.scenario.specimen.safety_mm)
 
     @cached_property
     def room(self) -> CellModel:
@@ -194,7 +201,7 @@ class SimulationBuilder:
         from twinct.robots.cell import build_cell
 
         pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
-        return build_cell(section, self.hull, pose, panel)
+        return build_cell(section, self._obstacle, pose, panel)
 
     def rough_cell_of(self, section: Cell) -> CellModel:
         """Return the room of ``cell_of`` with a simpler specimen inside the real one.
@@ -210,7 +217,7 @@ class SimulationBuilder:
     def _rough_hull(self) -> Trimesh:
         import trimesh
 
-        corners = self.hull.vertices
+        corners = self._obstacle.vertices
         farthest = (fibonacci_directions(ROUGH_DIRECTIONS) @ corners.T).argmax(axis=1)
         return trimesh.Trimesh(corners[np.unique(farthest)]).convex_hull
 

@@ -231,6 +231,13 @@ class Specimen(Section):
         (0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.", read_by="plan"
     )
 
+    safety_mm: NonNegative = setting(
+        0.0,
+        "Gap that the arms keep from the specimen's convex hull in addition to "
+        "motion.clearance_mm, as from a patient's skin. Clearances in reports leave it out.",
+        read_by="plan",
+    )
+
     @model_validator(mode="after")
     def _parts_or_unknown(self) -> Specimen:
         if self.unknown and self.parts:

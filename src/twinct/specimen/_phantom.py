@@ -9,8 +9,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
-ELLIPSOID, ROD, BLOCK, LATTICE = 0, 1, 2, 3
-ADD, CUT, KEEP = 0, 1, 2
+from twinct.specimen.phantom_bodies import ADD, BLOCK, CUT, ELLIPSOID, KEEP, ROD
+
 FAR = 1e3
 """Distance of a body that is too far away to matter, mm."""
 BLOCK_EDGE = 4

@@ -240,6 +240,19 @@ class BuiltSpecimen:
             ) from None
         return trimesh.convex.convex_hull(points[_outermost(points)])
 
+    def obstacle(self, margin_mm: float) -> trimesh.Trimesh:
+        """Return the convex hull with a margin on all sides, mm, at most 3 % of it too much."""
+        import trimesh
+
+        if not margin_mm:
+            return self.hull
+        ball = trimesh.creation.icosphere(subdivisions=2)
+        ball.apply_scale(
+            margin_mm / np.einsum("ij,ij->i", ball.face_normals, ball.triangles[:, 0]).min()
+        )
+        points = (self.hull.vertices[:, None] + ball.vertices).reshape(-1, 3)
+        return trimesh.convex.convex_hull(points[_outermost(points)])
+
     def surface(self) -> trimesh.Trimesh:
         """Return all parts' surfaces as one mesh in the specimen's frame, mm, for pictures."""
         import trimesh

@@ -21,8 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.draws import scan_rng
 from twinct.geometry import Floats
-from twinct.specimen._phantom import ADD, BLOCK, CUT, ELLIPSOID, KEEP, LATTICE, ROD
 from twinct.specimen.implicit import Canvas, Point, block, ellipsoid, rod
+
+ELLIPSOID, ROD, BLOCK, LATTICE = 0, 1, 2, 3
+"""Kinds of bodies."""
+ADD, CUT, KEEP = 0, 1, 2
+"""Ways in which a body joins those before it."""
 
 TILE = 64
 """Cells along an edge of the random field's period."""

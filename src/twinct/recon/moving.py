@@ -1,0 +1,199 @@
+"""Compensation of a known motion: projections of a body that deforms from view to view.
+
+The volume is the body in its reference state. View i sees it deformed: A_i W_i x, where W_i reads x
+at the place where a voxel's material was. The adjoint is exact, sum_i W_i^T A_i^T y_i. An update of
+SART and voxel-driven back projections go through the world: a voxel of the reference state takes
+what its material received. Interpolation is trilinear, on a coarse map of the displacements.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from importlib import import_module
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinct.core.errors import InputError
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.recon.deformation import Deformation
+from twinct.recon.engine import Singles
+from twinct.recon.projector import LOWEST, Projector, readable, writable
+
+MAP_VOXELS = 8
+"""Voxels between the nodes of a map."""
+COARSEST_MM = 8.0
+"""Largest distance of the nodes: displacements of breathing are smooth over a few cm."""
+
+Direction = Literal["to_reference", "from_reference"]
+
+
+class _Map(NamedTuple):
+    """Shifts of the places that voxels read, (z, y, x, 3), in voxels; voxels between the nodes."""
+
+    shifts: Singles
+    step: int
+
+    @property
+    def layers(self) -> int:
+        """Thickness of slabs of which every second one writes apart from the others."""
+        return 2 * math.ceil(float(np.abs(self.shifts[..., 2]).max())) + 4
+
+
+class Moved:
+    """A deformation on a grid: reads volumes of the reference state, and the reverse."""
+
+    def __init__(self, deformation: Deformation, grid: VolumeGrid) -> None:
+        """Take the deformation; its maps are computed at their first use."""
+        self.deformation, self.grid = deformation, grid
+
+    @cached_property
+    def _to(self) -> _Map:
+        return _map(self.deformation, self.grid, "to_reference")
+
+    @cached_property
+    def _from(self) -> _Map:
+        return _map(self.deformation, self.grid, "from_reference")
+
+    def add_deformed(self, x: Singles, out: Singles, floor: float = LOWEST) -> None:
+        """Add the deformed body of a volume ``x`` of the reference state to ``out``."""
+        _kernels().add_pulled(x, *self._to, np.float32(floor), out)
+
+    def add_adjoint(self, y: Singles, out: Singles) -> None:
+        """Add the exact adjoint of ``add_deformed``, applied to ``y``, to ``out``."""
+        _kernels().add_pushed(y, *self._to, self._to.layers, out)
+
+    def add_undeformed(self, y: Singles, out: Singles, floor: float = LOWEST) -> None:
+        """Add a volume ``y`` of the deformed body, in its reference state, to ``out``.
+
+        ``out`` is then raised to ``floor``.
+        """
+        _kernels().add_pulled(y, *self._from, np.float32(floor), out)
+
+
+def _kernels() -> Any:
+    """Return the kernels, which load numba: only where they are needed."""
+    return import_module("twinct.recon._moving")
+
+
+def _map(deformation: Deformation, grid: VolumeGrid, direction: Direction) -> _Map:
+    step = max(1, min(MAP_VOXELS, int(COARSEST_MM / grid.voxel.max())))
+    counts = [max(2, -(-(n - 1) // step) + 1) for n in grid.shape]
+    nodes = np.indices(counts).reshape(3, -1)[::-1].T
+    index = (step * nodes).astype(np.float64)
+    affine = grid.affine
+    points = index @ affine[:3, :3].T + affine[:3, 3]
+    places: Floats = getattr(deformation, direction)(points)
+    back = np.linalg.inv(affine[:3, :3]).astype(np.float64)
+    shifts = ((places - points) @ back.T).astype(np.float32)
+    return _Map(shifts.reshape(*counts, 3), step)
+
+
+class MovingProjector(Projector):
+    """Linear operator from a body's reference state to its projections while it moves.
+
+    Attributes:
+        motion: deformation of the body in each view.
+    """
+
+    own_volumes = 2.0
+
+    def __init__(
+        self,
+        geometry: ScanGeometry,
+        grid: VolumeGrid,
+        motion: Sequence[Deformation],
+        engine: str | None = None,
+    ) -> None:
+        """Take one deformation for each view; views that share one are computed together.
+
+        Raises:
+            InputError: as for ``Projector``; or the numbers of views and deformations differ.
+        """
+        super().__init__(geometry, grid, engine)
+        if len(motion) != len(geometry):
+            raise InputError(
+                f"there are {len(motion)} deformations for {len(geometry)} views; each view needs "
+                "one"
+            )
+        self.motion: tuple[Deformation, ...] = tuple(motion)
+        self._moved = {id(one): Moved(one, grid) for one in self.motion}
+
+    def _groups(self) -> list[tuple[Moved, list[int]]]:
+        """Return each deformation with its views."""
+        views: dict[int, list[int]] = {}
+        for view, one in enumerate(self.motion):
+            views.setdefault(id(one), []).append(view)
+        return [(self._moved[key], there) for key, there in views.items()]
+
+    def __call__(self, x: ArrayLike, out: Singles | None = None) -> Singles:
+        """Return the line integrals of the body ``x`` in its state at each view."""
+        x = readable(x, self.domain_shape, "the volume")
+        y, there = writable(out, self.range_shape), np.empty_like(x)
+        for moved, views in self._groups():
+            there[:] = 0.0
+            moved.add_deformed(x, there)
+            for view in views:
+                self.kernels.forward(there, self._rays[view], y[view])
+        return y
+
+    def T(self, y: ArrayLike, out: Singles | None = None) -> Singles:  # noqa: N802 - its usual name
+        """Return the exact adjoint of ``y`` (views, rows, columns), (z, y, x), as in Projector."""
+        y = readable(y, self.range_shape, "the projections")
+        x = writable(out, self.domain_shape)
+        x[:], there = 0.0, np.empty_like(x)
+        for moved, views in self._groups():
+            there[:] = 0.0
+            for view in views:
+                self.kernels.adjoint(y[view], self._rays[view], there)
+            moved.add_adjoint(there, x)
+        return x
+
+    def __getitem__(self, views: Any) -> MovingProjector:
+        """Return the operator of some views, as in Projector."""
+        part = super().__getitem__(views)
+        assert isinstance(part, MovingProjector)
+        part.motion = tuple(
+            self.motion[view] for view in np.atleast_1d(np.arange(len(self))[views])
+        )
+        return part
+
+    def on(self, grid: VolumeGrid, geometry: ScanGeometry | None = None) -> MovingProjector:
+        """Return the operator of another grid and, if given, as many other views."""
+        return MovingProjector(geometry or self.geometry, grid, self.motion, self.engine)
+
+    def update(
+        self,
+        x: Singles,
+        view: int,
+        measured: Singles,
+        *,
+        relaxation: float,
+        mask: NDArray[np.bool_] | None = None,
+        floor: float = LOWEST,
+        change: Singles | None = None,
+        seen: Singles | None = None,
+    ) -> tuple[Singles, Singles]:
+        """Apply SART's update from one view, as in Projector: B goes to the moved voxels."""
+        moved = self._moved[id(self.motion[view])]
+        there, rise = np.zeros_like(x), np.zeros_like(x)
+        moved.add_deformed(x, there)
+        looked = None if seen is None else np.zeros_like(x)
+        images = super().update(
+            there, view, measured, relaxation=relaxation, mask=mask, change=rise, seen=looked
+        )
+        moved.add_undeformed(rise, x if change is None else change, floor)
+        if seen is not None and looked is not None:
+            moved.add_undeformed(looked, seen)
+        return images
+
+    def back_project(self, images: Singles, scales: Floats, out: Singles) -> None:
+        """Add each view's image values at the projections of the moved voxels, as in Projector."""
+        for moved, views in self._groups():
+            there = np.zeros_like(out)
+            chosen = np.ascontiguousarray(images[views])
+            self.kernels.back_project(chosen, self._pixels[views], scales[views], there)
+            moved.add_undeformed(there, out)
