@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from twinct.geometry import Pose, VolumeGrid
-from twinct.scenario import Specimen
+from twinct.scenario import Specimen, load_scenario
 from twinct.specimen import build_specimen, material
 from twinct.specimen.phantom import Phantom, phantom
 from twinct.specimen.phantom_bodies import CELLS_PER_WAVE, TILE, Organ, ball, random_field
 from twinct.specimen.skull import skull_surface
+
+SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
 
 @pytest.fixture(scope="module")
@@ -174,3 +178,33 @@ def test_a_scenario_scans_the_phantom_with_its_labels(trunk):
 def test_keys_that_do_not_fit_are_refused(keys, message):
     with pytest.raises(ValueError, match=message):
         Specimen.model_validate({"parts": [{"shape": {"kind": "volume", **keys}}]})
+
+
+def test_the_obstacle_keeps_the_safety_distance_on_all_sides():
+    ball = {"kind": "ellipsoid", "semi_axes_mm": [30, 20, 10], "mesh_resolution_mm": 3}
+    specimen = build_specimen(Specimen.model_validate({"parts": [{"shape": ball}]}))
+    assert specimen.obstacle(0.0) is specimen.hull
+    grown = specimen.obstacle(25.0)
+    gaps = -np.array(
+        [
+            (grown.face_normals * (point - grown.triangles_center)).sum(1).max()
+            for point in specimen.hull.vertices
+        ]
+    )
+    assert gaps.min() > 24.8
+    assert np.abs(grown.bounds).max(axis=0) == pytest.approx([55, 45, 35], abs=1.2)
+
+
+@pytest.mark.parametrize("name", ["patient_head", "patient_spine"])
+def test_patients_lie_on_their_tables_with_a_safety_distance(name):
+    scenario = load_scenario(SCENARIOS / f"{name}.yaml")
+    assert scenario.trajectory.views == 200
+    assert scenario.motion.clearance_mm + scenario.specimen.safety_mm >= 30
+    told = scenario.specimen.model_dump(mode="json")
+    told["parts"][0]["shape"] |= {"voxel_mm": 4}
+    patient, table = build_specimen(Specimen.model_validate(told)).parts
+    gap = patient.mesh.bounds[0, 1] - table.mesh.bounds[1, 1]
+    assert 0 <= gap < 4
+    assert table.material.mu_per_mm(80) * 4 > 0.1
+    wide = np.ptp(table.mesh.bounds, axis=0)
+    assert wide[0] > 0.9 * np.ptp(patient.mesh.bounds, axis=0)[0]
