@@ -49,6 +49,7 @@ KEYS = [
       contrasts: [{region: ball, against: water_box}],
       mtf: [{at: ball.1}, {at: rod}],
       nps: [{region: water_box}],
+      hounsfield: [{region: water_box}],
       tasks: [
         {name: sharp, signal: {kind: sphere, radius_mm: 4, contrast_rel: 0.1}, region: water_box},
         {name: soft, signal: {kind: gaussian, sigma_mm: 2, contrast_rel: 0.1}, region: water_box,

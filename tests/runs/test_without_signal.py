@@ -40,6 +40,7 @@ KEYS = [
       contrasts: [{region: lesion, against: box}],
       mtf: [{at: ball}],
       nps: [{region: box}, {region: air}],
+      hounsfield: [{region: box}],
       tasks: [{name: spot, signal: {kind: sphere, radius_mm: 4, contrast_rel: 0.1}, region: box}],
       streaks: [{part: ball, from_mm: 2, to_mm: 8}]
     }""",

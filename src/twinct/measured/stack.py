@@ -16,7 +16,7 @@ from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.boundary import file_bytes, library_errors, no_file
 from twinct.core.files.metaimage import metaimage_header, read_metaimage
-from twinct.core.foreign_text import quoted
+from twinct.core.foreign_text import quoted, whole_number
 from twinct.measured.description import Files
 from twinct.measured.numbers import named_array
 
@@ -107,8 +107,8 @@ def _files(path: Path, key: str) -> list[Path]:
 
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Return a key that sorts 2 before 10."""
-    parts = re.split(r"([0-9]{1,18})", path.name)
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]
+    parts = ((whole_number(part), part) for part in re.split(r"([0-9]{1,18})", path.name))
+    return [(-1, text) if number is None else (number, "") for number, text in parts]
 
 
 def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:

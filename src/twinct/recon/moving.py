@@ -156,9 +156,8 @@ class MovingProjector(Projector):
         """Return the operator of some views, as in Projector."""
         part = super().__getitem__(views)
         assert isinstance(part, MovingProjector)
-        part.motion = tuple(
-            self.motion[view] for view in np.atleast_1d(np.arange(len(self))[views])
-        )
+        numbers: list[int] = np.atleast_1d(np.arange(len(self))[views]).tolist()
+        part.motion = tuple(self.motion[view] for view in numbers)
         return part
 
     def on(self, grid: VolumeGrid, geometry: ScanGeometry | None = None) -> MovingProjector:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twinct import scenario
 from twinct.core.errors import SpecimenError
-from twinct.core.foreign_text import quoted
+from twinct.core.foreign_text import quoted, whole_number
 from twinct.specimen.ct_grid import canonical, same_place
 from twinct.specimen.ct_image import CtImage
 from twinct.specimen.ct_nifti import read_ct_nifti
@@ -132,7 +132,7 @@ def _told_names(path: Path) -> dict[int, str]:
         except ElementTree.ParseError:
             continue
         for label in root.iter("Label"):
-            key = label.get("Key", "")
-            if key.isdigit() and label.text:
-                names[int(key)] = label.text.strip()
+            key = whole_number(label.get("Key", ""))
+            if key is not None and label.text:
+                names[key] = label.text.strip()
     return names
