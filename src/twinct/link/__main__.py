@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import faulthandler
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -67,4 +68,6 @@ def main(
 
 
 if __name__ == "__main__":
+    if sys.stderr is not None:
+        faulthandler.enable()  # a crash in a library leaves its stack in the log
     sys.exit(main())
