@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npy
+from twinct.core.interruption import postponed
 from twinct.workers.artifact import remove
 
 log = logging.getLogger(__name__)
@@ -113,6 +114,7 @@ class Cache:
         finally:
             os.close(descriptor)
 
+    @postponed()
     def remove_locks(self) -> None:
         """Remove the files of all locks; no process may use the cache."""
         for path in self.folder.glob("*/.*.lock"):

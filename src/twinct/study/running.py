@@ -15,7 +15,6 @@ from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import storage_errors
-from twinct.core.interruption import postponed
 from twinct.core.threads import threads
 from twinct.observers import Audience, Observers, audience_of
 from twinct.study.cache import Cache
@@ -156,16 +155,16 @@ def _concluded(driver: Driver) -> Iterator[None]:
     try:
         yield
     except BaseException as error:
-        with postponed():
+        try:
             driver.pool.close()
+        finally:
             Cache(driver.folder.work).remove_locks()
         if isinstance(error, KeyboardInterrupt):
             kept = f"{driver.folder.path} keeps {len(rows.status)} of {total} trials"
             error.add_note(f"{kept}; --resume continues")
         raise
     else:
-        with postponed():
-            driver.pool.close(clear=True)
+        driver.pool.close(clear=True)
     finally:
         _conclude(driver.design, driver.folder, rows, driver.total, time.monotonic() - began)
     driver.book_around(time.monotonic() - began)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
-import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +16,8 @@ from multiprocessing.connection import wait
 from pathlib import Path
 
 from twinct.core.errors import InputError
-from twinct.core.files.writing import storage_errors
+from twinct.core.files.writing import remove_folder, storage_errors
+from twinct.core.interruption import postponed
 from twinct.core.memory import available_bytes
 from twinct.core.threads import SETTING
 from twinct.workers.artifact import Here
@@ -184,6 +184,7 @@ class LocalPool(Pool):
         self._keys -= {e.key for e in events}
         return events
 
+    @postponed()
     def close(self, *, clear: bool = False) -> None:
         """End all processes; running work is not reported any more."""
         self._closed = True
@@ -192,7 +193,7 @@ class LocalPool(Pool):
         while self._workers:
             self._remove(self._workers[-1])
         if clear:
-            shutil.rmtree(self.folder, ignore_errors=True)
+            remove_folder(self.folder)
 
     def _start_what_fits(self) -> None:
         while (place := self._next()) is not None:
