@@ -152,14 +152,14 @@ def test_copies_are_whole_and_locked(pair) -> None:
         assert not made.array.flags.writeable
 
 
-def test_files_are_named_by_text_and_end_as_nifti_does(pair, tmp_path) -> None:
+def test_files_are_named_by_text_and_end_as_a_format_does(pair, tmp_path) -> None:
     v, _ = pair
     for name in ("v.nii", "v.nii.gz"):
         v.write(str(tmp_path / name))
         np.testing.assert_array_equal(Volume.read(str(tmp_path / name)), v)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["v.nii", "v.nii.gz"]
     for name in ("v.dcm", "v", "v.gz"):
-        with pytest.raises(InputError, match=rf"{name}: .* end in \.nii or \.nii\.gz"):
+        with pytest.raises(InputError, match=rf"{name}: .* end in \.nii, \.nii\.gz, \.mha"):
             v.write(tmp_path / name)
 
 

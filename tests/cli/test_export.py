@@ -12,12 +12,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pydicom
 import pytest
+import SimpleITK
 
 from twinct.cli import run_command
 from twinct.exchange import formats
-from twinct.geometry import Pose
+from twinct.geometry import Pose, VolumeGrid
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
+from twinct.recon.volume import Volume
 from twinct.runs import line_integrals
 from twinct.scan import ScanStore, View
 from twinct.scenario import Scenario, load_scenario
@@ -174,7 +177,7 @@ def test_a_format_of_another_package_is_written_like_the_others(run_folder: Path
     capfd.readouterr()
     assert run_command(["export", "--help"]) == 0
     told = " ".join(capfd.readouterr().out.replace("│", "").split())
-    assert "{rtk,astra,leap,cil,tigre,openct,plugin}" in told
+    assert "{rtk,astra,leap,cil,tigre,openct,plugin,dicom," in told
     assert "openct: readers of OpenCT; plugin: one NumPy file" in told
 
 
@@ -245,3 +248,57 @@ def test_a_full_disk_leaves_nothing(run_folder: Path, tmp_path: Path, capfd, mon
         assert not list(disk.iterdir())
     finally:
         subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.fixture
+def with_volume(run_folder: Path, scenario: Scenario) -> Path:
+    scenario_file = run_folder / "scenario.yaml"
+    scenario_file.write_text(scenario.resolved(), encoding="utf-8")
+    grid = VolumeGrid((3, 4, 5), 1.0)
+    values = np.linspace(0, 0.06, 60, dtype=np.float32).reshape(grid.shape)
+    Volume(values, grid).write(run_folder / "volume.nii")
+    kept = run_folder / "reconstructions" / "again"
+    kept.mkdir(parents=True)
+    Volume(values[::-1].copy(), grid).write(kept / "volume.nii")
+    return run_folder
+
+
+def test_a_volume_becomes_a_dicom_series_in_hu(with_volume: Path) -> None:
+    assert run_command(["export", str(with_volume), "--volume", "volume", "--to", "dicom"]) == 0
+    slices = [pydicom.dcmread(p) for p in sorted((with_volume / "export-volume-dicom").iterdir())]
+    values = np.linspace(0, 0.06, 60).reshape(3, 4, 5)
+    water = float(slices[0].ImageComments.split("water of ")[1].split("/mm")[0])
+    assert 0.015 < water < 0.03
+    found = np.stack([s.pixel_array * float(s.RescaleSlope) for s in slices])[:, ::-1, ::-1]
+    np.testing.assert_allclose(found, 1000 * (values / water - 1), atol=0.6)
+
+
+@pytest.mark.parametrize(("to", "ending"), [("metaimage", ".mha"), ("nifti", ".nii")])
+def test_a_further_reconstruction_becomes_a_file(with_volume: Path, to, ending) -> None:
+    where = ["export", str(with_volume), "--volume", "again", "--to", to]
+    assert run_command(where) == 0
+    assert run_command([*where, "--water", "0.02", "--out", str(with_volume / f"hu{ending}")]) == 0
+    plain, hu = (with_volume / f"{name}{ending}" for name in ("export-again", "hu"))
+    plain, hu = (SimpleITK.GetArrayFromImage(SimpleITK.ReadImage(str(p))) for p in (plain, hu))
+    assert plain.min() == 0 and plain[0, 0, 0] == pytest.approx(0.0407, abs=1e-4)
+    np.testing.assert_allclose(hu, 1000 * (plain / 0.02 - 1), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--to", "dicom"], "--to dicom: a format of volumes; name one with --volume"),
+        (["--to", "rtk", "--water", "0.02"], "--water: only of a volume"),
+        (["--to", "rtk", "--values", "hounsfield"], "--values hounsfield: only of a volume"),
+        (["--to", "dicom", "--volume", "fast"], "unknown; choose from again, volume"),
+        (["--to", "rtk", "--volume", "volume"], "volume format rtk: unknown; choose from dicom"),
+        (["--to", "dicom", "--volume", "volume", "--geometry", "executed"], "--geometry: not of"),
+        (["--to", "dicom", "--volume", "volume", "--air", "0"], "--air 0: HU need --water"),
+        (["--to", "nifti", "--volume", "volume", "--out", "x.mha"], "needs a name in .nii"),
+        (["--to", "nifti", "--volume", "volume", "--water", "-1"], "attenuates more than air"),
+    ],
+)
+def test_what_does_not_fit_a_volume_is_refused(with_volume: Path, capfd, more, said) -> None:
+    before = sorted(with_volume.rglob("*"))
+    assert said in bad(capfd, "export", str(with_volume), *more)
+    assert sorted(with_volume.rglob("*")) == before

@@ -96,10 +96,16 @@ def _try_conventions(source: Path, out: Path) -> None:
 def _format_argument() -> Any:
     """Return the type of ``--to``; only commands and help that need it look for formats."""
     from twinct.exchange import formats
+    from twinct.recon.volume_formats import volume_formats
 
-    titles = "; ".join(f"{name}: {form.title}" for name, form in formats().items())
-    metavar = f"{{{','.join(formats())}}}"
-    return Annotated[str, tyro.conf.arg(metavar=metavar, help=f"Format of the files. {titles}.")]
+    known = formats(), volume_formats()
+    scan, volume = ("; ".join(f"{form.name}: {form.title}" for form in of.values()) for of in known)
+    metavar = f"{{{','.join(name for of in known for name in of)}}}"
+    words = f"Format of the files. A scan: {scan}. A volume (--volume): {volume}."
+    return Annotated[str, tyro.conf.arg(metavar=metavar, help=words)]
+
+
+_SCAN_VALUES = "line-integrals", "transmission"
 
 
 def export(
@@ -109,29 +115,86 @@ def export(
     ],
     *,
     to: Annotated[str, tyro.conf.arg(constructor_factory=_format_argument)],
-    geometry: Annotated[str, tyro.conf.arg(metavar="NAME")] = "believed",
-    values: Literal["line-integrals", "transmission"] = "line-integrals",
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    volume: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    geometry: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
+    values: Literal["line-integrals", "transmission", "attenuation", "hounsfield"] | None = None,
+    water: Annotated[float | None, tyro.conf.arg(metavar="MU")] = None,
+    air: Annotated[float | None, tyro.conf.arg(metavar="MU")] = None,
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None,
 ) -> None:
-    """Write a scan in a form that another toolkit can reconstruct directly.
+    """Write a scan in a form that another toolkit can reconstruct directly, or one of its volumes.
 
-    DIR gets the projections, the geometry, the scenario's voxel grid, a script load.py that loads
-    them into the toolkit and reconstructs, and a README. Of a scan in progress, the existing views
-    are written.
+    Of a scan, PATH gets the projections, the geometry, the scenario's voxel grid, a script load.py
+    that loads them into the toolkit and reconstructs, and a README. Of a scan in progress, the
+    existing views are written. With --volume, PATH is the file or folder of the volume.
 
     Args:
-        geometry: believed (reported by the system), executed (true poses of the arms), commanded
-            (requested poses), or one made by twinct geometry.
-        values: Pixel values as -ln(I/I0), or as I/I0.
-        out: Folder to write, which must not exist; export-NAME beside the scan unless given.
+        volume: Write a volume instead of the scan: volume (of the run), truth, or a result of
+            twinct reconstruct.
+        geometry: believed (reported by the system; default), executed (true poses of the arms),
+            commanded (requested poses), or one made by twinct geometry.
+        values: Pixels of a scan as -ln(I/I0) (default) or as I/I0; voxels of a volume as
+            attenuation in 1/mm (default) or in HU (default of dicom, where water is known).
+        water: Attenuation of water in the volume, 1/mm, which becomes 0 HU; that of the scenario's
+            beam unless given. A measured scan needs it for HU.
+        air: Attenuation of air in the volume, 1/mm, which becomes -1000 HU; 0 unless given.
+        out: What to write; export-NAME beside the scan unless given. A folder must not exist.
     """
+    if volume is not None:
+        _export_volume(scan, volume, to, geometry, values, water, air, out)
+        return
+    _refuse_volumes(to, values, water, air)
     from twinct.runs import export_scan
 
     with on_terminal() as audience:
         folder = export_scan(
-            scan, to, geometry=geometry, values=values, out=out, observers=audience
+            scan,
+            to,
+            geometry=geometry or "believed",
+            values="transmission" if values == "transmission" else "line-integrals",
+            out=out,
+            observers=audience,
         )
     say(f"wrote {folder}; its README.txt says more")
+
+
+def _refuse_volumes(to: str, values: str | None, water: float | None, air: float | None) -> None:
+    """Raise if arguments of a volume are given, but no volume."""
+    from twinct.core.errors import InputError
+    from twinct.exchange import formats
+    from twinct.recon.volume_formats import volume_formats
+
+    if to in volume_formats() and to not in formats():
+        raise InputError(f"--to {to}: a format of volumes; name one with --volume")
+    for name, of_volume in (("--water", water), ("--air", air), (f"--values {values}", values)):
+        if of_volume is not None and of_volume not in _SCAN_VALUES:
+            raise InputError(f"{name}: only of a volume; name one with --volume")
+
+
+def _export_volume(
+    folder: Path,
+    volume: str,
+    to: str,
+    geometry: str | None,
+    values: Any,
+    water: float | None,
+    air: float | None,
+    out: Path | None,
+) -> None:
+    from twinct.core.errors import InputError
+    from twinct.runs import Water, export_volume
+
+    if geometry is not None or values in _SCAN_VALUES:
+        name = "--geometry" if geometry is not None else f"--values {values}"
+        raise InputError(f"{name}: not of a volume (--volume {volume})")
+    if water is None and air is not None:
+        raise InputError(f"--air {air:g}: HU need --water, too")
+    stated = None if water is None else Water(water, air or 0.0)
+    with on_terminal() as audience:
+        written = export_volume(
+            folder, volume, to, values=values, water=stated, out=out, observers=audience
+        )
+    say(f"wrote {written}")
 
 
 def report(

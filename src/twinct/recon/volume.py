@@ -1,28 +1,27 @@
-"""Volumes: voxels with their grid, shown in notebooks and stored as NIfTI files.
-
-World axes are written as RAS, so that 3D Slicer opens a volume upright and in place.
-"""
+"""Volumes: voxels with their grid, shown in notebooks and stored as files of several formats."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
-from twinct.core.errors import InputError
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import Floats, Pose, VolumeGrid
 
-ENDINGS = ".nii", ".nii.gz"
-"""File names of a volume."""
+if TYPE_CHECKING:
+    from twinct.recon.volume_formats import Told
+
+AIR_HU = -1000.0
 
 SAME_MM = 1e-3
 """Two grids count as equal if no voxel centre differs by more: NIfTI stores a grid in float32."""
@@ -182,34 +181,61 @@ class Volume(NDArrayOperatorsMixin):
             axes.set(title=f"{name} = {at:.4g} mm", xlabel=f"{across} / mm", ylabel=f"{up} / mm")
         figure.colorbar(greys, ax=figure.axes, shrink=0.8, label="attenuation / mm⁻¹")
 
-    def write(self, path: str | Path, note: str = "") -> None:
-        """Write a NIfTI file, which appears under its name only when it is complete.
+    def in_hu(self, water_per_mm: float, air_per_mm: float = 0.0) -> Volume:
+        """Return the volume in HU, in which air is -1000 and water is 0.
 
-        The header's description holds at most 79 bytes of the note.
+        Args:
+            water_per_mm: attenuation of water in this volume, 1/mm.
+            air_per_mm: attenuation of air in this volume, 1/mm.
 
         Raises:
-            InputError: the path does not end in ``.nii`` or ``.nii.gz``.
-            StorageError: the file cannot be written.
+            InputError: water does not attenuate more than air.
         """
-        import nibabel
+        if not water_per_mm > air_per_mm:
+            raise InputError(
+                f"HU need water that attenuates more than air, not {water_per_mm:g}/mm and "
+                f"{air_per_mm:g}/mm"
+            )
+        scale = (self.array - np.float32(air_per_mm)) / np.float32(water_per_mm - air_per_mm)
+        return Volume(np.float32(AIR_HU) * (1 - scale), self.grid)
+
+    def write(
+        self, path: str | Path, note: str = "", *, to: str | None = None, told: Told | None = None
+    ) -> None:
+        """Write the volume as a file or a folder, which appears only when it is complete.
+
+        A file is replaced, a folder (DICOM, Zarr) must not exist.
+
+        Args:
+            path: the file or folder; its ending states the format: ``.nii``, ``.nii.gz``, ``.mha``,
+                ``.tif`` or ``.zarr``.
+            note: one line on the origin of the volume.
+            to: name of a format, such as ``dicom``; None: by the ending.
+            told: further facts, such as the unit of the voxels; 1/mm by default.
+
+        Raises:
+            InputError: the ending or the format is unknown.
+            ScanExistsError: the folder exists.
+            StorageError: the path cannot be written.
+        """
+        from twinct.recon.volume_formats import (
+            Told,
+            format_of_name,
+            volume_format_named,
+            volume_formats,
+        )
 
         path = Path(path)
-        if not path.name.lower().endswith(ENDINGS):
-            raise InputError(
-                f"{path}: a volume is written as NIfTI; its name must end in .nii or .nii.gz"
-            )
-        affine = self.grid.affine
-        image: Any = nibabel.Nifti1Image(self.array.T, affine, dtype=self.array.dtype)  # type: ignore[no-untyped-call]
-        image.header.set_xyzt_units("mm")
-        image.header["descrip"] = note.encode()[:79]
-        image.set_qform(affine, code="scanner")
-        image.set_sform(affine, code="scanner")
+        form = volume_format_named(to) if to else format_of_name(path, volume_formats().values())
+        told = replace(told or Told(), note=note or (told.note if told else ""))
+        if path.is_dir():
+            raise ScanExistsError(f"{path} exists already: choose another name")
         with storage_errors(path), complete(path) as draft:
-            image.to_filename(draft)
+            form.write(self.array, self.grid, draft, told)
 
     @classmethod
     def read(cls, path: str | Path) -> Volume:
-        """Read a file written by ``write``; its header stores the grid in float32.
+        """Read a NIfTI file written by ``write``; its header stores the grid in float32.
 
         Returns:
             The volume; its extras hold the ``note`` of the header.

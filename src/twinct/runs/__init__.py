@@ -21,6 +21,7 @@ from twinct.runs.reconstruction_folder import Reconstruction
 from twinct.runs.reporting import evaluate, judge
 from twinct.runs.truth import Truth, truth_of
 from twinct.runs.verify import Verdict, verify
+from twinct.runs.volume_export import Water, export_volume
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import line_integrals
 
@@ -32,6 +33,7 @@ __all__ = [
     "Run",
     "Truth",
     "Verdict",
+    "Water",
     "acquire_to_store",
     "check_geometries",
     "check_physics",
@@ -40,6 +42,7 @@ __all__ = [
     "derive_geometry",
     "evaluate",
     "export_scan",
+    "export_volume",
     "findings",
     "import_scan",
     "judge",

@@ -20,13 +20,21 @@ _SPARE_BYTES = 64 * 2**20
 
 @contextlib.contextmanager
 def complete(path: Path) -> Iterator[Path]:
-    """Yield a draft beside a file, which replaces the file if the block succeeds."""
+    """Yield a draft beside a path, which takes the path's place if the block succeeds.
+
+    The block writes a file, which may replace another one, or a folder, whose path must be free.
+    """
     draft = draft_of(path)
+    if draft.is_dir():  # a killed process may have left it
+        remove_folder(draft)
     try:
         yield draft
         draft.replace(path)
     finally:
-        draft.unlink(missing_ok=True)
+        if draft.is_dir():
+            remove_folder(draft)
+        else:
+            draft.unlink(missing_ok=True)
 
 
 def draft_of(path: Path) -> Path:
