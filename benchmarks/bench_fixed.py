@@ -1,4 +1,4 @@
-"""Random bases and zones inside and outside the fixed bodies of the default cell.
+"""Random bases, zones and objects inside and outside the fixed bodies of the default cell.
 
     python benchmarks/bench_fixed.py                # 200 that overlap, 200 that are free
     python benchmarks/bench_fixed.py --each 20 --seed 1
@@ -13,7 +13,9 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import tempfile
 from collections import Counter
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -23,7 +25,7 @@ import trimesh
 from twinct.core.errors import ScenarioError
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell import CellModel, apart, build_cell
-from twinct.scenario import Cell, Detector, SourceArm, Zone
+from twinct.scenario import Cell, Detector, RoomObject, SourceArm, Zone
 
 HEAD_SEMI_AXES_MM = (72.0, 90.0, 110.0)
 SHARE = 0.02
@@ -35,7 +37,7 @@ def head() -> trimesh.Trimesh:
     return mesh
 
 
-def drawn(kind: str, rng: np.random.Generator) -> tuple[Cell, str]:
+def drawn(kind: str, rng: np.random.Generator, wedge: Path) -> tuple[Cell, str]:
     """Return a random cell, and the prefix of the names of the bodies that were drawn."""
     at = tuple(np.round(rng.uniform((-900, -900, -1000), (900, 900, 400)), 1).tolist())
     if kind == "base":
@@ -45,11 +47,16 @@ def drawn(kind: str, rng: np.random.Generator) -> tuple[Cell, str]:
         {"kind": "box", "size_mm": size},
         {"kind": "sphere", "radius_mm": size[0]},
         {"kind": "cylinder", "radius_mm": size[0], "height_mm": size[1]},
+        {"kind": "capsule", "radius_mm": size[0], "length_mm": size[1]},
+        {"kind": "mesh", "path": str(wedge), "unit_mm": size[0]},
     ]
-    shape = shapes[rng.integers(len(shapes))]
+    shape = shapes[rng.integers(3 if kind == "zone" else len(shapes))]
     turned = np.round(rng.uniform(-180, 180, 3), 1).tolist()
-    zone = {"name": "drawn", "shape": shape, "position_mm": at, "rotation_deg": turned}
-    return Cell(zones=(Zone.model_validate(zone),)), "zone drawn"
+    body = {"name": "drawn", "shape": shape, "position_mm": at, "rotation_deg": turned}
+    if kind == "zone":
+        return Cell(zones=(Zone.model_validate(body),)), "zone drawn"
+    group = ("patient", "staff", "furniture")[rng.integers(3)]
+    return Cell(objects=(RoomObject.model_validate({**body, "group": group}),)), "object drawn"
 
 
 def pieces(cell: CellModel) -> list[tuple[str, Floats]]:
@@ -65,6 +72,9 @@ def pieces(cell: CellModel) -> list[tuple[str, Floats]]:
             points = trimesh.creation.box(2 * size).vertices
         elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
             points = trimesh.creation.cylinder(size[0], 2 * size[1], sections=64).vertices
+        elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            capsule = trimesh.creation.capsule(2 * size[1], size[0])
+            points = capsule.vertices - capsule.bounds.mean(axis=0)
         elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
             points = trimesh.creation.icosphere(3, size[0]).vertices
         else:
@@ -96,7 +106,10 @@ def judged(cell: CellModel, mine: str) -> bool | None:
         (a, b)
         for name, a in pieces(cell)
         for other, b in pieces(cell)
-        if name.startswith(mine) and not other.startswith(mine) and other != "floor"
+        if name.startswith(mine)
+        and not other.startswith(mine)
+        # Zones may cross the floor, and bases are bolted to it.
+        and (other != "floor" or mine.startswith("object"))
     ]
     if any(meet(a, b, 1 - SHARE) for a, b in both):
         return True
@@ -108,18 +121,24 @@ def refused(cell: CellModel, mine: str) -> str:
     try:
         apart(cell)
     except ScenarioError as error:
-        name = "zone 'drawn'" if mine.startswith("zone") else "the source arm's"
+        name = "the source arm's" if mine == "source_" else mine.replace("drawn", "'drawn'")
         return "named" if all(name in problem for problem in error.problems) else "unnamed"
     return ""
 
 
-def main(each: int, seed: int) -> dict[str, int]:
+def main(each: int, seed: int, folder: Path) -> dict[str, int]:
+    wedge = folder / "wedge.stl"  # half a cube, and a small cube apart from it
+    half = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]).convex_hull
+    cube = trimesh.creation.box(
+        (0.3, 0.3, 0.3), trimesh.transformations.translation_matrix((1, 1, 1))
+    )
+    trimesh.util.concatenate([half, cube]).export(wedge)
     rng, counts = np.random.default_rng(seed), Counter[str]()
     shape, panel = head(), Detector().panel
     wanted = {True: each, False: each}
     while any(wanted.values()):
-        kind = ("base", "zone")[sum(counts.values()) % 2]
-        section, mine = drawn(kind, rng)
+        kind = ("base", "zone", "object")[sum(counts.values()) % 3]
+        section, mine = drawn(kind, rng, wedge)
         cell = build_cell(section, shape, Pose.identity(), panel)
         truth = judged(cell, mine)
         if truth is None or not wanted[truth]:
@@ -132,11 +151,12 @@ def main(each: int, seed: int) -> dict[str, int]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Random bases and zones")
+    parser = argparse.ArgumentParser(description="Random bases, zones and objects")
     parser.add_argument("--each", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
-    found = main(args.each, args.seed)
+    with tempfile.TemporaryDirectory() as folder:
+        found = main(args.each, args.seed, Path(folder))
     print(json.dumps(found))
     good = found.get("overlapping, named"), found.get("free, accepted")
     sys.exit(good != (args.each, args.each))

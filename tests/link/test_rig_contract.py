@@ -20,6 +20,11 @@ NUMBERS = (*POSES, "joint_names", "time_s", "clearance_mm", "since_middle_s")
 ARRAYS = ("position", "velocity", "effort", "state")
 
 
+PLATE = {
+    "name": "plate",
+    "shape": {"kind": "sphere", "radius_mm": 200},
+    "material": {"mass_fractions": {"C": 1.0}, "density_g_cm3": 0.1},
+}
 PHYSICS = {
     "uncertainty": {"preset": "collaborative", "patient": {"nod_mm": 3.0}},
     "source": {
@@ -135,7 +140,7 @@ def test_nodes_take_the_built_specimen_instead_of_building_it_again(tmp_path):
     trimesh.creation.icosphere(3, 40).export(ball)
     scenario = parse_scenario(
         {
-            "cell": {"kind": "gantry"},
+            "cell": {"kind": "gantry", "objects": [PLATE]},
             "xray": {"engine": "mesh"},
             "trajectory": {"kind": "arc", "views": 2, "longitude_range_deg": 10},
             "detector": {"columns": 8, "rows": 6, "pixel_pitch_mm": 40},
@@ -147,3 +152,4 @@ def test_nodes_take_the_built_specimen_instead_of_building_it_again(tmp_path):
     trimesh.creation.icosphere(3, 20).export(ball)
     views = take(ros_rigs()(builder, 0, None), builder.targets)
     assert [image.tobytes() for _, image in views] == [image.tobytes() for _, image in expected]
+    assert all(image.max() < 0.95 for _, image in views)  # no ray passes beside the plate

@@ -19,7 +19,7 @@ from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
 from twinct.geometry.wire import PosePairs, Target
 from twinct.robots.gantry import Gantry
 from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
-from twinct.specimen import BuiltSpecimen, build_specimen
+from twinct.specimen import BuiltPart, BuiltSpecimen, build_specimen
 from twinct.specimen.built_file import load_built
 from twinct.trajectory import commanded_mas, commanded_views
 from twinct.uncertainty import TrueCell
@@ -158,6 +158,17 @@ class SimulationBuilder:
     def hull(self) -> Trimesh:
         """Convex hull of the specimen in its own frame, for collision."""
         return self.specimen.hull
+
+    @cached_property
+    def beam_objects(self) -> tuple[BuiltPart, ...]:
+        """Objects of the room that the beam sees, in the world.
+
+        Raises:
+            SpecimenError: a material is unknown, or a mesh file is unusable.
+        """
+        from twinct.specimen.room_bodies import beam_bodies
+
+        return beam_bodies(self.scenario.cell.objects)
 
     @cached_property
     def _obstacle(self) -> Trimesh:
@@ -329,6 +340,7 @@ class SimulationBuilder:
             seed=scenario.seed,
             mas=self.mas,
             engine=scenario.xray.engine,
+            objects=self.beam_objects,
         )
 
 

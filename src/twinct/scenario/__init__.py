@@ -11,13 +11,11 @@ from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, 
 from twinct.scenario.cell import (
     AnyCell,
     Arm,
-    Capsule,
     Cell,
     DetectorArm,
     GantryCell,
     SourceArm,
     Table,
-    Zone,
 )
 from twinct.scenario.composition import Composition
 from twinct.scenario.detector import (
@@ -66,6 +64,7 @@ from twinct.scenario.metal import Implant, KnownImplants, Nmar
 from twinct.scenario.motion import InverseKinematics, Motion
 from twinct.scenario.objects import with_files_in, with_paths
 from twinct.scenario.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
+from twinct.scenario.room_objects import Capsule, GroupClearance, RoomObject, Zone
 from twinct.scenario.scenario import AnyTrajectory, Scenario
 from twinct.scenario.source import (
     FileSpectrum,
@@ -144,6 +143,7 @@ __all__ = [
     "GaussianSpread",
     "Grid",
     "GreyVolume",
+    "GroupClearance",
     "Head",
     "HuLine",
     "ImageSpot",
@@ -173,6 +173,7 @@ __all__ = [
     "SECTIONS",
     "Reconstruction",
     "Region",
+    "RoomObject",
     "Response",
     "Scatter",
     "Scenario",

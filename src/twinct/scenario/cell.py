@@ -24,8 +24,12 @@ from twinct.core.settings import (
     facts,
     setting,
 )
-from twinct.geometry import Pose
-from twinct.scenario.specimen import Box, Cylinder, Sphere
+from twinct.scenario.room_objects import (
+    GroupClearance,
+    RoomObject,
+    Zone,
+    require_unique_names,
+)
 
 ARMS = ("ur10e", "lbr_iiwa14")
 """Built-in arms."""
@@ -182,31 +186,8 @@ class Table(Section):
     holder_radius_mm: Length = setting(30.0, "Radius of the specimen holder's post.")
 
 
-class Capsule(Section):
-    """A cylinder with round ends along the zone's z axis, centred."""
-
-    kind: Literal["capsule"]
-    radius_mm: Length = Field(description="Radius.")
-    length_mm: Length = Field(description="Distance between the centres of the round ends.")
-
-
-class Zone(Section):
-    """Part of the room that the arms must not enter, such as a patient's shoulders or staff."""
-
-    name: str = Field(min_length=1, description="Name of the zone in messages.")
-    shape: Annotated[Box | Sphere | Cylinder | Capsule, Field(discriminator="kind")] = Field(
-        description="Shape of the zone."
-    )
-    position_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the zone in the world.")
-    rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
-
-    @property
-    def world_from_zone(self) -> Pose:
-        """Pose of the zone in the world."""
-        return Pose.from_euler(self.position_mm, self.rotation_deg)
-
-
 DEFAULT_KIND = "arms"
+OBJECTS = "Furniture, staff, parts of the patient, and other bodies that stand in the room."
 
 
 class Cell(Section):
@@ -223,13 +204,15 @@ class Cell(Section):
     zones: tuple[Zone, ...] = setting(
         (), "Forbidden zones, which the arms avoid; images do not show them.", read_by="plan"
     )
+    objects: tuple[RoomObject, ...] = setting((), OBJECTS)
+    group_clearance_mm: GroupClearance = setting(
+        GroupClearance(), "Additional gaps to the objects of each group.", read_by="plan"
+    )
 
     @model_validator(mode="after")
-    def _zones_have_names_of_their_own(self) -> Cell:
-        names = [zone.name for zone in self.zones]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
-            what = f"{', '.join(twice)}: two zones have the same name"
-            raise ConflictError(Conflict(what, ("zones",)))
+    def _names_are_unique(self) -> Cell:
+        for key in ("zones", "objects"):
+            require_unique_names(getattr(self, key), key)
         return self
 
 
@@ -252,6 +235,12 @@ class GantryCell(Section):
     floor_z_mm: Coordinate = setting(
         -1200.0, "Height of the floor, for pictures only.", read_by="plan"
     )
+    objects: tuple[RoomObject, ...] = setting((), f"{OBJECTS} A gantry ignores obstacles.")
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> GantryCell:
+        require_unique_names(self.objects, "objects")
+        return self
 
 
 def _kind(value: Any) -> str:

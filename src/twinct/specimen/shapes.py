@@ -59,7 +59,7 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
         case scenario.BallHelix():
             return _helix(shape)
         case scenario.MeshFile():
-            return _from_file(shape, name)
+            return mesh_file_surface(shape, f"part {quoted(name)}")
         case scenario.CtVolume():
             return ct_surface(shape, name)
         case scenario.GreyVolume():
@@ -91,8 +91,17 @@ def _helix(shape: scenario.BallHelix) -> trimesh.Trimesh:
     return surface(corners, (first + ball.faces).reshape(-1, 3))
 
 
-def _from_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
-    where = f"part {quoted(name)}: mesh file {shape.path}"
+def mesh_file_surface(shape: scenario.MeshFile, owner: str) -> trimesh.Trimesh:
+    """Return the closed surface in a mesh file, mm.
+
+    Args:
+        shape: the file and its unit.
+        owner: body that has the shape, for messages.
+
+    Raises:
+        SpecimenError: the file cannot be read, or its mesh is open.
+    """
+    where = f"{owner}: mesh file {shape.path}"
     mesh = read_mesh(shape.path, where)
     vertices = mesh.vertices * shape.unit_mm
     if shape.centre:

@@ -10,6 +10,7 @@ import numpy as np
 from twinct.core.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
 from twinct.specimen.surface import refined
+from twinct.xray.engine import SceneView
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -73,6 +74,20 @@ class Placement:
 def corners(mesh: Trimesh) -> Floats:
     """Return the corners of the box around a mesh, (8, 3)."""
     return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
+
+
+def scene_view(view: ScanGeometry) -> SceneView:
+    """Return exactly one view in the form of engines."""
+    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
+
+
+def misses(view: ScanGeometry, box: Floats) -> bool:
+    """Return True if the shadow of a box is certainly off the panel."""
+    shadow = view.project(box)[0]
+    if np.isnan(shadow).any():
+        return False
+    size = np.array([view.panel.columns, view.panel.rows])
+    return bool((shadow.max(axis=0) < -1).any() or (shadow.min(axis=0) > size).any())
 
 
 def _behind(view: ScanGeometry, points: Floats) -> np.ndarray:

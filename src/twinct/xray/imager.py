@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 from twinct.core.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
-from twinct.specimen import BuiltSpecimen
+from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.xray._owner import SceneOwner
-from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
+from twinct.xray._placement import Placement, longest_edge, mesh_fault, scene_view, split
 from twinct.xray.build import physical_panel
 from twinct.xray.chain import Chain, ViewImages
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.grey import GreyCaster
-from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer, scene_view
+from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
+from twinct.xray.room_rays import RoomRays
 
 Placed = tuple[ScanGeometry, Pose]
 """Executed geometry at one instant: one view of source and panel, and ``world_from_object``."""
@@ -51,6 +52,7 @@ class Imager(SceneOwner):
         seed: int = 0,
         mas: Floats | None = None,
         engine: str = DEFAULT_ENGINE,
+        objects: Sequence[BuiltPart] = (),
     ) -> None:
         """Upload the specimen.
 
@@ -64,6 +66,7 @@ class Imager(SceneOwner):
             seed: key of the noise, together with the index of the view.
             mas: tube load of each commanded view, (views,), mAs; ``source.mas`` by default.
             engine: name of the X-ray engine.
+            objects: objects of the room that the beam sees, closed meshes in the world, mm.
 
         Raises:
             SpecimenError: there is nothing to image, a mesh is open, or an attenuation is not
@@ -78,16 +81,12 @@ class Imager(SceneOwner):
         self._chain: Chain | None = None
         edge = longest_edge(_nearest_mm(specimen, commanded))
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
-            bodies = _bodies(specimen, source.energy_kev, edge)
-            self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
-            self._casters = _casters(specimen, self.panel, source.energy_kev)
-            if bodies:
-                self._acquire(engine_named(engine).engine, bodies, self.panel)
-            self._open = True
+            self._open_ideal(specimen, edge, engine, objects)
         else:
             low, high = specimen.bounds
             self._centre = (low + high) / 2
-            self._materials = specimen.materials
+            others = (body.material for body in objects)
+            self._materials = tuple(dict.fromkeys([*specimen.materials, *others]))
             if commanded is not None:  # now, to report unusable files at once
                 self._chain = self._new_chain(commanded)
             self._paths = PathRenderer(
@@ -97,8 +96,23 @@ class Imager(SceneOwner):
                 edge,
                 engine,
                 specimen.greys,
+                objects,
             )
             self._open = True
+
+    def _open_ideal(
+        self, specimen: BuiltSpecimen, edge_mm: float, engine: str, objects: Sequence[BuiltPart]
+    ) -> None:
+        """Upload all that is imaged by one frame of the engine, and prepare our own rays."""
+        energy_kev = self._source.energy_kev
+        bodies = _bodies(specimen, energy_kev, edge_mm)
+        self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
+        self._casters = _casters(specimen, self.panel, energy_kev)
+        self._room = RoomRays(objects, self.panel)
+        self._room_mu = [m.mu_per_mm(energy_kev) for m in self._room.materials]
+        if bodies:
+            self._acquire(engine_named(engine).engine, bodies, self.panel)
+        self._open = True
 
     def render(
         self, geometry: ScanGeometry, world_from_object: Pose, view: int = 0
@@ -194,6 +208,10 @@ class Imager(SceneOwner):
             for mu, paths in zip(mu_per_mm, caster.cast(seen), strict=True):
                 depth += mu * paths
             image *= np.exp(-depth)
+        if self._room_mu:
+            paths = np.zeros((len(self._room_mu), *image.shape), dtype=np.float32)
+            self._room.add(geometry, range(len(paths)), paths)
+            image *= np.exp(-np.tensordot(np.array(self._room_mu, np.float32), paths, axes=1))
         return image
 
     def _release(self) -> None:

@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
 from twinct.core.foreign_text import quoted
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry
-from twinct.specimen import GreyPart
+from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.specimen import BuiltPart, GreyPart
 from twinct.specimen.materials import Material
 from twinct.xray._owner import SceneOwner
-from twinct.xray._placement import Placement, corners, mesh_fault, split
-from twinct.xray.engine import SceneBody, SceneView
+from twinct.xray._placement import Placement, corners, mesh_fault, misses, scene_view, split
+from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.grey import GreyCaster
+from twinct.xray.room_rays import RoomRays
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -48,7 +49,7 @@ class PathRenderer(SceneOwner):
 
     Attributes:
         materials: distinct materials, in the order of their first body, then of the grey parts'
-            basis materials. The images have this order.
+            basis materials, then of the room's objects. The images have this order.
         panel: panel of every view.
         samples: samples along each pixel edge.
     """
@@ -61,6 +62,7 @@ class PathRenderer(SceneOwner):
         longest_edge_mm: float | None = None,
         engine: str = DEFAULT_ENGINE,
         greys: Sequence[GreyPart] = (),
+        objects: Sequence[BuiltPart] = (),
     ) -> None:
         """Upload the bodies.
 
@@ -72,6 +74,7 @@ class PathRenderer(SceneOwner):
                 ``longest_edge``.
             engine: name of the X-ray engine.
             greys: grey parts to image, at least one if there are no bodies.
+            objects: objects of the room, in the world, mm; by our own rays, with any engine.
 
         Raises:
             SpecimenError: there is no body, or a mesh is open or inside out.
@@ -86,7 +89,7 @@ class PathRenderer(SceneOwner):
         _require_closed(named)
         basis = (m for part in greys for m in part.field.materials)
         self.materials: tuple[Material, ...] = tuple(
-            dict.fromkeys([*(body.material for body in bodies), *basis])
+            dict.fromkeys([*(b.material for b in bodies), *basis, *(o.material for o in objects)])
         )
         self._material = [self.materials.index(body.material) for body in bodies]
         self._placements = [Placement([part]) for part in named]
@@ -97,6 +100,8 @@ class PathRenderer(SceneOwner):
             (GreyCaster(part.field, fine), [self.materials.index(m) for m in part.field.materials])
             for part in greys
         ]
+        self._room = RoomRays(objects, fine)
+        self._room_into = [self.materials.index(m) for m in self._room.materials]
         tile = Panel(_even(fine.rows), _even(fine.columns), fine.pitch_u, fine.pitch_v)
         self._tile = np.empty(tile.shape if bodies else (0, 0), dtype=np.float32)
         meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
@@ -135,7 +140,7 @@ class PathRenderer(SceneOwner):
         paths = np.zeros((len(self.materials), *self._fine.shape), dtype=np.float32)
         filled = [False] * len(self.materials)
         for body, material in enumerate(self._material):
-            if _misses(views[body], self._corners[body]):
+            if misses(views[body], self._corners[body]):
                 continue
             for row in range(0, self._fine.rows, self._tile.shape[0]):
                 for column in range(0, self._fine.columns, self._tile.shape[1]):
@@ -143,6 +148,7 @@ class PathRenderer(SceneOwner):
             filled[material] = True
         for seen, (caster, into) in zip(views[len(self._material) :], self._casters, strict=True):
             caster.add(scene_view(seen), into, paths)
+        self._room.add(view, self._room_into, paths)
         return paths
 
     def _from_bodies(self, view: ScanGeometry, poses: Pose | Sequence[Pose]) -> list[ScanGeometry]:
@@ -180,20 +186,6 @@ def _require_closed(parts: Sequence[tuple[str, Trimesh]]) -> None:
     faults = [f"part {quoted(name)} {why}" for name, mesh in parts if (why := mesh_fault(mesh))]
     if faults:
         raise SpecimenError(faults)
-
-
-def scene_view(view: ScanGeometry) -> SceneView:
-    """Return exactly one view in the form of engines."""
-    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
-
-
-def _misses(view: ScanGeometry, box: Floats) -> bool:
-    """Return True if the shadow of a box is certainly off the panel."""
-    shadow = view.project(box)[0]
-    if np.isnan(shadow).any():
-        return False
-    size = np.array([view.panel.columns, view.panel.rows])
-    return bool((shadow.max(axis=0) < -1).any() or (shadow.min(axis=0) > size).any())
 
 
 def _even(count: int) -> int:

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import Floats
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.robots.cell.scene import COLLISION_GROUP, CellModel, GantryModel
+from twinct.robots.cell.scene import CellModel, GantryModel
+from twinct.robots.cell.standing import COLLISION_GROUP
 
 Indices = NDArray[np.intp]
 

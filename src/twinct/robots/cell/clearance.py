@@ -41,7 +41,10 @@ class Gap:
 
 
 class Clearance:
-    """Smallest distance between non-adjacent bodies, at one instant or over a motion."""
+    """Smallest distance between non-adjacent bodies, at one instant or over a motion.
+
+    A distance to an object of the room is less the additional gap of the object's group.
+    """
 
     def __init__(self, cell: CellModel, sides: tuple[str, ...] = ("source", "detector")) -> None:
         """Select the pairs of geoms.
@@ -58,6 +61,7 @@ class Clearance:
         named = [cell.body_of_geom(geom).startswith(absent) for geom in range(model.ngeom)]
         self._pairs = cell.pairs[~(named & ~fixed)[cell.pairs].any(axis=1)]
         self._first, self._second = self._pairs.T
+        self._margin = cell.margins[self._pairs].sum(axis=1)
         self._centre, self._half = model.geom_aabb[:, :3], model.geom_aabb[:, 3:]
         self._line = np.zeros(6)
         self._scratch = self._mujoco.MjData(model)
@@ -71,7 +75,7 @@ class Clearance:
         self._approach = np.where((one > 0) != (other > 0), one + other, 0.0)
 
     def lower_bounds(self, data: mujoco.MjData) -> Floats:
-        """Compute a lower bound of each pair's distance, m, (pairs,).
+        """Compute a lower bound of each pair's distance less its margin, m, (pairs,).
 
         World-aligned boxes give the bound; for near pairs, the geoms' oriented boxes tighten it.
         """
@@ -97,11 +101,13 @@ class Clearance:
             bound[near] = np.maximum(bound[near], np.sqrt((gap * gap).sum(axis=1)))
         # Overlapping boxes do not bound the depth of the overlap.
         bound[bound == 0] = -np.inf
-        return bound
+        return bound - self._margin
 
     def _exact(self, data: mujoco.MjData, pair: int, limit_m: float) -> float:
-        a, b = int(self._first[pair]), int(self._second[pair])
-        return self._mujoco.mj_geomDistance(self._cell.model, data, a, b, limit_m, self._line)
+        a, b, margin = int(self._first[pair]), int(self._second[pair]), float(self._margin[pair])
+        limit_m += margin
+        distance = self._mujoco.mj_geomDistance(self._cell.model, data, a, b, limit_m, self._line)
+        return distance - margin
 
     def at(self, data: mujoco.MjData) -> Gap:
         """Return the smallest distance now, at most 10 m; geom poses must be up to date."""

@@ -16,7 +16,8 @@ from twinct.core.errors import ScenarioError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import MM_PER_M
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.robots.cell.scene import ARMS, ZONE, CellModel
+from twinct.robots.cell.scene import ARMS, CellModel
+from twinct.robots.cell.standing import OBJECT, ZONE
 
 if TYPE_CHECKING:
     import mujoco
@@ -27,7 +28,7 @@ OVERLAP_MM = 0.01
 SUNK_MM = 20.0
 """Depth to which a base may be set into the floor."""
 
-_RANKS = ("floor", "specimen", "table", "arm", "zone")
+_RANKS = ("floor", "specimen", "table", "arm", "object", "zone")
 """Kinds of bodies; of two bodies that overlap, the later one is named first, as the one to move."""
 
 _BUILT_TOGETHER = (
@@ -46,7 +47,7 @@ class Fixed:
 
     Attributes:
         kind: one of ``_RANKS``, or holder.
-        owner: arm or zone that it belongs to, or the kind.
+        owner: arm, group of objects or zone that it belongs to, or the kind.
         name: name in messages.
         key: scenario key that moves it.
         body: name in the model.
@@ -135,6 +136,11 @@ def _told(cell: CellModel, body: int) -> Fixed:
         zone = name.removeprefix(ZONE)
         index = [one.name for one in cell.cell.zones].index(zone)
         return Fixed("zone", name, f"zone {quoted(zone)}", f"cell.zones.{index}", name)
+    if name.startswith(OBJECT):
+        index = [f"{OBJECT}{one.name}" for one in cell.cell.objects].index(name)
+        one = cell.cell.objects[index]
+        told = f"object {quoted(one.name)}"
+        return Fixed("object", f"objects: {one.group}", told, f"cell.objects.{index}", name)
     told = {
         "specimen": ("specimen", "specimen", "the specimen", "specimen.position_mm"),
         "table": ("table", "table", "the table", "cell.table"),

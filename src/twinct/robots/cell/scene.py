@@ -10,10 +10,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinct.core.errors import ScenarioError
-from twinct.geometry import MM_PER_M, Floats, Panel, Pose
+from twinct.geometry import Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
 from twinct.robots.cell.collision_pairs import exclude_adjacent, levers, non_adjacent_pairs
+from twinct.robots.cell.standing import (
+    COLLISION_GROUP,
+    MM,
+    VISUAL_GROUP,
+    add_mesh,
+    add_objects,
+    add_zones,
+    object_margins,
+)
 from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:
@@ -23,11 +32,6 @@ if TYPE_CHECKING:
 ARMS = ("source", "detector")
 """Prefixes of the two arms, in the order of joints, actuators and all stacked arrays."""
 
-MM = 1 / MM_PER_M
-
-VISUAL_GROUP, COLLISION_GROUP = 2, 3
-"""Groups of geoms: visible ones, which may be solid, too, and invisible collision shapes."""
-
 BANDWIDTH_RAD_S = 80.0
 """Natural frequency of the joint servos; critically damped, a 1 mm step settles in 0.1 s."""
 
@@ -36,11 +40,6 @@ PANEL_DEPTH_MM = 24.0
 PANEL_COVER_MM = 4.0
 """Housing of the active area: border, total depth, and depth of the cover before the pixels."""
 
-
-ZONE = "zone "
-"""Prefix of the body name of a forbidden zone."""
-
-ZONE_RGBA = (0.88, 0.20, 0.12, 0.28)
 
 TOOLS_MM = 200.0
 """Length that the housings of source and panel add to the extent of a gantry's picture."""
@@ -70,6 +69,7 @@ class CellModel:
         pairs: geom ids of all pairs of non-adjacent bodies that can move against each other,
             (p, 2).
         homes: start of the path search for each arm, rad, or None if the scenario states none.
+        margins: additional gap that arms keep from each geom, m, (geoms,), by its object's group.
         lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
             zero if the joint does not move the body.
         notes: data of the arms that the scenario supplied in place of a file, in words.
@@ -87,6 +87,7 @@ class CellModel:
     speed_scales: Floats
     pairs: np.ndarray
     homes: tuple[Floats | None, ...]
+    margins: Floats
     lever: Floats
     notes: tuple[str, ...] = ()
 
@@ -137,7 +138,8 @@ def build_cell(
         tool = _mount(spec, cell, side, arm, loaded).add_body(name=side)
         (_source_tool if side == "source" else _panel_tool)(tool, arm, panel)
         arms.append(loaded)
-    _zones(spec, cell)
+    add_zones(spec, cell.zones)
+    add_objects(spec, cell.objects)
     names = _servos(spec, arms, cell)
     exclude_adjacent(spec)
     # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
@@ -169,6 +171,7 @@ def build_gantry(
     """
     spec = _room(cell.floor_z_mm)
     _specimen(spec, specimen_mesh, world_from_specimen)
+    add_objects(spec, cell.objects)
     for side, arm, tool, pose in (
         ("source", SourceArm(), _source_tool, world_from_source),
         ("detector", DetectorArm(), _panel_tool, world_from_detector),
@@ -220,12 +223,7 @@ def _specimen(
         ("specimen", "specimen_hull", hull, {"group": COLLISION_GROUP}),
         ("specimen_look", "specimen_look", mesh, look),
     ):
-        spec.add_mesh(
-            name=mesh_name,
-            uservert=(np.asarray(part.vertices, dtype=float) * MM).ravel(),
-            userface=np.asarray(part.faces, dtype=np.int32).ravel(),
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
+        add_mesh(spec, mesh_name, part)
         kind = mujoco.mjtGeom.mjGEOM_MESH
         body.add_geom(name=name, type=kind, meshname=mesh_name, material="bone", **more)
     return float(world_from_specimen.apply(hull.vertices)[:, 2].min())
@@ -263,27 +261,6 @@ def _table(
     foot = min(15.0, (bottom_mm - top) / 3)
     _rod(holder, "holder_rest", (x, y, bottom_mm - foot), (x, y, bottom_mm), 2 * radius, "post")
     _rod(holder, "holder_foot", (x, y, top), (x, y, top + foot), 2 * radius, "housing")
-
-
-def _zones(spec: mujoco.MjSpec, cell: Cell) -> None:
-    """Add each forbidden zone as a translucent body of its own."""
-    kinds = mujoco_module().mjtGeom
-    for index, zone in enumerate(cell.zones):
-        shape = zone.shape
-        if shape.kind == "box":
-            kind, size = kinds.mjGEOM_BOX, np.array(shape.size_mm) / 2
-        elif shape.kind == "sphere":
-            kind, size = kinds.mjGEOM_SPHERE, np.array([shape.radius_mm, 0, 0])
-        else:
-            length = shape.height_mm if shape.kind == "cylinder" else shape.length_mm
-            kind = kinds.mjGEOM_CYLINDER if shape.kind == "cylinder" else kinds.mjGEOM_CAPSULE
-            size = np.array([shape.radius_mm, length / 2, 0])
-        position, quat = zone.world_from_zone.to_metres()
-        body = spec.worldbody.add_body(
-            name=f"{ZONE}{zone.name}", pos=position, quat=np.roll(quat, 1)
-        )
-        name = f"zone_{index}"
-        body.add_geom(name=name, type=kind, size=size * MM, rgba=ZONE_RGBA, group=VISUAL_GROUP)
 
 
 def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:
@@ -375,6 +352,7 @@ _KEYS = {
     "table": "cell.table",
     "holder": "cell.table",
     "zone": "cell.zones",
+    "object": "cell.objects",
 }
 """Scenario key for each part of the model, by the prefix of its name."""
 
@@ -412,6 +390,7 @@ def _compiled(
         ),
         pairs=non_adjacent_pairs(model),
         homes=tuple(arm.home for arm in arms),
+        margins=object_margins(model, cell),
         lever=levers(model),
         notes=tuple(
             f"{side} arm: {note}"

@@ -33,13 +33,18 @@ class CollisionCheck:
         self._counts = np.zeros((model.ngeom, model.ngeom), bool)
         self._counts[tuple(cell.pairs.T)] = self._counts[tuple(cell.pairs.T[::-1])] = True
         model.geom_contype = model.geom_conaffinity = self._counts.any(axis=0)
+        self._margins = cell.margins
+        self._body_margins = np.zeros(model.nbody)
+        np.maximum.at(self._body_margins, model.geom_bodyid, cell.margins)
         self._data = mujoco.MjData(model)
         self.looked = 0
 
     def keep(self, least_mm: float) -> None:
         """Set the clearance for all further checks."""
         # The margins of two geoms, or bodies, add up.
-        self._model.geom_margin[:] = self._model.body_margin[:] = least_mm / MM_PER_M / 2
+        half = least_mm / MM_PER_M / 2
+        self._model.geom_margin[:] = half + self._margins
+        self._model.body_margin[:] = half + self._body_margins
 
     def clear(self, joints: Floats) -> bool:
         """Check that no pair of geoms seems closer than the clearance.

@@ -64,6 +64,7 @@ class Feasible:
         }[whom]
         pairs = self._pairs = cell.pairs[keep]
         self._names = pairs.tolist()
+        self._margin = cell.margins[pairs].sum(axis=1)
         self._geoms, compact = np.unique(pairs, return_inverse=True)
         self._first, self._second = compact.reshape(-1, 2).T
         self._centre, self._half = np.split(model.geom_aabb[self._geoms], 2, axis=1)
@@ -183,6 +184,7 @@ class Feasible:
             np.maximum(gap, 0, out=gap)
             gap *= gap
             square += gap
+        asked_m = asked_m + self._margin[:, None]
         pair, which = np.nonzero(square < asked_m * asked_m)
         order = np.argsort(which, kind="stable")
         return pair[order], which[order]
@@ -219,6 +221,7 @@ class Feasible:
             outside = np.sqrt((np.maximum(gap, 0) ** 2).sum(axis=1))
             # Overlapping boxes bound no distance; the deepest overlap is checked first.
             bound = np.maximum(bound, np.where(outside > 0, outside, gap.max(axis=1)))
+        bound -= self._margin[pair]
         rows = np.flatnonzero(bound < asked_m)
         rows = rows[np.lexsort((bound[rows], which[rows]))]
         found, first = np.unique(which[rows], return_index=True)
@@ -229,5 +232,7 @@ class Feasible:
             yield int(index), near, bound[near]
 
     def _distance(self, pair: int, limit_m: float) -> float:
-        a, b = self._names[pair]
-        return mujoco.mj_geomDistance(self._model, self._data, a, b, limit_m, self._line)
+        """Return the distance of a pair less its margin, or the limit if it is larger."""
+        (a, b), margin = self._names[pair], float(self._margin[pair])
+        limit_m += margin
+        return mujoco.mj_geomDistance(self._model, self._data, a, b, limit_m, self._line) - margin
