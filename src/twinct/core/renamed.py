@@ -26,6 +26,7 @@ RENAMED = {
     "twinct.files": "twinct.core.files",
     "twinct.files.below": "twinct.core.files.folder_paths",
     "twinct.gantry": "twinct.robots.gantry",
+    "twinct.link.recording.definitions": "twinct.link.definitions",
     "twinct.memory": "twinct.core.memory",
     "twinct.motion": "twinct.robots.motion",
     "twinct.motion.detour": "twinct.robots.motion.path_planner",

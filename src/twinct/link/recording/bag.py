@@ -9,7 +9,7 @@ from typing import Any
 from mcap.writer import CompressionType
 from mcap_ros2.writer import Writer
 
-from twinct.link.recording.definitions import definition
+from twinct.link.definitions import definition
 
 MEDIA_TYPES = {
     ".json": "application/json",

@@ -19,7 +19,7 @@ from zstandard import ZstdError
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
 from twinct.geometry.wire import Instant, SevenNumbers
-from twinct.link.recording.definitions import definition
+from twinct.link.definitions import definition
 from twinct.link.stamps import NANO
 from twinct.link.topics import STATE
 
