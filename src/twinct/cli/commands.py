@@ -6,6 +6,7 @@ import tyro
 
 from twinct.cli.calibrate import calibrate
 from twinct.cli.ctsimu import ctsimu
+from twinct.cli.drive import drive
 from twinct.cli.finished import (
     compare,
     export,
@@ -24,7 +25,7 @@ app = tyro.extras.SubcommandApp()
 
 for command in (check, run, view, render, reach, plan, uncertainty, place, node, urdf, schema):
     app.command(command)
-for command in (motion, specimen, export):
+for command in (motion, drive, specimen, export):
     app.command(command)
 app.command(name="import")(import_)
 for command in (report, compare, verify, reconstruct, geometry):

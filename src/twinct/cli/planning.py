@@ -142,28 +142,16 @@ def motion(
         source_prefix: Prefix of the joint names of the source arm's driver.
         detector_prefix: Prefix of the joint names of the detector arm's driver.
     """
-    from twinct.cli.progress import on_terminal, say
-    from twinct.core.errors import InputError
+    from twinct.cli.drive import planned
+    from twinct.cli.progress import say
     from twinct.core.extras import require
-    from twinct.scan import SimulationBuilder
-    from twinct.scenario import load_scenario, named_places
 
-    loaded = load_scenario(scenario, set_)
-    if loaded.cell.kind != "arms":
-        raise InputError(f"cell.kind: a {loaded.cell.kind} has no arms to move")
     require("robots")
-    from twinct.robots.programs import check_absent, language_named, program_of, write_program
+    from twinct.robots.programs import check_absent, language_named, write_program
 
-    language, builder = language_named(to), SimulationBuilder(loaded)
-    if loaded.motion.scheme == "reactive":
-        raise InputError("motion.scheme: reactive has no plan to write; set it to planned")
+    language = language_named(to)
     check_absent(out)
-    with named_places(scenario, set_), on_terminal() as audience:
-        with audience.stage("planning the motion", 1) as step:
-            plan = builder.followed
-            step()
-    assert plan is not None
-    origin = f"{loaded.name}, plan {plan.digest[:12]}"
-    program = program_of(plan, origin, (source_prefix, detector_prefix))
+    _, program = planned(scenario, set_, (source_prefix, detector_prefix))
     write_program(out, language.write(program))
+    plan = program.plan
     say(f"wrote {out}: {len(plan.targets)} views in {plan.duration_s:.1f} s")

@@ -153,6 +153,11 @@ def definition(kind: str) -> str:
     )
 
 
+def known(kind: str) -> bool:
+    """Return True if a type such as ``geometry_msgs/msg/Pose`` is defined here."""
+    return short_name(kind) in _FIELDS
+
+
 def short_name(kind: str) -> str:
     """Return a type such as ``geometry_msgs/msg/Pose`` without its middle part."""
     package, _, name = kind.partition("/")

@@ -10,6 +10,7 @@ from threading import Lock
 from typing import Any
 
 import rclpy
+from rclpy.action.client import ActionClient
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, ShutdownException, TimeoutException
@@ -91,22 +92,47 @@ class Station:
         latched: bool = True,
         raw: bool = False,
         mismatch_told: bool = True,
+        as_published: bool = False,
     ) -> Subscription:
         """Subscribe to reliable publishers and, if latched, to their earlier messages.
 
         The callback receives a message, or a ``Raw`` one with ``raw``, and its ``Sender``.
         ``mismatch_told`` reports incompatible publishers on the console; turn it off if another
-        subscription covers them.
+        subscription covers them. ``as_published`` also takes best-effort publishers, if a topic has
+        one when this is called, and no earlier messages.
         """
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(
             matched=lambda _: None,
             incompatible_qos=None if mismatch_told else lambda _: None,
         )
-        qos = _qos(max(depth, topic.depth), latched=latched)
+        qos = _qos(max(depth, topic.depth), latched=latched and not as_published)
+        if as_published and self._best_effort(topic):
+            qos.reliability = ReliabilityPolicy.BEST_EFFORT
         return self._node.create_subscription(
             topic.message_class, topic, hear, qos, event_callbacks=events, raw=raw
         )
+
+    def _best_effort(self, topic: str) -> bool:
+        published = self._node.get_publishers_info_by_topic(topic)
+        return any(
+            info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for info in published
+        )
+
+    def kind_of(self, topic: str) -> str | None:
+        """Return the type of a topic that somebody publishes, if it is already discovered."""
+        published = self._node.get_publishers_info_by_topic(topic)
+        return published[0].topic_type if published else None
+
+    def actions(self) -> list[str]:
+        """Return the names of all discovered actions."""
+        ending = "/_action/send_goal"
+        services = self._node.get_service_names_and_types()
+        return sorted(n.removesuffix(ending) for n, _ in services if n.endswith(ending))
+
+    def action_client(self, action: Any, name: str) -> ActionClient:
+        """Return a client of an action, whose callbacks run inside ``wait``."""
+        return ActionClient(self._node, action, name)
 
     def listen_to_all(
         self, topic: Topic, callback: Callable[[Any, Sender], None], *, depth: int = 100

@@ -1,0 +1,149 @@
+"""The command that sends a plan to the controllers of real arms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from twinct.cli.arguments import Overrides, ScenarioFile
+
+if TYPE_CHECKING:
+    from twinct.robots.programs import Program
+    from twinct.scenario import Scenario
+
+Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC")]
+
+
+def drive(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.mcap")],
+    source: Annotated[str | None, tyro.conf.arg(metavar="ACTION")] = None,
+    detector: Annotated[str | None, tyro.conf.arg(metavar="ACTION")] = None,
+    both: Annotated[str | None, tyro.conf.arg(metavar="ACTION")] = None,
+    source_prefix: str = "",
+    detector_prefix: str = "",
+    speed: float = 1.0,
+    start_tolerance_deg: float = 0.5,
+    joint_states: Names = ("/joint_states",),
+    descriptions: Names = ("/robot_description",),
+    record: Names = (),
+    set_: Overrides = (),
+) -> None:
+    """Send the plan of a scenario to controllers of arms, and record what their drivers say.
+
+    The controllers are servers of control_msgs/action/FollowJointTrajectory, in the domain
+    ROS_DOMAIN_ID. The arms stand at the start of the plan already. No arm was moved by it yet: try
+    it in the controller's own simulation first. Ctrl-C tells all controllers to stop.
+
+    Args:
+        out: Recording to write, which must not exist; twinct import reads it.
+        source: Controller of the source arm, such as /left/arm_controller/follow_joint_trajectory.
+        detector: Controller of the detector arm; both start at one time.
+        both: Controller of both arms, instead of two.
+        source_prefix: Prefix of the joint names of the source arm's driver.
+        detector_prefix: Prefix of the joint names of the detector arm's driver.
+        speed: Share of the plan's speed, above 0 and at most 1.
+        start_tolerance_deg: Largest distance of a joint from the start of the plan.
+        joint_states: Topics of the drivers' joint states.
+        descriptions: Topics of the drivers' descriptions, whose limits the plan must keep.
+        record: Further topics to record, such as those of the detector.
+    """
+    actions = _actions(source, detector, both, speed)
+    prefixes = source_prefix, detector_prefix
+    topics = joint_states, descriptions, record
+    _drive(scenario, set_, prefixes, out, actions, speed, (*topics, start_tolerance_deg))
+
+
+def _actions(
+    source: str | None, detector: str | None, both: str | None, speed: float
+) -> tuple[str, ...]:
+    """Return the controllers: one of both arms, or one of each.
+
+    Raises:
+        InputError: others are named, or the speed is out of range.
+    """
+    from twinct.core.errors import InputError
+
+    if not 0 < speed <= 1:
+        raise InputError(f"--speed {speed:g}: must be above 0 and at most 1")
+    if both and not source and not detector:
+        return (both,)
+    if both or not source or not detector:
+        raise InputError("name the controllers: either --source and --detector, or --both")
+    return source, detector
+
+
+def _drive(
+    scenario: Path,
+    set_: Sequence[str],
+    prefixes: tuple[str, str],
+    out: Path,
+    actions: tuple[str, ...],
+    speed: float,
+    choices: tuple[Any, ...],
+) -> None:
+    """Plan, send, and say what was recorded; ``choices`` are the fields of ``DriveSettings``."""
+    from twinct.cli.progress import say
+    from twinct.core.errors import ScanExistsError
+    from twinct.core.extras import require
+    from twinct.link import require_ros
+
+    if out.exists():
+        raise ScanExistsError(f"{out} exists already: choose another --out")
+    require("robots", "record")
+    require_ros()
+    loaded, program = planned(scenario, set_, prefixes)
+    from twinct.link.driving import Drive, DriveSettings, names_of
+    from twinct.link.follow import courses
+    from twinct.link.participant import Station
+    from twinct.link.recording.drive_file import DriveFile
+
+    parts = courses(program, actions, speed)
+    names = names_of(parts, program.plan.joint_names)
+    with (
+        closing(DriveFile(out, loaded, program.plan, names)) as file,
+        closing(Station("twinct_drive")) as station,
+    ):
+        say(f"sending {parts[0].duration_s:.1f} s of motion on ROS domain {station.domain_id}")
+        run = Drive(station, parts, DriveSettings(*choices), file)
+        run.run()
+    for sentence in run.told:
+        say(sentence, warning=True)
+    heard = ", ".join(f"{count} of {topic}" for topic, count in file.heard.items())
+    say(f"the controllers followed the plan; wrote {out} with {heard}")
+
+
+def planned(
+    scenario: Path, set_: Sequence[str], prefixes: tuple[str, str]
+) -> tuple[Scenario, Program]:
+    """Return a scenario and its plan under the names of the drivers.
+
+    Raises:
+        InputError: the scenario has no arms, or no plan.
+    """
+    from twinct.cli.progress import on_terminal
+    from twinct.core.errors import InputError
+    from twinct.core.extras import require
+    from twinct.scan import SimulationBuilder
+    from twinct.scenario import load_scenario, named_places
+
+    loaded = load_scenario(scenario, set_)
+    if loaded.cell.kind != "arms":
+        raise InputError(f"cell.kind: a {loaded.cell.kind} has no arms to move")
+    if loaded.motion.scheme == "reactive":
+        raise InputError("motion.scheme: reactive has no plan to write; set it to planned")
+    require("robots")
+    from twinct.robots.programs import program_of
+
+    builder = SimulationBuilder(loaded)
+    with named_places(scenario, set_), on_terminal() as audience:
+        with audience.stage("planning the motion", 1) as step:
+            plan = builder.followed
+            step()
+    assert plan is not None
+    return loaded, program_of(plan, f"{loaded.name}, plan {plan.digest[:12]}", prefixes)

@@ -1,0 +1,289 @@
+"""Client that sends a plan to the controllers of real arms, and records what their drivers say."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+
+from twinct.core.errors import InputError
+from twinct.link.definitions import known
+from twinct.link.follow import (
+    ACTION,
+    ControllerError,
+    Course,
+    check_limits,
+    check_start,
+    limits_of,
+    stamp_after,
+    verdict,
+)
+from twinct.link.made_types import action_type
+from twinct.link.participant import Station
+from twinct.link.recording.drive_file import DriveFile
+from twinct.link.senders import Raw, Sender
+from twinct.link.stamps import Stamp
+from twinct.link.topics import DESCRIPTION, JOINTS, Topic
+
+FOREVER_S = 1e9
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """Choices of a drive.
+
+    Attributes:
+        joint_states: topics of the drivers' joint states.
+        descriptions: topics of the drivers' robot descriptions, for their limits.
+        record: further topics to record, such as those of the detector.
+        start_tolerance_deg: largest distance of a joint from the start of the plan.
+        delay_s: time from sending to the common start of two controllers.
+        patience_s: time without an answer after which a controller counts as silent.
+    """
+
+    joint_states: tuple[str, ...] = (JOINTS.name,)
+    descriptions: tuple[str, ...] = (DESCRIPTION.name,)
+    record: tuple[str, ...] = ()
+    start_tolerance_deg: float = 0.5
+    delay_s: float = 2.0
+    patience_s: float = 10.0
+
+
+@dataclass(eq=False)
+class _Part:
+    """One controller at work: its motion, its client, its goal and its result."""
+
+    course: Course
+    client: Any
+    answer: Any = None
+    result: Any = None
+
+    @property
+    def accepted(self) -> bool:
+        return self.answer is not None and self.answer.done() and self.answer.result().accepted
+
+    @property
+    def failed(self) -> str | None:
+        if self.result is None or not self.result.done():
+            return None
+        got = self.result.result()
+        return verdict(got.status, got.result)
+
+
+class Drive:
+    """One plan, sent to the controllers of both arms.
+
+    Attributes:
+        told: sentences for users, on what could not be checked.
+    """
+
+    def __init__(
+        self,
+        station: Station,
+        courses: Sequence[Course],
+        settings: DriveSettings,
+        file: DriveFile,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        now_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """Prepare a drive; nothing moves before ``run``.
+
+        Args:
+            station: participant of the drivers' domain.
+            courses: motion of each controller.
+            settings: what to listen to, and how long to wait.
+            file: takes what is heard.
+            clock: seconds, for waiting.
+            now_ns: time of the drivers' clock, for a common start.
+        """
+        self._station, self._settings, self._file = station, settings, file
+        self._clock, self._now_ns = clock, now_ns
+        action = action_type(ACTION)
+        self._parts = [
+            _Part(course, station.action_client(action, course.action)) for course in courses
+        ]
+        self._action = action
+        self._at: dict[str, float] = {}
+        self._limits: dict[str, str] = {}
+        self._sent_ns: dict[str, int] = {}
+        self._started = False
+        self.told: list[str] = []
+
+    def run(self) -> None:
+        """Check, send and watch until all controllers have ended.
+
+        Raises:
+            InputError: names, limits or the start do not fit; nothing moved.
+            ControllerError: a controller rejected, aborted, was cancelled or fell silent; the
+                others were cancelled. What was heard is in the file.
+        """
+        try:
+            self._find()
+            self._check()
+            start = self._send()
+            self._watch(start)
+        except BaseException as error:
+            self._cancel()
+            self._hear_out()
+            self._file.finish(ended=str(error) or type(error).__name__)
+            raise
+        self._hear_out()
+        self._file.finish(ended="all controllers succeeded", start_ns=str(start.ns))
+
+    def _wait(self, done: Callable[[], bool], seconds: float) -> bool:
+        """Handle what comes until a condition holds; return False if the time is over."""
+        end = self._clock() + seconds
+        self._station.wait(lambda: done() or self._clock() >= end, FOREVER_S)
+        return done()
+
+    def _hear_out(self) -> None:
+        """Wait for all that was sent before now: what was sent later comes after it."""
+        now_ns, topics = time.time_ns(), self._sent_ns.keys() & {*self._settings.joint_states}
+        with suppress(KeyboardInterrupt):
+            self._wait(
+                lambda: all(self._sent_ns[topic] > now_ns for topic in topics),
+                self._settings.patience_s,
+            )
+
+    def _find(self) -> None:
+        """Wait for the controllers and all topics, and listen to these.
+
+        Raises:
+            ControllerError: one of them is not there.
+        """
+        patience = self._settings.patience_s
+        if not self._wait(lambda: all(p.client.server_is_ready() for p in self._parts), patience):
+            absent = [p.course.action for p in self._parts if not p.client.server_is_ready()]
+            there = ", ".join(self._station.actions()) or "none"
+            raise ControllerError(
+                f"no controller answers at {', '.join(absent)}; actions on ROS domain "
+                f"{self._station.domain_id}: {there}"
+            )
+        wanted = (*self._settings.joint_states, *self._settings.record)
+        if not self._wait(lambda: all(map(self._station.kind_of, wanted)), patience):
+            absent = [topic for topic in wanted if not self._station.kind_of(topic)]
+            raise ControllerError(f"nobody publishes {', '.join(absent)}")
+        for name in wanted:
+            kind = self._station.kind_of(name)
+            assert kind is not None
+            if not known(kind):
+                raise InputError(f"{name}: messages of type {kind} cannot be recorded")
+            topic = Topic(name, kind.replace("/msg/", "/"), "", 1)
+            hear = partial(self._hear, topic)
+            self._station.listen(topic, hear, depth=5000, raw=True, as_published=True)
+        for name in self._settings.descriptions:
+            if self._station.kind_of(name) == DESCRIPTION.kind:
+                topic = Topic(name, DESCRIPTION.kind.replace("/msg/", "/"), "", 1)
+                self._station.listen(topic, partial(self._describe, name))
+
+    def _describe(self, name: str, message: Any, _: Sender) -> None:
+        self._limits[name] = message.data
+
+    def _hear(self, topic: Topic, raw: Raw, sender: Sender) -> None:
+        self._file.write(topic, topic.kind, raw, sender)
+        self._sent_ns[topic.name] = raw.sent_ns
+        if topic in self._settings.joint_states and not self._started:
+            message = deserialize_message(raw.data, topic.message_class)
+            self._at.update(zip(message.name, message.position, strict=False))
+
+    def _check(self) -> None:
+        """Check the drivers' limits, and that the arms stand at the start.
+
+        Raises:
+            InputError: a joint is unknown, beyond its limits, or elsewhere.
+        """
+        names = {name for part in self._parts for name in part.course.joints}
+        described = [n for n in self._settings.descriptions if self._station.kind_of(n)]
+
+        def complete() -> bool:
+            return names <= self._at.keys() and all(name in self._limits for name in described)
+
+        self._wait(complete, self._settings.patience_s)
+        limits = {}
+        for name, text in self._limits.items():
+            limits |= limits_of(text, name)
+        if not limits:
+            self.told.append(
+                f"nobody publishes {', '.join(self._settings.descriptions)}, so the drivers' "
+                "limits of position and speed were not checked"
+            )
+        for part in self._parts:
+            if limits:
+                check_limits(part.course, limits, ", ".join(self._limits))
+            tolerance = np.radians(self._settings.start_tolerance_deg)
+            check_start(part.course, self._at, float(tolerance))
+
+    def _send(self) -> Stamp:
+        """Send all goals, and wait until all are accepted.
+
+        Returns:
+            Time at which the motion starts.
+
+        Raises:
+            ControllerError: a controller rejected its goal, or did not answer.
+        """
+        alone = len(self._parts) == 1
+        start = stamp_after(self._now_ns(), 0 if alone else self._settings.delay_s)
+        for part in self._parts:
+            goal = self._action.Goal(**part.course.goal(Stamp(0, 0) if alone else start))
+            part.answer = part.client.send_goal_async(goal)
+        self._started = True
+        answered = self._wait(
+            lambda: all(part.answer.done() for part in self._parts), self._settings.patience_s
+        )
+        if not answered:
+            silent = [p.course.action for p in self._parts if not p.answer.done()]
+            raise ControllerError(f"{', '.join(silent)} did not answer the plan")
+        if refused := [p.course.action for p in self._parts if not p.accepted]:
+            raise ControllerError(
+                f"{', '.join(refused)} rejected the plan: its log tells why; the arms stay where "
+                "they are"
+            )
+        for part in self._parts:
+            part.result = part.answer.result().get_result_async()
+        return start
+
+    def _watch(self, start: Stamp) -> None:
+        """Wait for all results.
+
+        Raises:
+            ControllerError: a goal failed, or there is no result in time.
+        """
+        longest = max(part.course.duration_s for part in self._parts)
+        left = (start.ns - self._now_ns()) / 1e9
+        self._wait(
+            lambda: (
+                all(p.result.done() for p in self._parts)
+                or any(p.failed or not p.client.server_is_ready() for p in self._parts)
+            ),
+            max(left, 0) + longest + self._settings.patience_s,
+        )
+        for part in self._parts:
+            if why := part.failed:
+                others = "" if len(self._parts) == 1 else "; the other arm was told to stop"
+                raise ControllerError(f"{part.course.action} {why}{others}")
+        for part in self._parts:
+            name = part.course.action
+            if not part.result.done():
+                gone = not part.client.server_is_ready()
+                how = "ended" if gone else f"has no result after {longest:.1f} s and more"
+                raise ControllerError(f"{name} stopped half-way: it {how}")
+
+    def _cancel(self) -> None:
+        """Tell controllers that have not ended to stop, and wait for their answers."""
+        busy = [p for p in self._parts if p.accepted and not (p.result and p.result.done())]
+        with suppress(ControllerError):
+            asked = [part.answer.result().cancel_goal_async() for part in busy]
+            self._wait(lambda: all(a.done() for a in asked), self._settings.patience_s)
+
+
+def names_of(courses: Sequence[Course], model: Sequence[str]) -> Mapping[str, str]:
+    """Return the scenario's joint names by those of the drivers; both are in one order."""
+    return dict(zip((n for course in courses for n in course.joints), model, strict=True))

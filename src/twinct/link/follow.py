@@ -1,0 +1,192 @@
+"""FollowJointTrajectory: a plan as goals for controllers, and the meaning of their results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from twinct.core.errors import InputError, LinkError
+from twinct.geometry import Floats
+from twinct.link.stamps import NANO, Stamp
+from twinct.robots.programs import Program
+
+ACTION = "control_msgs/FollowJointTrajectory"
+
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
+"""Final states of a goal, of ``action_msgs/msg/GoalStatus``."""
+
+CODES = {
+    0: "SUCCESSFUL",
+    -1: "INVALID_GOAL",
+    -2: "INVALID_JOINTS",
+    -3: "OLD_HEADER_TIMESTAMP",
+    -4: "PATH_TOLERANCE_VIOLATED",
+    -5: "GOAL_TOLERANCE_VIOLATED",
+}
+"""Error codes of a result."""
+
+
+class ControllerError(LinkError):
+    """A controller rejected a plan, aborted it, or stopped answering."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Limits of a joint in its driver's description, rad and s; infinite where it states none."""
+
+    lower: float = -np.inf
+    upper: float = np.inf
+    speed: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Motion that one controller gets.
+
+    Attributes:
+        action: name of its action, such as ``/left/joint_trajectory_controller/...``.
+        joints: names of its joints.
+        time_s: time of each point, (points,).
+        state: position, velocity and acceleration, rad and s, (points, 3, joints).
+    """
+
+    action: str
+    joints: tuple[str, ...]
+    time_s: Floats
+    state: Floats
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first point to the last."""
+        return float(self.time_s[-1])
+
+    def goal(self, start: Stamp) -> dict[str, Any]:
+        """Return the fields of a goal that starts at a time; zero for at once."""
+        points = [
+            {
+                "positions": position,
+                "velocities": velocity,
+                "accelerations": acceleration,
+                "time_from_start": dict(zip(("sec", "nanosec"), Stamp.at(t), strict=True)),
+            }
+            for t, (position, velocity, acceleration) in zip(
+                self.time_s.tolist(), self.state.tolist(), strict=True
+            )
+        ]
+        stamp = {"sec": start.sec, "nanosec": start.nanosec}
+        trajectory = {"header": {"stamp": stamp}, "joint_names": list(self.joints)}
+        return {"trajectory": {**trajectory, "points": points}}
+
+
+def courses(program: Program, actions: tuple[str, ...], speed: float) -> tuple[Course, ...]:
+    """Return the motion of each controller.
+
+    Args:
+        program: plan under the names of the drivers.
+        actions: name of the action of both arms, or of the source arm and of the detector arm.
+        speed: share of the plan's speed.
+
+    Raises:
+        InputError: both arms have a joint of one name, and one controller.
+    """
+    scale = np.array([1.0, speed, speed**2])[:, None]
+    time_s = program.plan.time_s / speed
+    if len(actions) == 1:
+        names = (*program.names[0], *program.names[1])
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise InputError(
+                f"both arms have a joint {twice[0]}: one controller cannot tell them apart; give "
+                "the prefixes of its joint names (--source-prefix, --detector-prefix)"
+            )
+        return (Course(actions[0], names, time_s, program.plan.state * scale),)
+    return tuple(
+        Course(action, program.names[arm], time_s, program.states(arm) * scale)
+        for arm, action in enumerate(actions)
+    )
+
+
+def limits_of(description: str, where: str) -> dict[str, Limit]:
+    """Return the limits of all joints of a robot description (URDF).
+
+    Raises:
+        InputError: the description is no XML, or a limit is no number.
+    """
+    found = {}
+    try:
+        for joint in ElementTree.fromstring(description).iter("joint"):
+            limit = joint.find("limit")
+            if limit is None or "name" not in joint.attrib:
+                continue
+            bounds = (-np.inf, np.inf)
+            if joint.get("type") != "continuous" and "upper" in limit.attrib:
+                bounds = float(limit.get("lower", 0)), float(limit.attrib["upper"])
+            found[joint.attrib["name"]] = Limit(*bounds, float(limit.get("velocity", np.inf)))
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(f"{where}: not a robot description: {error}") from None
+    return found
+
+
+def check_limits(course: Course, limits: Mapping[str, Limit], where: str) -> None:
+    """Check that a motion stays within the limits that a driver states.
+
+    Raises:
+        InputError: a joint is unknown to the driver, or leaves its limits.
+    """
+    if unknown := [name for name in course.joints if name not in limits]:
+        raise InputError(f"{where} has no joint {', '.join(unknown)}; it has {', '.join(limits)}")
+    for column, name in enumerate(course.joints):
+        limit, (position, velocity) = limits[name], course.state[:, :2, column].T
+        for value, bound, unit in (
+            (position.min(), limit.lower, "deg"),
+            (position.max(), limit.upper, "deg"),
+            (np.abs(velocity).max(), limit.speed, "deg/s"),
+        ):
+            if (value < bound) if bound == limit.lower else (value > bound):
+                told = f"{np.degrees(value):.2f} {unit}, {where} allows {np.degrees(bound):.2f}"
+                raise InputError(f"{course.action}: the plan brings {name} to {told} {unit}")
+
+
+def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float) -> None:
+    """Check that an arm stands where its motion starts.
+
+    Args:
+        course: the motion.
+        heard: last position of each joint, rad.
+        tolerance_rad: largest difference.
+
+    Raises:
+        InputError: no position of a joint was heard, or it is elsewhere.
+    """
+    if unknown := [name for name in course.joints if name not in heard]:
+        raise InputError(
+            f"{course.action}: nobody tells where {', '.join(unknown)} stands; heard of "
+            f"{', '.join(sorted(heard)) or 'no joint'}: name the prefixes of the drivers "
+            "(--source-prefix, --detector-prefix), or their topics (--joint-states)"
+        )
+    off = np.array([heard[name] for name in course.joints]) - course.state[0, 0]
+    worst = int(np.abs(off).argmax())
+    if not abs(off[worst]) <= tolerance_rad:
+        raise InputError(
+            f"{course.action}: {course.joints[worst]} stands {np.degrees(off[worst]):.3f} deg from "
+            f"the start of the plan ({np.degrees(tolerance_rad):g} deg allowed): bring the arms to "
+            "the first configuration of the plan before"
+        )
+
+
+def stamp_after(now_ns: int, seconds: float) -> Stamp:
+    """Return the stamp of a time after another."""
+    return Stamp(*divmod(now_ns + round(seconds * NANO), NANO))
+
+
+def verdict(status: int, result: Any) -> str | None:
+    """Return the reason why a goal failed; None if it succeeded."""
+    code = result.error_code
+    if status == SUCCEEDED and code == 0:
+        return None
+    did = {SUCCEEDED: "ended", CANCELED: "was cancelled", ABORTED: "aborted"}.get(status, "ended")
+    named = f"{CODES.get(code, 'error code')} ({code})" if code else "without an error code"
+    return f"{did}, {named}" + (f": {result.error_string}" if result.error_string else "")

@@ -1,0 +1,242 @@
+"""A plan that goes to controllers: names, limits, start, refusals, aborts, silence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("mcap")
+
+from mcap.reader import make_reader
+from stand_in import StandIn
+from waiting import until
+
+from twinct.cli import run_command
+from twinct.core.errors import InputError
+from twinct.link.driving import Drive, DriveSettings, names_of
+from twinct.link.follow import ControllerError, courses
+from twinct.link.participant import Station
+from twinct.link.recording.drive_file import DriveFile
+from twinct.robots.motion import MotionPlan
+from twinct.robots.programs import Program, program_of
+from twinct.scan import SimulationBuilder
+from twinct.scenario import Scenario, load_scenario
+
+pytestmark = pytest.mark.process
+
+SCENARIO = {
+    "trajectory": {"kind": "arc", "views": 4, "longitude_range_deg": 4},
+    "specimen": {
+        "parts": [{"shape": {"kind": "sphere", "radius_mm": 50, "mesh_resolution_mm": 8}}]
+    },
+    "detector": {"columns": 16, "rows": 12, "pixel_pitch_mm": 20},
+}
+ACTIONS = ("/left/follow_joint_trajectory", "/right/follow_joint_trajectory")
+LIMITS = '<robot name="r">{}</robot>'
+LIMIT = '<joint name="{}" type="revolute"><limit lower="-7" upper="7" velocity="{}"/></joint>'
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load_scenario(SCENARIO)
+
+
+@pytest.fixture(scope="module")
+def plan(scenario: Scenario) -> MotionPlan:
+    plan = SimulationBuilder(scenario).plan
+    assert plan is not None
+    return plan
+
+
+@pytest.fixture(scope="module")
+def program(plan: MotionPlan) -> Program:
+    return program_of(plan, "a test", ("left_", "right_"))
+
+
+@pytest.fixture
+def arms(domain: int, program: Program) -> Iterator[Callable[..., StandIn]]:
+    """Maker of the driver of an arm."""
+    made: list[StandIn] = []
+
+    def make(arm: int, **choices: Any) -> StandIn:
+        home = program.states(arm)[0, 0]
+        choices = {"home": home, "joints": program.names[arm], "action": ACTIONS[arm]} | choices
+        made.append(StandIn(domain, **choices, seed=arm + 1))
+        return made[-1]
+
+    yield make
+    for arm in made:
+        arm.close()
+
+
+class Run:
+    """One drive, its file and its error."""
+
+    def __init__(self, domain: int, scenario: Scenario, program: Program, folder: Path) -> None:
+        self.station, self.path = Station("twinct_drive", domain), folder / "drive.mcap"
+        self._scenario, self._program = scenario, program
+
+    def __call__(self, *, speed: float = 1.0, clock: Any = None, **choices: Any) -> Drive:
+        parts = courses(self._program, ACTIONS, speed)
+        names = names_of(parts, self._program.plan.joint_names)
+        file = DriveFile(self.path, self._scenario, self._program.plan, names)
+        further = {} if clock is None else {"clock": clock}
+        drive = Drive(self.station, parts, DriveSettings(**choices), file, **further)
+        try:
+            drive.run()
+        finally:
+            file.close()
+        return drive
+
+    def recorded(self) -> tuple[dict[str, int], dict[str, str]]:
+        """Number of messages by topic, and what is said of the end."""
+        with self.path.open("rb") as stream:
+            reader = make_reader(stream)
+            counts: dict[str, int] = {}
+            for _, channel, _ in reader.iter_messages():
+                counts[channel.topic] = counts.get(channel.topic, 0) + 1
+            notes = {note.name: note.metadata for note in reader.iter_metadata()}
+        return counts, notes["twinct drive outcome"]
+
+
+@pytest.fixture
+def run(domain: int, scenario: Scenario, program: Program, tmp_path: Path) -> Iterator[Run]:
+    run = Run(domain, scenario, program, tmp_path)
+    yield run
+    run.station.close()
+
+
+def test_both_controllers_get_the_plan_with_one_start(arms, run, program) -> None:
+    both = arms(0), arms(1)
+    drive = run(speed=0.5)
+    stamps = set()
+    for arm, stand_in in enumerate(both):
+        (goal,) = stand_in.goals
+        trajectory = goal.goal.trajectory if hasattr(goal, "goal") else goal.trajectory
+        stamps.add((trajectory.header.stamp.sec, trajectory.header.stamp.nanosec))
+        assert trajectory.joint_names == list(program.names[arm])
+        points = trajectory.points
+        state = program.states(arm)
+        np.testing.assert_array_equal([p.positions for p in points], state[:, 0])
+        np.testing.assert_allclose([p.velocities for p in points], state[:, 1] / 2)
+        np.testing.assert_allclose([p.accelerations for p in points], state[:, 2] / 4)
+        last = points[-1].time_from_start
+        assert last.sec + last.nanosec / 1e9 == pytest.approx(2 * program.plan.duration_s)
+    assert len(stamps) == 1
+    assert stamps != {(0, 0)}
+    counts, end = run.recorded()
+    assert counts["/joint_states"] > 2 * 500 * program.plan.duration_s
+    assert end["ended"] == "all controllers succeeded"
+    assert "not checked" in drive.told[0]
+
+
+def test_a_controller_that_rejects_keeps_both_arms_where_they_are(arms, run) -> None:
+    left, right = arms(0, does="silent"), arms(1, does="reject")
+    with pytest.raises(ControllerError, match=f"{ACTIONS[1]} rejected the plan"):
+        run()
+    until(left.cancelled.is_set, "the cancelling of the other arm")
+    assert right.goals
+    assert "rejected" in run.recorded()[1]["ended"]
+
+
+def test_an_abort_is_named_and_stops_the_other_arm(arms, run) -> None:
+    left = arms(0, does="silent")
+    arms(1, does="abort")
+    named = r"aborted, PATH_TOLERANCE_VIOLATED \(-4\): elbow is 0.3 rad off"
+    with pytest.raises(ControllerError, match=named):
+        run()
+    until(left.cancelled.is_set, "the cancelling of the other arm")
+    counts, end = run.recorded()
+    assert counts["/joint_states"] > 200  # nothing that came is lost
+    assert "PATH_TOLERANCE_VIOLATED" in end["ended"]
+
+
+def test_a_controller_that_stops_half_way_is_named(arms, run) -> None:
+    left, _ = arms(0, does="silent"), arms(1)
+    now = [0.0]
+
+    def clock() -> float:
+        # Time passes only once the motion has begun.
+        now[0] += 10.0 if left.goals and hasattr(left, "true_at") else 0.0
+        return now[0]
+
+    with pytest.raises(ControllerError, match=rf"{ACTIONS[0]} stopped half-way: it has no result"):
+        run(clock=clock)
+    until(left.cancelled.is_set, "the cancelling of the other arm")
+
+
+def test_an_arm_elsewhere_is_named_and_nothing_is_sent(arms, run, program) -> None:
+    home = program.states(0)[0, 0] + np.radians([0, 0, 1.5, 0, 0, 0])
+    left, right = arms(0, home=home), arms(1)
+    name = program.names[0][2]
+    with pytest.raises(InputError, match=rf"{name} stands 1.500 deg from the start .*0.5 deg"):
+        run()
+    assert not left.goals
+    assert not right.goals
+
+
+def test_unknown_joints_are_named(arms, run, program) -> None:
+    arms(0, joints=[name.replace("left_", "") for name in program.names[0]])
+    arms(1)
+    now = [0.0]
+
+    def clock() -> float:
+        now[0] += 0.2
+        return now[0]
+
+    with pytest.raises(InputError, match="nobody tells where left_shoulder_pan_joint, .* heard of"):
+        run(clock=clock)
+
+
+def test_limits_of_the_driver_are_respected(arms, run, program) -> None:
+    names = [*program.names[0], *program.names[1]]
+    slow = LIMITS.format("".join(LIMIT.format(name, 0.001) for name in names))
+    arms(0, description=slow), arms(1)
+    with pytest.raises(InputError, match=r"deg/s, /robot_description allows 0.06 deg/s"):
+        run()
+
+
+def test_a_controller_that_is_not_there_is_named(arms, run) -> None:
+    arms(0)
+    now = [0.0]
+
+    def clock() -> float:
+        now[0] += 0.5
+        return now[0]
+
+    with pytest.raises(ControllerError, match=f"no controller answers at .*{ACTIONS[1]}"):
+        run(clock=clock)
+
+
+def test_the_names_of_the_joints_are_in_the_file(arms, run, plan) -> None:
+    arms(0), arms(1)
+    run()
+    with run.path.open("rb") as stream:
+        notes = {note.name: note.metadata for note in make_reader(stream).iter_metadata()}
+    assert list(json.loads(notes["twinct drive"]["joints"]).values()) == list(plan.joint_names)
+
+
+def test_the_command_drives_one_controller_of_both_arms(arms, program, tmp_path, capfd) -> None:
+    (tmp_path / "s.yaml").write_text(json.dumps(SCENARIO))
+    names = [*program.names[0], *program.names[1]]
+    cell = arms(0, joints=names, home=program.plan.home, action="/cell/follow_joint_trajectory")
+    out = tmp_path / "drive.mcap"
+    command = ["drive", str(tmp_path / "s.yaml"), "--out", str(out)]
+    assert run_command(command) == 2
+    assert "either --source and --detector, or --both" in capfd.readouterr().err
+    command += ["--both", "/cell/follow_joint_trajectory"]
+    assert run_command(command) == 2
+    assert "both arms have a joint elbow_joint" in capfd.readouterr().err
+    assert not out.exists()
+    command += ["--source-prefix", "left_", "--detector-prefix", "right_"]
+    assert run_command(command) == 0
+    assert "the controllers followed the plan" in capfd.readouterr().out
+    assert len(cell.goals) == 1
+    assert run_command(command) == 2
+    assert "exists already" in capfd.readouterr().err
