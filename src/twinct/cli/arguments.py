@@ -9,7 +9,10 @@ import tyro
 
 ScenarioFile = Annotated[
     tyro.conf.Positional[Path],
-    tyro.conf.arg(metavar="SCENARIO", help="Scenario file (YAML), such as scenarios/demo.yaml."),
+    tyro.conf.arg(
+        metavar="SCENARIO",
+        help="Scenario file (YAML), or the name of a built-in scenario, such as demo.",
+    ),
 ]
 Overrides = Annotated[
     tyro.conf.UseAppendAction[tuple[str, ...]],

@@ -6,6 +6,7 @@ import tyro
 
 from twinct.cli.calibrate import calibrate
 from twinct.cli.ctsimu import ctsimu
+from twinct.cli.demo import demo
 from twinct.cli.drive import drive
 from twinct.cli.finished import (
     compare,
@@ -23,9 +24,9 @@ from twinct.cli.study import study
 
 app = tyro.extras.SubcommandApp()
 
-for command in (check, run, view, render, reach, plan, uncertainty, place, node, urdf, schema):
+for command in (demo, check, run, view, render, reach, plan, uncertainty, place, node, urdf):
     app.command(command)
-for command in (motion, drive, specimen, export):
+for command in (schema, motion, drive, specimen, export):
     app.command(command)
 app.command(name="import")(import_)
 for command in (report, compare, verify, reconstruct, geometry):

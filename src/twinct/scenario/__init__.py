@@ -8,6 +8,7 @@ from twinct.recon.objectives.metal_paths import MetalGoal
 from twinct.recon.objectives.motion_time import MovingGoal
 from twinct.recon.objectives.variance import KnownGoal
 from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
+from twinct.scenario.catalogue import scenario_names
 from twinct.scenario.cell import (
     AnyCell,
     Arm,
@@ -207,6 +208,7 @@ __all__ = [
     "load_scenario",
     "named_places",
     "parse_scenario",
+    "scenario_names",
     "scenario_schema",
     "specimen_digest",
     "stage_digests",

@@ -31,8 +31,9 @@ def load_scenario(source: str | Path | Mapping[str, Any], overrides: Overrides =
     """Read, extend, override and validate a scenario.
 
     Args:
-        source: YAML file, whose key ``extends`` names the file it builds on, relative to itself; or
-            a mapping, in which files are relative to the working folder.
+        source: YAML file, whose key ``extends`` names the file it builds on, relative to itself;
+            the name of a built-in scenario, as ``extends`` may be, too; or a mapping, in which
+            files are relative to the working folder.
         overrides: values by dotted key, such as ``{"trajectory.views": 12}``; or ``KEY=VALUE``
             texts, as ``--set`` takes them.
 
@@ -171,7 +172,8 @@ def scenario_schema() -> dict[str, Any]:
     schema["title"] = "twinct scenario"
     schema["properties"]["extends"] = {
         "type": "string",
-        "description": "Scenario file that this one extends, relative to this one.",
+        "description": "Scenario file that this one extends, relative to this one; or the name of "
+        "a built-in scenario, such as paper.",
     }
     return json.loads(json.dumps(schema), object_hook=_with_keys_left_out)
 

@@ -15,6 +15,7 @@ from twinct.core.files.boundary import ABSENT, absolute, no_file
 from twinct.core.files.plain_yaml import Key, read_file, read_value
 from twinct.core.foreign_text import quoted, shortened, whole_number
 from twinct.core.settings import FILE_KEYS
+from twinct.scenario.catalogue import same_name, scenario_file
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.objects import as_settings
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
@@ -169,16 +170,19 @@ def is_list(data: object) -> TypeGuard[list[Any]]:
 
 def _read(path: Path, chain: tuple[Path, ...]) -> Draft:
     try:
-        seen = absolute(Path(), str(path))
+        absolute(Path(), str(path))
     except ValueError as error:
         raise ScenarioError(str(error)) from None
-    path = path.expanduser()
+    path = scenario_file(path.expanduser())
+    seen = absolute(Path(), str(path))
     if seen in chain:
         raise ScenarioError(f"{path}: extends itself: " + " -> ".join(p.name for p in chain))
     if len(chain) >= LONGEST_CHAIN:
         raise ScenarioError(
             f"{path}: too many files extend one another; at most {LONGEST_CHAIN} are allowed"
         )
+    if no_file(path) == ABSENT and (hint := same_name(path)):
+        raise ScenarioError(f"{path}: the scenario {ABSENT}{hint}")
     return _extended(read_yaml(path, "scenario"), path.parent, (*chain, seen))
 
 
@@ -192,10 +196,12 @@ def _extended(own: Draft, folder: Path, chain: tuple[Path, ...]) -> Draft:
     place = f"{origin}: extends: " if origin else "extends: "
     if not isinstance(parent, str):
         raise ScenarioError(f"{place}{quoted(parent)} is not a file name")
-    if why := no_file(folder / parent):
-        name = shortened(str(folder / parent), 300)
-        raise ScenarioError(place + (f"no file at {name}" if why == ABSENT else f"{name} {why}"))
-    base = _read(folder / parent, chain)
+    file = scenario_file(Path(parent), folder, place)
+    if why := no_file(file):
+        name = shortened(str(file), 300)
+        told = f"no file at {name}{same_name(file)}" if why == ABSENT else f"{name} {why}"
+        raise ScenarioError(place + told)
+    base = _read(file, chain)
     _merge(base, own.data, own.origins, ())
     return base
 

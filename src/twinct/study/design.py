@@ -16,9 +16,10 @@ from pydantic import ValidationError
 
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError, ScenarioError
-from twinct.core.files.boundary import absolute
+from twinct.core.files.boundary import ABSENT, absolute, no_file
 from twinct.core.settings import FILE_KEYS
 from twinct.scenario import Scenario, Template
+from twinct.scenario.catalogue import same_name, scenario_file
 from twinct.scenario.messages import refusal
 from twinct.scenario.reading import Draft, is_list, is_mapping, key_of, read_yaml
 from twinct.study.results import OWN_COLUMNS
@@ -171,9 +172,13 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
         text = path.read_text(encoding="utf-8")
     inline = draft.data.get("scenario")
     if isinstance(inline, (str, Path)):
-        draft.data["scenario"] = _named(folder, str(inline))
+        at = draft.origin(("scenario",))
+        at = f"{at and at + ': '}scenario: "
+        draft.data["scenario"] = _scenario(folder, str(inline), at)
     elif is_mapping(inline) and isinstance(inline.get("extends"), (str, Path)):
-        base = _named(folder, str(inline["extends"]))
+        at = draft.origin(("scenario", "extends"))
+        at = f"{at and at + ': '}scenario.extends: "
+        base = _scenario(folder, str(inline["extends"]), at)
         draft.data["scenario"] = inline | {"extends": base}
     try:
         study = Study.model_validate_json(json.dumps(draft.data, default=str), strict=True)
@@ -196,9 +201,10 @@ def _template(study: Study, draft: Draft) -> Template:
         lines = {key[1:]: at for key, at in draft.origins.items() if key[:1] == ("scenario",)}
         read.draft.record(lines)
         return read
-    if not study.scenario.is_file():
+    if why := no_file(study.scenario):
         place = draft.origin(("scenario",))
-        raise InputError(f"{place and place + ': '}scenario: no file at {study.scenario}")
+        told = f"no file at {study.scenario}" if why == ABSENT else f"{study.scenario} {why}"
+        raise InputError(f"{place and place + ': '}scenario: {told}{same_name(study.scenario)}")
     return Template.read(study.scenario)
 
 
@@ -297,6 +303,12 @@ def _values(axis: Axis) -> Iterable[Any]:
 def _told(value: Any) -> Any:
     """Return a value as a table holds it: lists and sections as JSON, others unchanged."""
     return json.dumps(value) if isinstance(value, (list, dict)) else value
+
+
+def _scenario(folder: Path, name: str, at: str) -> str:
+    """Return the absolute path of a scenario file, or of a built-in scenario by its name."""
+    _named(folder, name)
+    return str(absolute(Path(), str(scenario_file(Path(name).expanduser(), folder, at))))
 
 
 def _named(folder: Path, name: str) -> str:

@@ -207,7 +207,8 @@ class Study(Section):
     name: str = setting("study", "Name of the study on its page.", min_length=1)
     description: str = setting("", "Purpose of the study.")
     scenario: Path | dict[str, Any] = Field(
-        description="Scenario file, relative to the study file; or an inline scenario."
+        description="Scenario file, relative to the study file; the name of a built-in scenario; "
+        "or an inline scenario."
     )
     set: dict[Key, JsonValue] = setting({}, "Keys of the scenario to change in all trials.")
     axes: tuple[Axis, ...] = setting((), "Keys to vary; all axes are crossed.")

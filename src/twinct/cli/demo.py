@@ -1,0 +1,116 @@
+"""The command ``twinct demo``: the small example, with what is installed and works here."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from twinct.cli.arguments import Overrides, Threads
+from twinct.cli.progress import on_terminal, say
+from twinct.cli.summary import say_result
+from twinct.core.errors import InputError, MissingExtraError
+
+NAME = "demo"
+_TRY_GVXR = """
+import sys
+from twinct.core.errors import TwinctError
+from twinct.xray import prepare_engine
+try:
+    prepare_engine("gvxr")
+except TwinctError as error:
+    sys.exit(str(error))
+"""
+
+
+def demo(
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("twinct-demo"),
+    threads: Threads = None,
+    set_: Overrides = (),
+) -> None:
+    """Run the built-in scenario demo with the engines and the link that are installed.
+
+    Says what it uses instead of a part that is missing, and why. Takes one to three minutes; the
+    last line is the path of the report. Repeat it to continue an interrupted demo.
+
+    Args:
+        out: Folder for the results.
+    """
+    from twinct import runs
+    from twinct.scenario import load_scenario, named_places
+
+    load_scenario(NAME, set_)  # a mistake in it is told before anything is tried
+    chosen = (*_arms(), *_engine(set_), *set_)  # what the user sets comes last, and counts
+    link = _link()
+    loaded = load_scenario(NAME, chosen)
+    with named_places(NAME, chosen), on_terminal() as audience:
+        finished = runs.run(
+            loaded,
+            out,
+            link=link,
+            resume=out.exists(),
+            threads=threads,
+            observers=audience,
+        )
+    say_result(finished)
+
+
+def _arms() -> Sequence[str]:
+    """Return the override that replaces arms whose libraries are missing; none if they work."""
+    from twinct.core.extras import require
+
+    try:
+        require("robots")
+    except InputError as error:
+        say(f"cell: a gantry instead of two arms, because {_why(error)}")
+        return ("cell.kind=gantry",)
+    say("cell: two arms (MuJoCo)")
+    return ()
+
+
+def _engine(set_: Overrides) -> Sequence[str]:
+    """Return the override that replaces gVXR where it is missing or cannot draw."""
+    from twinct.core.extras import require
+
+    if any(override.strip().startswith("xray") for override in set_):
+        return ()
+    try:
+        require("xray")
+        # In another process: a library may end it, and gVXR keeps 2 GB.
+        tried = subprocess.run(
+            [sys.executable, "-P", "-c", _TRY_GVXR], capture_output=True, text=True
+        )
+        if tried.returncode:
+            lines = tried.stderr.strip().splitlines()
+            raise InputError(lines[0] if lines else f"it ended with {tried.returncode}")
+    except InputError as error:
+        say(f"X-ray engine: mesh instead of gvxr, because {_why(error)}")
+        return ("xray.engine=mesh",)
+    say("X-ray engine: gvxr")
+    return ()
+
+
+def _link() -> Literal["ros2", "local"]:
+    """Return the link that works here."""
+    from twinct.link import require_ros
+
+    try:
+        require_ros()
+    except InputError as error:
+        say(f"link: local instead of ros2, because {_why(error)}")
+        return "local"
+    say("link: ros2")
+    return "ros2"
+
+
+def _why(error: InputError) -> str:
+    """Return the reason alone, without the ways out that the demo takes itself."""
+    reason = error.problems[0]
+    if isinstance(error, MissingExtraError):
+        return f"twinct[{','.join(error.extras)}] is not installed"
+    return reason
