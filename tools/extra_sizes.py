@@ -15,7 +15,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-LEFT_OUT = ("dev",)
+LEFT_OUT = ("dev", "docs")
 
 
 def main() -> int:
