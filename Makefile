@@ -32,7 +32,7 @@ endef
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs lock clean
+.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs pictures lock clean
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -87,10 +87,14 @@ trials: setup ## Let faults meet the commands while they work: TRIALS=400, TRIAL
 qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; 20 minutes)
 	@$(VENV)/twinct ctsimu qualify --out out/qualify
 
-docs: setup ## Regenerate the scenario reference and the pictures, check the links of the pages
+docs: setup ## Build the documentation site into build/site; its tutorials run meanwhile
 	@$(VENV)/python tools/scenario_reference.py
-	@[ ! -e tools/gallery.py ] || $(VENV)/python tools/gallery.py
 	@$(VENV)/python tools/check_links.py
+	@$(VENV)/python -m sphinx -q -W --keep-going docs build/site
+	@echo "Site: $(CURDIR)/build/site/index.html"
+
+pictures: setup ## Draw the pictures of X-ray effects in docs/images anew
+	@$(VENV)/python tools/gallery.py
 
 lock: ## Refresh constraints.txt; LOCK_ARGS=--upgrade takes the newest versions
 	@tools/lock $(LOCK_ARGS)

@@ -140,6 +140,16 @@ class Browser:
         for button in self._driver.find_elements(By.CSS_SELECTOR, notice):
             button.click()
 
+    def visit(self, url: str) -> None:
+        """Open a page that draws nothing, in place of the one before."""
+        self.leave()
+        self._said.clear()
+        self._driver.get(url)
+
+    def find(self, css: str) -> list[WebElement]:
+        """The elements of the page that a selector names."""
+        return self._driver.find_elements(By.CSS_SELECTOR, css)
+
     def leave(self) -> None:
         """Leave a page, before its server ends; its complaints are kept."""
         self._hear()
