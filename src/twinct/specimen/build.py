@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 HULL_DIRECTIONS = 4000
 """Directions in which the collision hull touches the specimen, about 3 degrees apart."""
-HULL_CAPS = 200
+HULL_CAPS = 800
 """Groups of these directions, for speed."""
 
 FARTHEST_MM = 1e7
