@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
@@ -25,7 +25,9 @@ class Offers(dict[str, T]):
         self.broken: dict[str, str] = {}
 
 
-def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
+def offers(
+    group: str, kind: type[T], built_in: Mapping[str, T], taken: Collection[str] = ()
+) -> Offers[T]:
     """Return the choices that this package and all other distributions offer.
 
     Entry points that cannot be loaded, lead to another type, or use a name that is taken are logged
@@ -35,12 +37,14 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
         group: group of the entry points; each has the name of its object.
         kind: type of the objects; their ``name`` is the name in a scenario.
         built_in: choices of this package, by name; no other distribution may take these names.
+        taken: further names that no distribution may take.
     """
     found, points = Offers(built_in), entry_points(group=group)
+    reserved = {*built_in, *taken}
     for point in points:
         try:
             rivals = {_owner(other) for other in points.select(name=point.name)}
-            if point.name in built_in:
+            if point.name in reserved:
                 raise ValueError("this name is built into twinct")
             if len(rivals) > 1:
                 raise ValueError(f"several packages offer this name: {', '.join(sorted(rivals))}")
@@ -54,7 +58,7 @@ def offers(group: str, kind: type[T], built_in: Mapping[str, T]) -> Offers[T]:
             cannot = f"{point.name!r} of {_owner(point)} cannot be used"
             reason = f"{cannot}: {type(error).__name__}: {error}"
             log.warning("%s: %s", group, reason)
-            if point.name not in built_in:
+            if point.name not in reserved:
                 found.broken[point.name] = reason
     return found
 

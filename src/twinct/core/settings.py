@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import typing
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
@@ -106,3 +107,8 @@ class Section(BaseModel):
     """Frozen settings; unknown keys and numbers that are not finite are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def kind_of(settings: type[Section]) -> str:
+    """Return the value of the key ``kind`` of a settings class, a Literal."""
+    return str(typing.get_args(settings.model_fields["kind"].annotation)[0])

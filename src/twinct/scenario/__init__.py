@@ -79,6 +79,7 @@ from twinct.scenario.source import (
     TubeSpectrum,
 )
 from twinct.scenario.specimen import (
+    PART_KINDS,
     BallHelix,
     Box,
     Brain,
@@ -105,6 +106,7 @@ from twinct.scenario.uncertainty import (
 from twinct.scenario.xray import Xray
 
 __all__ = [
+    "PART_KINDS",
     "PRESETS",
     "AnyCell",
     "AnyTrajectory",

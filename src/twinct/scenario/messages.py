@@ -16,6 +16,7 @@ from twinct.scenario.evaluation import BROKEN_KINDS
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
 from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
+from twinct.scenario.specimen import PART_KINDS
 from twinct.scenario.task import BROKEN_OBJECTIVES
 from twinct.scenario.version_0_1 import advice
 from twinct.trajectory.families import families
@@ -23,6 +24,7 @@ from twinct.trajectory.families import families
 _BROKEN: dict[Key, dict[str, str]] = {
     ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,
     ("trajectory", "kind"): families().broken,
+    ("specimen", "parts"): PART_KINDS.broken,
     ("task",): BROKEN_OBJECTIVES,
     ("evaluation",): BROKEN_KINDS,
 }

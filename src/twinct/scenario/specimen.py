@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Field, model_validator
 
+from twinct.core.extensions import offers
 from twinct.core.foreign_text import quoted
+from twinct.core.part_kinds import PartKind
 from twinct.core.settings import (
     Conflict,
     ConflictError,
@@ -19,6 +21,7 @@ from twinct.core.settings import (
     ReadBy,
     Section,
     Vector,
+    kind_of,
     setting,
 )
 from twinct.geometry import Pose
@@ -147,20 +150,41 @@ class CtVolume(Section):
     centre: bool = setting(True, "Move the centre of its bounding box to the part's origin.")
 
 
-Shape = Annotated[
-    Skull
-    | Head
-    | Brain
-    | Sphere
-    | Ellipsoid
-    | Cylinder
-    | Box
-    | BallHelix
-    | MeshFile
-    | CtVolume
-    | GreyVolume,
-    Field(discriminator="kind"),
-]
+_BUILT_IN = (
+    Skull,
+    Head,
+    Brain,
+    Sphere,
+    Ellipsoid,
+    Cylinder,
+    Box,
+    BallHelix,
+    MeshFile,
+    CtVolume,
+    GreyVolume,
+)
+PART_KINDS = offers("twinct.parts", PartKind, {}, taken={kind_of(shape) for shape in _BUILT_IN})
+"""Kinds of other packages, by name."""
+
+if TYPE_CHECKING:
+    Shape = (
+        Skull
+        | Head
+        | Brain
+        | Sphere
+        | Ellipsoid
+        | Cylinder
+        | Box
+        | BallHelix
+        | MeshFile
+        | CtVolume
+        | GreyVolume
+    )
+else:
+    Shape = Annotated[
+        Union[(*_BUILT_IN, *(kind.settings for kind in PART_KINDS.values()))],  # noqa: UP007
+        Field(discriminator="kind"),
+    ]
 
 
 GREY = (GreyVolume,)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,12 +12,12 @@ from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.meshes import read_mesh
 from twinct.core.foreign_text import quoted
-from twinct.scenario import Shape
+from twinct.scenario import PART_KINDS, Shape
 from twinct.specimen.balls import true_centres
 from twinct.specimen.head import brain_surface, head_surface
 from twinct.specimen.shells import joined_shells
 from twinct.specimen.skull import skull_surface
-from twinct.specimen.surface import surface
+from twinct.specimen.surface import enclosed_volume, surface
 from twinct.specimen.volumes import ct_surface
 
 if TYPE_CHECKING:
@@ -39,35 +40,53 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
         SpecimenError: a file cannot be read, a mesh is open or empty, or nothing exceeds a
             threshold; the message names the part.
     """
+    if (make := _SURFACES.get(type(shape))) is not None:
+        return make(shape, name)
+    return _of_another_package(shape, name)
+
+
+def _of_another_package(shape: Shape, name: str) -> trimesh.Trimesh:
+    where = f"part {quoted(name)} of kind {shape.kind}"
+    mesh = surface(*PART_KINDS[shape.kind].surface(shape))
+    if not (mesh.is_watertight and enclosed_volume(mesh) > 0):
+        raise SpecimenError(
+            f"{where}: its surface is open or inside out; every edge must belong to two triangles, "
+            "which are counter-clockwise seen from outside"
+        )
+    return joined_shells(mesh, where)
+
+
+def _sphere(shape: scenario.Sphere, name: str) -> trimesh.Trimesh:
+    return _ball((shape.radius_mm,) * 3, shape.mesh_resolution_mm)
+
+
+def _ellipsoid(shape: scenario.Ellipsoid, name: str) -> trimesh.Trimesh:
+    return _ball(shape.semi_axes_mm, shape.mesh_resolution_mm)
+
+
+def _cylinder(shape: scenario.Cylinder, name: str) -> trimesh.Trimesh:
     import trimesh
 
-    match shape:
-        case scenario.Skull() | scenario.Head() | scenario.Brain():
-            return _anatomy(shape, name)
-        case scenario.Sphere():
-            return _ball(
-                (shape.radius_mm, shape.radius_mm, shape.radius_mm), shape.mesh_resolution_mm
-            )
-        case scenario.Ellipsoid():
-            return _ball(shape.semi_axes_mm, shape.mesh_resolution_mm)
-        case scenario.Cylinder():
-            rod = trimesh.creation.cylinder(1.0, shape.height_mm, CYLINDER_SECTIONS)
-            fit = shape.radius_mm * math.sqrt(math.pi * shape.height_mm / rod.volume)
-            return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
-        case scenario.Box():
-            return trimesh.creation.box(shape.size_mm)
-        case scenario.BallHelix():
-            return _helix(shape)
-        case scenario.MeshFile():
-            return mesh_file_surface(shape, f"part {quoted(name)}")
-        case scenario.CtVolume():
-            return ct_surface(shape, name)
-        case scenario.GreyVolume():
-            raise SpecimenError(
-                f"part {quoted(name)}: voxels (kind: volume) have no single material, which is "
-                "needed here; use kind: ct, which cuts the CT at a threshold, or a mesh"
-            )
-    raise AssertionError(f"no surface for {shape!r}")
+    rod = trimesh.creation.cylinder(1.0, shape.height_mm, CYLINDER_SECTIONS)
+    fit = shape.radius_mm * math.sqrt(math.pi * shape.height_mm / rod.volume)
+    return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
+
+
+def _box(shape: scenario.Box, name: str) -> trimesh.Trimesh:
+    import trimesh
+
+    return trimesh.creation.box(shape.size_mm)
+
+
+def _from_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
+    return mesh_file_surface(shape, f"part {quoted(name)}")
+
+
+def _voxels(shape: scenario.GreyVolume, name: str) -> trimesh.Trimesh:
+    raise SpecimenError(
+        f"part {quoted(name)}: voxels (kind: volume) have no single material, which is "
+        "needed here; use kind: ct, which cuts the CT at a threshold, or a mesh"
+    )
 
 
 def _anatomy(shape: scenario.Skull | scenario.Head | scenario.Brain, name: str) -> trimesh.Trimesh:
@@ -82,7 +101,7 @@ def _anatomy(shape: scenario.Skull | scenario.Head | scenario.Brain, name: str) 
         ) from None
 
 
-def _helix(shape: scenario.BallHelix) -> trimesh.Trimesh:
+def _helix(shape: scenario.BallHelix, name: str) -> trimesh.Trimesh:
     radius = shape.ball_radius_mm
     ball = _ball((radius, radius, radius), shape.mesh_resolution_mm)
     centres = true_centres(shape)
@@ -139,3 +158,19 @@ def _subdivisions(radius_mm: float, edge_mm: float | None) -> int:
         return SPHERE_SUBDIVISIONS
     halvings = math.log2(ICOSAHEDRON_EDGE * radius_mm / edge_mm)
     return min(max(math.ceil(halvings), 2), SPHERE_SUBDIVISIONS)
+
+
+_SURFACES: dict[type, Callable[[Any, str], trimesh.Trimesh]] = {
+    scenario.Skull: _anatomy,
+    scenario.Head: _anatomy,
+    scenario.Brain: _anatomy,
+    scenario.Sphere: _sphere,
+    scenario.Ellipsoid: _ellipsoid,
+    scenario.Cylinder: _cylinder,
+    scenario.Box: _box,
+    scenario.BallHelix: _helix,
+    scenario.MeshFile: _from_file,
+    scenario.CtVolume: ct_surface,
+    scenario.GreyVolume: _voxels,
+}
+"""Surface of each built-in kind, from its shape and the part's name."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from functools import cache
 
 from twinct.core.extensions import Offers, offers
+from twinct.core.settings import kind_of
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.arc import ARC
 from twinct.trajectory.circle import CIRCLE
 from twinct.trajectory.circle_arc import CIRCLE_ARC
-from twinct.trajectory.family import Family, TrajectorySettings, name_in
+from twinct.trajectory.family import Family, TrajectorySettings
 from twinct.trajectory.helix import HELIX
 from twinct.trajectory.saddle import SADDLE
 from twinct.trajectory.sinusoid import SINUSOID
@@ -33,7 +34,7 @@ def commanded_views(section: TrajectorySettings, panel: Panel) -> ScanGeometry:
     Raises:
         TrajectoryError: a file of views cannot be read, or contains an invalid view.
     """
-    return families()[name_in(type(section))].views(section, panel)
+    return families()[kind_of(type(section))].views(section, panel)
 
 
 def leaves_roll(section: TrajectorySettings) -> bool:
@@ -42,7 +43,7 @@ def leaves_roll(section: TrajectorySettings) -> bool:
     Raises:
         TrajectoryError: a file of views cannot be read.
     """
-    return families()[name_in(type(section))].leaves_roll(section)
+    return families()[kind_of(type(section))].leaves_roll(section)
 
 
 def commanded_mas(section: TrajectorySettings) -> Floats | None:
@@ -51,4 +52,4 @@ def commanded_mas(section: TrajectorySettings) -> Floats | None:
     Raises:
         TrajectoryError: a file of views cannot be read.
     """
-    return families()[name_in(type(section))].mas(section)
+    return families()[kind_of(type(section))].mas(section)

@@ -6,12 +6,11 @@ entry points of the group ``twinct.trajectories``.
 
 from __future__ import annotations
 
-import typing
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from twinct.core.settings import Section
+from twinct.core.settings import Section, kind_of
 from twinct.geometry import Floats, Panel, ScanGeometry
 
 
@@ -42,9 +41,4 @@ class Family:
     @property
     def name(self) -> str:
         """Name of the family, the value of the key ``kind``."""
-        return name_in(self.settings)
-
-
-def name_in(settings: type[TrajectorySettings]) -> str:
-    """Return the value of the key ``kind`` of a settings class."""
-    return str(typing.get_args(settings.model_fields["kind"].annotation)[0])
+        return kind_of(self.settings)
