@@ -99,6 +99,10 @@ def _twinct(arguments: list[str]) -> None:
         assert read_description(ROOT / scenario).images
         assert [word for word in rest if word.startswith("--")] in (["--out"], ["--out", "--try"])
         return
+    if command == "predict":
+        assert re.fullmatch(r"out/\w+", scenario) and not rest
+        assert f"--out {scenario}`" in PAGE or f"--out {scenario} " in PAGE
+        return
     assert command in ("run", "check", "reach")
     rest = [word for word in rest if (command, word) != ("reach", "--connected")]
     load_scenario(ROOT / scenario, rest[1::2])

@@ -18,6 +18,7 @@ from twinct.cli.finished import (
     verify,
 )
 from twinct.cli.planning import motion, place, plan, reach, uncertainty
+from twinct.cli.predict import predict
 from twinct.cli.running import node, run, view
 from twinct.cli.scenarios import check, render, schema, specimen, urdf
 from twinct.cli.study import study
@@ -29,7 +30,7 @@ for command in (demo, check, run, view, render, reach, plan, uncertainty, place,
 for command in (schema, motion, drive, specimen, export):
     app.command(command)
 app.command(name="import")(import_)
-for command in (report, compare, verify, reconstruct, geometry):
+for command in (report, compare, verify, reconstruct, predict, geometry):
     app.command(command)
 app.command(
     calibrate,

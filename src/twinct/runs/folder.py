@@ -34,6 +34,7 @@ class Folder:
         geometries: geometries derived from the scan, a file each.
         arms: both arms, as calibrated by a phantom's scan.
         reconstructions: further reconstructions of the scan, a folder each.
+        predictions: predicted views beside the measured ones, a folder each.
         checkpoints: checkpoints of unfinished reconstructions.
         scenario: the scenario as it was run, defaults included.
         inputs: meshes and views that the scenario took from a program's memory.
@@ -55,6 +56,7 @@ class Folder:
     geometries = Below("geometries")
     arms = Below("arms.json")
     reconstructions = Below("reconstructions")
+    predictions = Below("predictions")
     checkpoints = Below("checkpoints")
     scenario = Below("scenario.yaml")
     inputs = Below("inputs")

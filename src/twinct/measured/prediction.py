@@ -1,0 +1,329 @@
+"""A scan rendered again: what calibration, spectrum and scatter leave of the measured images.
+
+The object is the scan's own volume, reconstructed from the even views as a grey volume, which
+predicts the odd views; or the meshes of a specimen, which predict all views. Both go through the
+scenario's X-ray simulation, without noise, at the poses of a geometry.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import shutil
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.lock import sole_owner
+from twinct.core.files.writing import passing_folder, storage_errors, write_json, write_text
+from twinct.core.interruption import keeping
+from twinct.geometry import Pose, ScanGeometry
+from twinct.measured.prediction_picture import show_prediction
+from twinct.measured.residuals import CAUSES, Residuals, residuals_of
+from twinct.observers import Audience, Observers, audience_of
+from twinct.recon import Projector
+from twinct.recon.volume import Volume
+from twinct.report import plain
+from twinct.runs import Folder, load_scan, reconstruct
+from twinct.runs.log import logged_to
+from twinct.scan import Scan, ScanStore, SimulationBuilder, checked_name
+from twinct.scenario import Scenario
+from twinct.specimen import BuiltSpecimen
+
+log = logging.getLogger(__name__)
+
+FORMAT = "twinct prediction 1"
+OWN_VOLUME = "volume"
+SECTIONS = "source", "detector", "specimen", "reconstruction", "xray"
+"""Sections of the scenario whose keys a prediction may change."""
+
+CUT_WARNING = 1e-3
+"""Share of the line integrals, root mean square, from which cut negative voxels are told."""
+
+Singles = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Predicted views beside the measured ones.
+
+    Attributes:
+        name: name of its folder, below ``predictions``.
+        in_words: object, geometry and beam in one line.
+        geometry: name of the geometry.
+        residuals: figures of the views.
+        path: its folder, with ``prediction.json``, ``views.csv``, ``prediction.png`` and
+            ``residuals.tif``.
+    """
+
+    name: str
+    in_words: str
+    geometry: str
+    residuals: Residuals
+    path: Path
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Sentences on what is left."""
+        found = self.residuals
+        left = ", ".join(
+            f"{100 * rest:.2f} % after {cause}"
+            for cause, rest in zip(CAUSES, found.left_rel, strict=True)
+        )
+        shifts = np.abs([one.shift_px for one in found.views])
+        across, down = np.median(shifts, axis=0)
+        worst = sorted(found.views, key=lambda one: -one.rms_rel)[:3]
+        return (
+            self.in_words,
+            f"{len(found.views)} views predicted: residual {100 * found.rms_rel:.2f} %, of which "
+            f"may be explained: {left}",
+            f"shadows are off by {across:.3f} px along columns and {down:.3f} px along rows "
+            f"(medians, largest {shifts.max():.3f} px); worst views: "
+            + ", ".join(f"{one.view} ({100 * one.rms_rel:.2f} %)" for one in worst),
+        )
+
+
+def predict(
+    path: str | Path,
+    overrides: Iterable[str] = (),
+    *,
+    geometry: str | None = None,
+    mesh: str | Path | None = None,
+    material: str | None = None,
+    name: str | None = None,
+    observers: Observers = (),
+) -> Prediction:
+    """Render a scan again and compare it with its images, view by view.
+
+    Without a mesh, the even views are reconstructed and predict the odd ones. With a mesh, or keys
+    of ``specimen.parts``, that object predicts all views.
+
+    Args:
+        path: folder of a run or of ``import_measured``.
+        overrides: changes ``SECTION.KEY=VALUE`` to the ``SECTIONS`` of its scenario.
+        geometry: geometry of all views; None: the scenario's first.
+        mesh: mesh file in mm, in the world; ``specimen.position_mm`` moves it.
+        material: material of the mesh, or of the voxels if there is a spectrum; water by default.
+        name: name of the result, below ``predictions``; None: ``volume``, or the mesh's name.
+        observers: notified of stages and iterations.
+
+    Raises:
+        InputError: no scan, an unknown geometry, a key of another section, a mesh or material that
+            cannot be used, or fewer than four views.
+        ScanExistsError: the name is taken.
+    """
+    folder = Folder(Path(path))
+    scan = replace(load_scan(folder.path), scenario=_scenario(folder, overrides, mesh, material))
+    which = geometry or scan.scenario.reconstruction.geometries[0]
+    scan.poses(which)
+    if len(scan) < 4:
+        raise InputError(f"{folder.path}: {len(scan)} views; a prediction needs at least 4")
+    with ExitStack() as stack:
+        audience = stack.enter_context(audience_of(observers))
+        stack.enter_context(storage_errors(folder.path))
+        stack.enter_context(sole_owner(folder.lock))
+        own = not scan.scenario.specimen.parts
+        base = OWN_VOLUME if own else Path(mesh).stem if mesh else "specimen"
+        target = folder.predictions / _free_name(folder, name, base)
+        stack.enter_context(logged_to(folder.log))
+        stack.enter_context(keeping(lambda: _kept(folder)))
+        made = _predicted(scan, which, material or "water", folder, target, audience)
+        shutil.rmtree(folder.checkpoints, ignore_errors=True)
+    return made
+
+
+def _predicted(
+    scan: Scan, which: str, substance: str, folder: Folder, target: Path, audience: Audience
+) -> Prediction:
+    """Make and write a prediction."""
+    views, chosen = scan.geometry(which), np.arange(len(scan))
+    if scan.scenario.specimen.parts:
+        words, specimen = "meshes", SimulationBuilder(scan.scenario).specimen
+        counts = np.ones((len(scan), *views.panel.shape), bool)
+    else:
+        words, specimen, counts = _own_volume(scan, views, substance, folder, audience)
+        chosen = chosen[1::2]
+    words = f"{words}; {which} geometry; {_beam(scan.scenario)}"
+    log.info("prediction %s: %s", target.name, words)
+    if scan.bad_pixels is not None:
+        counts &= ~scan.bad_pixels
+    measured = scan.line_integrals()[chosen]
+    predicted = _rendered(scan.scenario, specimen, views[chosen], audience)
+    with audience.stage("residuals", 1) as step:
+        found = residuals_of(chosen, measured, predicted, counts)
+        made = Prediction(target.name, words, which, found, target)
+        _write(made, measured, predicted, views.panel.pitch_u)
+        step()
+    return made
+
+
+def _scenario(
+    folder: Folder, overrides: Iterable[str], mesh: str | Path | None, material: str | None
+) -> Scenario:
+    """Return the scan's scenario with the changes of a prediction."""
+    told = tuple(overrides)
+    for one in told:
+        if one.partition("=")[0].partition(".")[0] not in SECTIONS:
+            known = ", ".join(SECTIONS)
+            raise InputError(f"--set {one}: a prediction changes only keys of {known}")
+    scenario = folder.scenario_of_run(told, planned=ScanStore(folder.scan).plan is not None)
+    parts = scenario.specimen.model_dump(mode="json")["parts"]
+    if mesh is not None:
+        shape = {"kind": "mesh", "path": str(Path(mesh).absolute())}
+        parts = [{"name": Path(mesh).stem, "shape": shape, "material": material or "water"}]
+    elif not any(one.startswith("specimen.parts") for one in told):
+        parts = []
+    keys = {"detector.noise": None, "detector.readout": None, "detector.bad_pixels": None}
+    keys |= {"detector.lag": 0.0, "detector.keep": [], "specimen.parts": parts}
+    return scenario.with_({**keys, "specimen.unknown": not parts, "evaluation": None})
+
+
+def _kept(folder: Folder) -> str:
+    there = folder.checkpoints.is_dir() and any(folder.checkpoints.iterdir())
+    return "the same command goes on from the last checkpoint" if there else ""
+
+
+def _free_name(folder: Folder, name: str | None, base: str) -> str:
+    taken = folder.predictions
+    if name:
+        if (taken / checked_name(name)).exists():
+            raise ScanExistsError(f"{taken / name} is another prediction; choose another --as")
+        return name
+    numbered = (f"{base}-{number}" for number in itertools.count(2))
+    return next(one for one in itertools.chain([base], numbered) if not (taken / one).exists())
+
+
+def _own_volume(
+    scan: Scan, views: ScanGeometry, substance: str, folder: Folder, audience: Audience
+) -> tuple[str, BuiltSpecimen, NDArray[np.bool_]]:
+    """Reconstruct the even views, corrected for a stated spectrum.
+
+    Returns:
+        The object in words, the grey volume, and the rays of the odd views that count.
+    """
+    from twinct.specimen.grey_object import grey_specimen
+    from twinct.specimen.materials import material
+    from twinct.xray.build import effective_energy_kev
+
+    scenario, basis = scan.scenario, material(substance, "--material")
+    energy = effective_energy_kev(scenario.source, scenario.detector)
+    bent = scenario.source.spectrum is not None
+    if bent and scenario.reconstruction.beam_hardening is None:
+        key = "reconstruction.beam_hardening"
+        scenario = scenario.with_({key: {"kind": "one_material", "material": substance}})
+    even = replace(
+        scan,
+        scenario=scenario,
+        transmission=scan.transmission[::2],
+        mas=None if scan.mas is None else scan.mas[::2],
+        derived={},
+    )
+    volume = reconstruct(
+        even, geometry=views[::2], checkpoints=folder.checkpoints, observers=audience
+    )
+    A = Projector(views[1::2], volume.grid)
+    counts = A(np.ones(volume.shape, np.float32)) > 0
+    _tell_cut(volume, A, scan, audience)
+    words = f"{scenario.reconstruction.in_words} of the even views"
+    specimen = grey_specimen(volume.array, volume.grid, basis, energy, OWN_VOLUME)
+    return (f"{words}, as {substance}" if bent else words), specimen, counts
+
+
+def _tell_cut(volume: Volume, A: Projector, scan: Scan, audience: Audience) -> None:
+    below = np.minimum(volume.array, 0)
+    if not below.any():
+        return
+    whole = float(np.sqrt(np.mean(scan.line_integrals()[1::2] ** 2, dtype=np.float64))) or 1.0
+    share = float(np.sqrt(np.mean(A(below) ** 2, dtype=np.float64))) / whole
+    if share > CUT_WARNING:
+        audience.say(
+            f"negative attenuation counts as 0 in a grey volume, which changes line integrals by "
+            f"{100 * share:.1f} %; another algorithm than "
+            f"{scan.scenario.reconstruction.algorithm} leaves less",
+            warning=True,
+        )
+
+
+def _rendered(
+    scenario: Scenario, specimen: BuiltSpecimen, views: ScanGeometry, audience: Audience
+) -> Singles:
+    """Return the line integrals of rendered views, (views, rows, columns)."""
+    from twinct.scan import line_integrals
+    from twinct.xray import Imager
+
+    images = np.empty((len(views), *views.panel.shape), np.float32)
+    stands: Pose = specimen.world_from_specimen
+    beam = scenario.source, scenario.detector
+    engine = scenario.xray.engine
+    with (
+        Imager(*beam, specimen, commanded=views, seed=scenario.seed, engine=engine) as imager,
+        audience.stage("predict", len(views)) as step,
+    ):
+        for view, image in enumerate(images):
+            image[:] = imager.render(views[view], stands, view)
+            step()
+    return line_integrals(images)
+
+
+def _beam(scenario: Scenario) -> str:
+    from twinct.xray.build import effective_energy_kev
+
+    source, detector = scenario.source, scenario.detector
+    energy = effective_energy_kev(source, detector)
+    spectrum = (
+        f"one energy of {energy:.4g} keV, as no spectrum is stated"
+        if source.spectrum is None
+        else f"{source.spectrum.kind} spectrum, {energy:.4g} keV effective"
+    )
+    return f"{spectrum}; scatter {'estimated' if detector.scatter else 'not modelled'}"
+
+
+def _write(made: Prediction, measured: Singles, predicted: Singles, pitch: float) -> None:
+    """Write the folder, which appears when it is complete."""
+    from tifffile import imwrite
+
+    draft = made.path.with_name(f".{made.path.name}.partial")
+    found = made.residuals
+    with passing_folder(draft):
+        draft.mkdir(parents=True)
+        told: dict[str, Any] = {
+            "format": FORMAT,
+            "name": made.name,
+            "in_words": made.in_words,
+            "geometry": made.geometry,
+            "residual_rel": found.rms_rel,
+            "left_rel": dict(zip(CAUSES, found.left_rel, strict=True)),
+            "curve": found.curve.tolist(),
+            "views": [asdict(one) for one in found.views],
+        }
+        write_json(draft / "prediction.json", plain(told))
+        write_text(draft / "views.csv", _table(found))
+        facts = {"unit": "mm", "values": "line integrals, measured minus predicted"}
+        numbers = [one.view for one in found.views]
+        imwrite(
+            draft / "residuals.tif",
+            measured - predicted,
+            photometric="minisblack",
+            resolution=(10 / pitch, 10 / pitch),
+            resolutionunit="CENTIMETER",
+            metadata={**facts, "views": numbers},
+        )
+        show_prediction(draft / "prediction.png", measured, predicted, found)
+        draft.rename(made.path)
+
+
+def _table(found: Residuals) -> str:
+    head = "view,rms,rms_rel,mean,shift_column_px,shift_row_px," + ",".join(
+        f"left_after_{cause}" for cause in CAUSES
+    )
+    rows = (
+        [one.view, one.rms, one.rms_rel, one.mean, *one.shift_px, *one.left_rel]
+        for one in found.views
+    )
+    return "\n".join([head, *(",".join(f"{value:.6g}" for value in row) for row in rows)]) + "\n"

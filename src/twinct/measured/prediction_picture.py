@@ -1,0 +1,68 @@
+"""Picture of predicted views beside the measured ones, and of what is left."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.files.pictures import show
+from twinct.measured.residuals import CAUSES, Residuals
+
+SHARE_SHOWN = 99.5
+"""Percentile of the residuals at which their grey window ends."""
+
+
+def show_prediction(
+    path: Path, measured: NDArray[np.float32], predicted: NDArray[np.float32], found: Residuals
+) -> None:
+    """Draw the best, a middling and the worst view, and the figures of all views.
+
+    Args:
+        path: file of the picture.
+        measured: line integrals, (views, rows, columns).
+        predicted: the same.
+        found: their residuals.
+    """
+    show(partial(_draw, measured, predicted, found), (11.0, 7.2), path)
+
+
+def _draw(
+    measured: NDArray[np.float32], predicted: NDArray[np.float32], found: Residuals, figure: Any
+) -> None:
+    order = np.argsort([one.rms_rel for one in found.views])
+    chosen = [int(order[0]), int(order[len(order) // 2]), int(order[-1])]
+    pictures, curves = figure.subfigures(1, 2, width_ratios=(1.9, 1.0))
+    top = max(float(np.percentile(measured[chosen], 99.9)), 1e-6)
+    off = measured[chosen] - predicted[chosen]
+    limit = max(float(np.percentile(np.abs(off), SHARE_SHOWN)), 1e-6)
+    grid = pictures.subplots(3, 3)
+    for row, (word, k) in enumerate(zip(("best", "middling", "worst"), chosen, strict=True)):
+        one = found.views[k]
+        for axes, image, title in zip(
+            grid[row],
+            (measured[k], predicted[k], measured[k] - predicted[k]),
+            (f"{word}: view {one.view}", "predicted", f"residual {100 * one.rms_rel:.2f} %"),
+            strict=True,
+        ):
+            last = axes is grid[row][2]
+            window = {"vmin": -limit, "vmax": limit} if last else {"vmin": 0, "vmax": top}
+            shown = axes.imshow(image, cmap="RdBu_r" if last else "gray", origin="lower", **window)
+            axes.set_title(title, fontsize=9)
+            axes.set_axis_off()
+        pictures.colorbar(shown, ax=grid[row].tolist(), shrink=0.8, label="p - q")
+    by_view, by_value = curves.subplots(2, 1)
+    views = [one.view for one in found.views]
+    by_view.plot(views, [100 * one.rms_rel for one in found.views], lw=1, label="residual")
+    for cause, name in enumerate(CAUSES):
+        left = [100 * one.left_rel[cause] for one in found.views]
+        by_view.plot(views, left, lw=1, label=f"after {name}")
+    by_view.set(xlabel="view", ylabel="RMS / %")
+    by_view.set_ylim(bottom=0)
+    by_view.legend(fontsize=8)
+    by_value.axhline(0, color="#9aa5b1", lw=0.8)
+    by_value.plot(*found.curve.T, lw=1)
+    by_value.set(xlabel="predicted line integral q", ylabel="mean of p - q")
