@@ -11,6 +11,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Pose
 from twinct.measured.circle import Circle
 from twinct.measured.description import read_description
+from twinct.measured.field_of_view import grid_of
 from twinct.measured.views import ImageFacts
 
 FACTS = ImageFacts(VIEWS, ROWS, COLUMNS)
@@ -242,6 +243,15 @@ def test_images_are_turned_as_stated(stored_as, keys, circle, stored, imported):
     images = ball_images(orbit())
     scan, _ = imported({"images": stored(stored_as(images), **keys), "geometry": circle})
     np.testing.assert_allclose(scan.line_integrals(), images, atol=1e-6)
+
+
+def test_a_shifted_panel_has_the_grid_of_the_wide_side(circle):
+    centred = grid_of(views(circle).geometry)
+    shifted = {**circle, "panel_offset_mm": [8.0, 0.0]}
+    wide = grid_of(views(shifted).geometry)
+    assert wide["voxel_mm"] == pytest.approx(centred["voxel_mm"], rel=1e-5)
+    assert wide["voxels"][0] == centred["voxels"][0] + 2 * 4
+    assert wide["voxels"][2] == centred["voxels"][2]
 
 
 def test_a_moved_world_has_its_grid_where_the_beams_meet(stored, imported, tmp_path):

@@ -137,8 +137,12 @@ def leaning(geometry, degrees, about):
         (lambda g: leaning(g, 3, lambda g: g.v), "normal and the radius of panel .* at most 1 deg"),
         (lambda g: leaning(g, 3, lambda g: g.normal), "axis and v of panel .* at most 1 deg"),
         (
-            lambda g: replace(g, detector=g.detector + 15 * g.u),
-            r"middle column of view \d+ is 10 px; at most 5 px",
+            lambda g: replace(g[:45], detector=g.detector[:45] + 15 * g.u[:45]),
+            r"needs a full turn .* middle column of view \d+ is 10 px; at most 5 px",
+        ),
+        (
+            lambda g: replace(g, detector=g.detector + 75 * g.u),
+            r"the axis projects to column -0.5 of view \d+; .* at least 1 columns",
         ),
         (lambda g: g[[*range(30), *range(34, 60)]], "of the step after view 29 from .* is .* deg"),
         (lambda g: g[:20], r"the arc covers 120.0 deg; fdk needs .* 20.* deg"),

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from twinct.geometry import Floats, ScanGeometry
+from twinct.recon.shifted_panel import CENTRED
 
 MOST_VOXELS = 512
 """Largest number of voxels along an axis of a grid that nobody stated."""
@@ -24,6 +25,9 @@ def grid_of(geometry: ScanGeometry) -> dict[str, Any]:
     voxel = scale * max(panel.pitch_u, panel.pitch_v)
     # Reach of the panel's half width and half height at the centre, along the world's axes.
     half_u, half_v = (side * scale / 2 for side in panel.size_mm)
+    off = np.abs(geometry.project(centre)[:, 0, 0] - panel.middle[0]).max()
+    if off > CENTRED * panel.columns:  # a shifted panel sees as far on the other side of a turn
+        half_u += scale * float(off) * panel.pitch_u
     reach = np.abs(geometry.u) * half_u + np.abs(geometry.v) * half_v
     size = np.minimum(reach.max(axis=0), max(half_u, half_v))
     voxels = np.ceil(2 * size / voxel - 1e-6)

@@ -5,7 +5,7 @@ view's own geometry, so that small deviations only affect the direction of the f
 deviates from a circle by more than the bounds in ``orbit`` is refused. An arc must cover 180
 degrees and the fan; its rays are weighted after Parker (1982), and in a longer arc the angle beyond
 180 degrees replaces the fan angle. Each view is weighted by its arc; views of an overlapping turn
-share theirs.
+share theirs. In a full turn the panel may be shifted sideways (``shifted_panel``).
 
 Rows that do not end at zero, as of a truncated specimen, are extended to zero by half a cosine over
 half the panel's width before they are filtered. A view adds nothing to voxels that project beside
@@ -36,6 +36,7 @@ from twinct.recon.memory import require_memory
 from twinct.recon.orbit import Circle, fit_circle
 from twinct.recon.projector import Projector
 from twinct.recon.shared_keys import Nonnegative
+from twinct.recon.shifted_panel import ShiftedPanel, require_centred, shifted_panel
 from twinct.recon.steps import Callback, Listener
 from twinct.recon.volume import Volume
 
@@ -66,7 +67,7 @@ def fdk(
 ) -> Volume:
     """Reconstruct a circular scan, a whole turn or a short scan (Feldkamp, Davis, Kress 1984).
 
-    There is no ``x0`` and there are no ``iterations``.
+    In a whole turn the panel may be shifted; there is no ``x0`` and there are no ``iterations``.
 
     Peak memory: 1 volume and some images, besides the projections.
 
@@ -84,41 +85,42 @@ def fdk(
             volume. True stops.
 
     Returns:
-        The volume; its extras hold the estimated ``circle``.
+        The volume; its extras hold the estimated ``circle``, and ``shifted_panel``, None for a
+        panel whose middle sees the axis.
 
     Raises:
         InputError: the scan is no circle, the arc is too short, or as in ``sart``.
     """
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
-    circle = _checked_circle(checks, A.geometry, window, pixels)
+    circle, shift = _checked_circle(checks, A.geometry, window, pixels)
     require_memory(FDK, A)
     sod = A.geometry.depth(circle.centre)
-    weights = _weights(A.geometry, circle, sod)
-    response = _response(A.geometry.panel.columns, window)
+    weights = _weights(A.geometry, circle, sod, shift)
+    wide = A if shift is None else A.on(A.grid, shift.extended(A.geometry))
+    response = _response(wide.geometry.panel.columns, window)
     x = np.zeros(A.domain_shape, np.float32)
     blocks = range(0, len(A), BLOCK)
     listener = Listener(callback, len(blocks))
     for block, first in enumerate(blocks):
         views = range(first, min(first + BLOCK, len(A)))
-        part = A[views.start : views.stop]
-        images = np.empty((len(views), *A.range_shape[1:]), np.float32)
+        part = wide[views.start : views.stop]
+        images = np.empty((len(views), *wide.range_shape[1:]), np.float32)
         for view, image in zip(views, images, strict=True):
-            image[:] = _complete(masked_image(p, view, pixels), pixels, view)
-            image *= weights(view)
-            image[:] = _filtered(image, response)
+            weighted = _complete(masked_image(p, view, pixels), pixels, view) * weights(view)
+            image[:] = _filtered(weighted if shift is None else shift.padded(weighted), response)
         part.back_project(images, sod[views] ** 2, x)
         if listener(0, block, math.nan, 1, x):
             break
     if nonnegative:
         np.maximum(x, 0.0, out=x)
-    return Volume(x, A.grid, {"circle": circle})
+    return Volume(x, A.grid, {"circle": circle, "shifted_panel": shift})
 
 
 def _checked_circle(
     checks: Checks, geometry: ScanGeometry, window: str, mask: Mask | None
-) -> Circle:
-    """Return the circle of the scan; raise InputError for all problems together."""
+) -> tuple[Circle, ShiftedPanel | None]:
+    """Return circle and shift of the scan; raise InputError for all problems together."""
     if window not in get_args(Window):
         checks.problems.append(
             f"window is {quoted(window)}; choose from {', '.join(get_args(Window))}"
@@ -129,21 +131,23 @@ def _checked_circle(
             f"the mask leaves no pixel of view {view}; fdk needs pixels of every view"
         )
     try:
-        circle = circular(geometry)
+        found = circular(geometry)
     except InputError as error:
         raise InputError([*checks.problems, *error.problems]) from None
     checks.done()
-    return circle
+    return found
 
 
-def _weights(geometry: ScanGeometry, circle: Circle, sod: Floats) -> Callable[[int], Singles]:
+def _weights(
+    geometry: ScanGeometry, circle: Circle, sod: Floats, shift: ShiftedPanel | None
+) -> Callable[[int], Singles]:
     """Return a function from a view to the weights of its pixels, (rows, columns)."""
     fan, (across, up) = _fan(geometry, circle), _coordinates(geometry, circle)
 
     def weights(view: int) -> Singles:
         sdd, u, v = geometry.sdd[view], across[view], up[view]
         weight = sdd / np.sqrt(sdd**2 + u**2 + v[:, None] ** 2)
-        weight *= _redundancy(circle, view, fan[view])
+        weight *= shift.shares(fan[view]) if shift else _redundancy(circle, view, fan[view])
         # The filter's unit is the pixel; at the axis a pixel is pitch * SOD / SDD wide.
         weight *= circle.steps[view] * sdd / (sod[view] * geometry.panel.pitch_u)
         return weight.astype(np.float32)
@@ -166,21 +170,25 @@ def _fan(geometry: ScanGeometry, circle: Circle) -> Floats:
     return np.arctan(sign[:, None] * _coordinates(geometry, circle)[0] / geometry.sdd[:, None])
 
 
-def circular(geometry: ScanGeometry) -> Circle:
-    """Return the circle of a scan, unless fdk cannot reconstruct the scan.
+def circular(geometry: ScanGeometry) -> tuple[Circle, ShiftedPanel | None]:
+    """Return the circle of a scan and the shift of its panel, unless fdk cannot reconstruct it.
 
     Raises:
         InputError: the scan deviates from a circle by more than the bounds, or its arc is too
-            short.
+            short, also for a shifted panel.
     """
     circle = fit_circle(geometry)
-    needed = math.pi + 2 * float(np.abs(_fan(geometry, circle)).max())
-    if not circle.full and circle.span < needed - 1e-9:
+    fan = _fan(geometry, circle)
+    if circle.full:
+        return circle, shifted_panel(geometry, circle.centre, fan)
+    require_centred(geometry, circle.centre)
+    needed = math.pi + 2 * float(np.abs(fan).max())
+    if circle.span < needed - 1e-9:
         raise InputError(
             f"the arc covers {math.degrees(circle.span):.1f} deg; fdk needs 180 deg plus the fan "
             f"angle, {math.degrees(needed):.1f} deg, or a full turn"
         )
-    return circle
+    return circle, None
 
 
 def _redundancy(circle: Circle, view: int, fan: Floats) -> Floats | float:

@@ -20,12 +20,6 @@ radius.
 TILT_DEG = 1.0
 """Largest angle between the panel's normal and the radius, and between its v and the axis."""
 
-OFF_CENTRE = 0.05
-"""Largest distance of the centre's projection from the panel's middle column.
-
-It is a share of the panel's width; a displaced panel needs other weights.
-"""
-
 UNEVEN = 0.5
 """Largest deviation of a step from the mean step, as a share of the mean step."""
 
@@ -143,9 +137,6 @@ def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
     sdd = geometry.sdd
     away = f"the deviation of panel {{}} from the mean distance of {sdd.mean():.1f} mm"
     bound(sdd - sdd.mean(), OFF_CIRCLE * float(sdd.mean()), "mm", away)
-    column = geometry.project(circle.centre)[:, 0, 0] - geometry.panel.middle[0]
-    displaced = "the distance of the projected centre from the middle column of view {}"
-    bound(column, OFF_CENTRE * geometry.panel.columns, "px", displaced)
     gaps = np.degrees(np.diff(circle.angles))
     uneven = (
         f"the deviation of the step after view {{}} from the mean step of {gaps.mean():.3g} deg"
