@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from soft_balls import CENTRES, MU, RADII, images
 
-from twinct.calibration.epipolar import EMPTY, _Seen, epipolar_consistent
+from twinct.calibration.epipolar import EMPTY, SeenPlanes, epipolar_consistent
 from twinct.calibration.freedom import PosePrior
 from twinct.calibration.modes import aligned
 from twinct.calibration.plane_integrals import PlaneIntegrals
@@ -24,27 +25,8 @@ ACROSS = (70, 140)
 PRIOR = PosePrior(sigma_mm=1.0, sigma_deg=0.3)
 SIGMA = np.array([PRIOR.sigma_mm] * 6 + [np.radians(PRIOR.sigma_deg)] * 3)
 
-# Balls of density mu (1 - r^2/R^2)^2 about their centres, none on an axis.
-_DRAW = np.random.default_rng(1)
-CENTRES = _DRAW.uniform(-30, 30, (8, 3))
-RADII = _DRAW.uniform(14, 28, 8)
-MU = _DRAW.uniform(0.01, 0.04, 8)
-
 BLUR = 0.03
 """Pixels and their smoothing, about 1.7 mm in the middle, take so much of these derivatives."""
-
-
-def images(geometry: ScanGeometry) -> np.ndarray:
-    """Line integrals: a ray at d R from a centre sees mu R 16/15 (1 - d^2)^(5/2)."""
-    found = np.zeros((len(geometry), *geometry.panel.shape))
-    for view, source in enumerate(geometry.source):
-        ray = geometry.pixel_centres(view) - source
-        ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-        for centre, radius, mu in zip(CENTRES, RADII, MU, strict=True):
-            to_ball = centre - source
-            inside = 1 - (to_ball @ to_ball - (ray @ to_ball) ** 2) / radius**2
-            found[view] += mu * radius * 16 / 15 * np.maximum(inside, 0) ** 2.5
-    return found.astype(np.float32)
 
 
 def derivatives(normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
@@ -310,7 +292,7 @@ def test_a_few_planes_that_happen_to_agree_do_not_outweigh_all_others() -> None:
     complete[0, :5] = True
     told[0, complete] = 1e-6
     every = np.ones_like(complete)
-    seen = _Seen(views, pairs, told, np.zeros((*told.shape, 3)), every, every, complete)
+    seen = SeenPlanes(views, pairs, told, np.zeros((*told.shape, 3)), every, every, complete)
     weights = seen.weights()
     assert weights[complete].max() == pytest.approx(weights.max())
     # One standard deviation of the differences, 30 of which count as one.

@@ -24,6 +24,7 @@ OPTIONS = {
         *("--as", "--what", "--start", "--sigma-mm", "--sigma-deg", "--correlation-views"),
         "--align",
     },
+    "circle": {"--as", "--sigma-px", "--sigma-deg", "--sigma-sdd"},
     "kinematics": {"--as", "--to", "--from"},
 }
 ALL = set().union(*OPTIONS.values())
@@ -136,7 +137,7 @@ def test_each_method_has_its_own_options_alone(calls, method: str, capfd) -> Non
 )
 def test_an_unknown_method_is_refused(calls, capfd, words: list[str], method: str) -> None:
     assert run_command(["calibrate", *words]) == 2
-    told = f"--with {method}: unknown; choose from beads, balls, self, kinematics"
+    told = f"--with {method}: unknown; choose from beads, balls, self, circle, kinematics"
     assert told in capfd.readouterr().err
     assert calls.arguments() == []
 

@@ -2,6 +2,14 @@
 
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view
 from twinct.calibration.bundle import Bundle, bundled
+from twinct.calibration.circular import (
+    CircleNumbers,
+    CircularCalibration,
+    CircularPrior,
+    Undetermined,
+    circle_numbers,
+    circular_consistent,
+)
 from twinct.calibration.consistency import Round, SelfCalibration, self_calibrated
 from twinct.calibration.epipolar import EpipolarConsistency, epipolar_consistent
 from twinct.calibration.freedom import PosePrior, What
@@ -34,6 +42,9 @@ __all__ = [
     "BallPhantom",
     "CalibratedArms",
     "Change",
+    "CircleNumbers",
+    "CircularCalibration",
+    "CircularPrior",
     "EpipolarConsistency",
     "KinematicCalibration",
     "PosePrior",
@@ -42,12 +53,15 @@ __all__ = [
     "Seen",
     "SelfCalibration",
     "Shadows",
+    "Undetermined",
     "Untold",
     "What",
     "aligned",
     "calibrated",
     "calibrated_arms",
     "calibrated_view",
+    "circle_numbers",
+    "circular_consistent",
     "epipolar_consistent",
     "frames_of",
     "measured",

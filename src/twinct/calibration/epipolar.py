@@ -108,18 +108,18 @@ def epipolar_consistent(
     diagonal = float(np.hypot(*believed.panel.shape))
     residuals: list[float] = []
 
-    def look(pixels_across: int) -> tuple[_Seen, int]:
+    def look(pixels_across: int) -> tuple[SeenPlanes, int]:
         factor = max(round(diagonal / pixels_across), 1)
         geometry = free.all(believed, change).binned(factor, factor)
         coarse, counts = binned(p, pixels, (factor, factor))
-        seen = _Seen.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
+        seen = SeenPlanes.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
         residuals.append(seen.spread)
         return seen, factor
 
     with progress.stage("epipolar consistency", len(across) + 1) as step:
         for pixels_across in across:
             seen, factor = look(pixels_across)
-            tangents = _tangents(believed, free, change, factor)
+            tangents = tangents_of(believed, free, change, factor)
             normal, right = seen.normal_equations(seen.weights(), tangents)
             pull = right - precision @ change.ravel()
             change = change + np.linalg.solve(precision + normal, pull).reshape(change.shape)
@@ -150,7 +150,7 @@ def _checked(
     return p, pixels
 
 
-def _tangents(believed: ScanGeometry, free: Freedom, change: Floats, factor: int) -> Floats:
+def tangents_of(believed: ScanGeometry, free: Freedom, change: Floats, factor: int) -> Floats:
     """Return the derivatives of S, D, u and v of each view by its numbers, (views, n, 4, 3)."""
 
     def vectors(at: Floats) -> Floats:
@@ -167,7 +167,7 @@ def _tangents(believed: ScanGeometry, free: Freedom, change: Floats, factor: int
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class SeenPlanes:
     """Derivatives of plane integrals in both views of each pair.
 
     Attributes:
@@ -189,7 +189,7 @@ class _Seen:
     complete: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals) -> _Seen:
+    def of(cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals) -> SeenPlanes:
         """Compare all pairs of views.
 
         Raises:

@@ -1,4 +1,4 @@
-"""``twinct calibrate``: the executed poses of source and detector, by one of four methods."""
+"""``twinct calibrate``: the executed poses of source and detector, by one of five methods."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twinct.cli.progress import on_terminal, say
 from twinct.core.errors import InputError
 
 if TYPE_CHECKING:
-    from twinct.calibration import Aligned, EpipolarConsistency, PosePrior
+    from twinct.calibration import Aligned, CircularCalibration, EpipolarConsistency, PosePrior
 
 calibrate = tyro.extras.SubcommandApp()
 
@@ -215,7 +215,42 @@ def kinematics(
         say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
 
 
-METHODS = {"beads": beads, "balls": balls, "self": self_, "kinematics": kinematics}
+def circle(
+    folder: Run,
+    *,
+    as_: Name = "circle",
+    sigma_px: float = 5.0,
+    sigma_deg: float = 1.0,
+    sigma_sdd: float = 0.005,
+) -> None:
+    """Calibrate a circular scan from its projections alone: axis offset, roll, tilt, slant, SDD.
+
+    Args:
+        folder: Folder of ``twinct import --out`` or ``twinct run --out``.
+        sigma_px: Expected error of the axis, and of the panel's height, px.
+        sigma_deg: Expected error of roll, tilt and slant, degrees.
+        sigma_sdd: Expected error of the distance from source to panel, as a share of it.
+    """
+    from twinct.calibration import CircularPrior
+    from twinct.calibration.circle_calibration import calibrate_circle
+
+    told = {"--sigma-px": sigma_px, "--sigma-deg": sigma_deg, "--sigma-sdd": sigma_sdd}
+    for key, value in told.items():
+        if not value > 0:
+            raise InputError(f"{key} {value:g}: must be more than 0")
+    prior = CircularPrior(sigma_px, sigma_sdd, sigma_deg)
+    with on_terminal() as audience:
+        found = calibrate_circle(folder, prior, name=as_, observers=audience)
+    _say_circle(as_, found)
+
+
+METHODS = {
+    "beads": beads,
+    "balls": balls,
+    "self": self_,
+    "circle": circle,
+    "kinematics": kinematics,
+}
 
 for _name, _method in METHODS.items():
     calibrate.command(name=_name)(_method)
@@ -234,6 +269,35 @@ def _say_start(start: EpipolarConsistency, started: Aligned) -> None:
     )
     for view, problem in sorted(start.problems.items()):
         say(f"view {view} starts from its believed pose: {problem}", warning=True)
+
+
+def _say_circle(name: str, found: CircularCalibration) -> None:
+    import numpy as np
+
+    before, after, geometry = found.before, found.after, found.geometry
+    pitch_u = geometry.panel.pitch_u
+    spread = dict(zip(("u", "v", "sdd", "tilt", "slant", "roll"), found.deviation, strict=True))
+    degrees = {key: np.degrees(spread[key]) for key in ("roll", "tilt", "slant")}
+    say(
+        f"{name}: the axis projects {after.axis_px:+.2f} +- {spread['u'] / pitch_u:.2f} px from "
+        f"the middle column (was {before.axis_px:+.2f}); roll {after.panel_roll_deg:+.3f} +- "
+        f"{degrees['roll']:.3f} deg (was {before.panel_roll_deg:+.3f}); spread of the "
+        f"differences {found.residuals[0]:.4g} before, {found.residuals[1]:.4g} after"
+    )
+    right, up = after.panel_offset_mm
+    say(
+        f"{name}, as keys of an import: sdd_mm: {after.sdd_mm:.4f} (+- {spread['sdd']:.2g}), "
+        f"panel_offset_mm: [{right:.4f}, {up:.4f}] (+- {spread['u']:.2g}, {spread['v']:.2g}), "
+        f"panel_roll_deg: {after.panel_roll_deg:.4f}, panel_tilt_deg: {after.panel_tilt_deg:.4f} "
+        f"(+- {degrees['tilt']:.2g}), panel_slant_deg: {after.panel_slant_deg:.4f} (+- "
+        f"{degrees['slant']:.2g})"
+    )
+    for one in found.undetermined:
+        say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
+    say(
+        f"not determined by any image: sod_mm ({after.sod_mm:g}), which scales the volume; the "
+        "height of the volume and its turn about the axis"
+    )
 
 
 def _say_against_executed(believed: Aligned, found: Aligned, folder: Path) -> None:

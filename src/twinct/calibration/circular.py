@@ -1,0 +1,291 @@
+"""Geometry of a circular scan from its projections alone, as six numbers of the whole scan.
+
+Source, axis and panel stand to each other alike in all views. A rigid motion of everything and its
+scale change no image, so that the source may stay where it is believed: six numbers of the panel
+are left, in its own axes. They are moved until pairs of views agree on the planes through both
+sources (``epipolar``), with a prior about zero. A scan determines some combinations of the six
+hardly at all, such as tilt and height where the cone is narrow: those keep their believed values,
+and are named.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twinct.calibration.epipolar import SeenPlanes, tangents_of
+from twinct.calibration.freedom import Freedom
+from twinct.calibration.plane_integrals import PlaneIntegrals
+from twinct.calibration.resection import moved
+from twinct.core.progress import SILENT, Progress
+from twinct.geometry import Floats, ScanGeometry
+from twinct.recon import Circle, fit_circle
+from twinct.recon.checks import Checks
+from twinct.recon.resolution import binned
+
+NUMBERS = ("axis_offset", "height", "sdd", "tilt", "slant", "roll")
+"""Names of the six numbers: shifts of the panel along u, v and its normal, turns about them."""
+
+ROUNDS = ((50, 5), (100, 15), (200, 4))
+"""Pixels along the panel's diagonal, and the largest number of steps: noise makes them too short.
+
+A panel with fewer pixels is not binned.
+"""
+
+FINEST = ROUNDS[-1][0]
+
+TOLD = 100
+"""Pixels along the diagonal at which standard deviations are computed."""
+
+MOST_VIEWS = 90
+"""Largest number of views that are compared, spread over the scan."""
+
+STILL = 0.1
+"""Steps end when one moves the numbers by less, in their standard deviations."""
+
+HARDLY = 0.5
+"""Share of the prior's standard deviation above which a combination counts as undetermined."""
+
+NAMED = 0.35
+"""Smallest weight of a number that is named in a combination, relative to the largest."""
+
+
+@dataclass(frozen=True)
+class CircularPrior:
+    """Standard deviations of the errors of a circular scan's numbers.
+
+    Attributes:
+        offset_px: of the panel along its columns and rows, or of the axis, px.
+        sdd: of the distance from source to panel, as a share of it.
+        turn_deg: of tilt, slant and roll of the panel against the axis, deg.
+    """
+
+    offset_px: float = 5.0
+    sdd: float = 0.005
+    turn_deg: float = 1.0
+
+    def deviations(self, geometry: ScanGeometry) -> Floats:
+        """Return the standard deviation of each of ``NUMBERS``, (6,), mm and rad."""
+        panel = geometry.panel
+        shifts = self.offset_px * panel.pitch_u, self.offset_px * panel.pitch_v
+        far = self.sdd * float(geometry.sdd.mean())
+        return np.array([*shifts, far, *[np.radians(self.turn_deg)] * 3])
+
+
+class Undetermined(NamedTuple):
+    """Combination of numbers that the scan hardly determines.
+
+    Attributes:
+        parts: names, the largest weight first.
+        weights: their weights in prior standard deviations, the largest 1.
+        left: share of the prior's standard deviation that is left.
+    """
+
+    parts: tuple[str, ...]
+    weights: tuple[float, ...]
+    left: float
+
+    def __str__(self) -> str:
+        """Return the combination in words."""
+        parts = zip(self.weights, self.parts, strict=True)
+        return ", ".join(f"{weight:+.1f} {part}" for weight, part in parts)
+
+
+class CircleNumbers(NamedTuple):
+    """Numbers of a circular scan, in the terms of an import's ``kind: circle``.
+
+    Attributes:
+        axis_px: column of the circle's centre, from the panel's middle column, px.
+        height_px: row of the circle's centre, from the panel's middle row, px.
+        sod_mm: radius of the circle.
+        sdd_mm: distance from the source to the panel's plane, along the radius.
+        panel_offset_mm: panel's centre from the foot of the source, (right, up).
+        panel_roll_deg: turn of the panel in its plane, clockwise.
+        panel_tilt_deg: lean of the panel's upper edge away from the source.
+        panel_slant_deg: lean of the panel's right edge away from the source.
+    """
+
+    axis_px: float
+    height_px: float
+    sod_mm: float
+    sdd_mm: float
+    panel_offset_mm: tuple[float, float]
+    panel_roll_deg: float
+    panel_tilt_deg: float
+    panel_slant_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class CircularCalibration:
+    """Geometry of a circular scan, estimated from pairs of views.
+
+    Attributes:
+        geometry: geometry of all views.
+        change: change of ``NUMBERS`` from the believed geometry, (6,), mm and rad.
+        deviation: standard deviation of each, the prior included, (6,), mm and rad.
+        before: numbers of the believed geometry.
+        after: numbers of the found one.
+        undetermined: combinations that keep their believed values.
+        residuals: spread of the differences between paired views, at the last resolution, in the
+            believed geometry and in the found one.
+    """
+
+    geometry: ScanGeometry
+    change: Floats
+    deviation: Floats
+    before: CircleNumbers
+    after: CircleNumbers
+    undetermined: tuple[Undetermined, ...]
+    residuals: tuple[float, float]
+
+
+def circular_consistent(
+    line_integrals: NDArray[np.float32],
+    believed: ScanGeometry,
+    prior: CircularPrior | None = None,
+    *,
+    mask: NDArray[np.bool_] | None = None,
+    progress: Progress = SILENT,
+) -> CircularCalibration:
+    """Move the panel of a circular scan, alike in all views, until pairs of views agree.
+
+    Args:
+        line_integrals: (views, rows, columns).
+        believed: approximate geometry, a circle.
+        prior: spread of the errors.
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
+        progress: receives a step for each resolution.
+
+    Raises:
+        InputError: the geometry is no circle, or arrays have other shapes or values that are not
+            finite.
+        CalibrationError: no view has enough usable planes.
+    """
+    circle = fit_circle(believed)
+    checks = Checks((len(believed), *believed.panel.shape))
+    p, pixels = checks.projections(line_integrals, mask)
+    checks.done()
+    some = np.unique(np.linspace(0, len(p) - 1, min(len(p), MOST_VIEWS)).round().astype(int))
+    if pixels is not None and pixels.ndim == 3:
+        pixels = pixels[some]
+    pairs = _Pairs(p[some], pixels, believed[some], circle)
+    deviations = (prior or CircularPrior()).deviations(believed)
+    precision = np.diag(deviations**-2.0)
+    change, told = np.zeros(6), np.zeros((6, 6))
+    first = pairs.seen(change, FINEST).spread
+    with progress.stage("circle", len(ROUNDS)) as step:
+        for across, steps in ROUNDS:
+            change, normal = pairs.agreed(change, across, steps, precision)
+            # Noise in the finest slopes would look like knowledge.
+            told = normal if across == TOLD else told
+            step()
+    last = pairs.seen(change, FINEST).spread
+    covariance = np.linalg.inv(told + precision)
+    geometry = _moved(believed, change)
+    return CircularCalibration(
+        geometry,
+        change,
+        np.sqrt(np.diag(covariance)),
+        circle_numbers(believed, circle),
+        circle_numbers(geometry, circle),
+        _undetermined(told, deviations),
+        (first, last),
+    )
+
+
+def _moved(geometry: ScanGeometry, six: Floats) -> ScanGeometry:
+    return moved(geometry, np.concatenate([np.zeros(3), six]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """Chosen views of a scan."""
+
+    p: NDArray[np.float32]
+    mask: NDArray[np.bool_] | None
+    believed: ScanGeometry
+    circle: Circle
+
+    def _factor(self, across: int) -> int:
+        return max(round(float(np.hypot(*self.believed.panel.shape)) / across), 1)
+
+    def seen(self, change: Floats, across: int) -> SeenPlanes:
+        """Compare all pairs at a resolution."""
+        factor = self._factor(across)
+        geometry = _moved(self.believed, change).binned(factor, factor)
+        coarse, counts = binned(self.p, self.mask, (factor, factor))
+        return SeenPlanes.of(geometry, self.circle.centre, PlaneIntegrals(coarse, geometry, counts))
+
+    def agreed(
+        self, change: Floats, across: int, steps: int, precision: Floats
+    ) -> tuple[Floats, Floats]:
+        """Move the numbers until the views agree; return them and the normal matrix."""
+        normal = np.zeros((6, 6))
+        for _ in range(steps):
+            normal, right = self.equations(change, across)
+            on = np.linalg.solve(normal + precision, right - precision @ change)
+            change = change + on
+            if on @ (normal + precision) @ on < STILL**2:
+                break
+        return change, normal
+
+    def equations(self, change: Floats, across: int) -> tuple[Floats, Floats]:
+        """Return the normal matrix, (6, 6), and the right side, (6,), of all views together."""
+        seen, views = self.seen(change, across), len(self.believed)
+        each = np.tile(np.concatenate([np.zeros(3), change]), (views, 1))
+        free = Freedom("arms", self.circle.centre)
+        tangents = tangents_of(self.believed, free, each, self._factor(across))[:, 3:]
+        normal, right = seen.normal_equations(seen.weights(), tangents)
+        return normal.reshape(views, 6, views, 6).sum(axis=(0, 2)), right.reshape(-1, 6).sum(axis=0)
+
+
+def _undetermined(normal: Floats, deviations: Floats) -> tuple[Undetermined, ...]:
+    """Return the combinations of which much of the prior's deviation is left."""
+    values, vectors = np.linalg.eigh(deviations[:, None] * normal * deviations)
+    found: list[Undetermined] = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        left = float((1 + max(value, 0.0)) ** -0.5)
+        if left < HARDLY:
+            break
+        order = np.argsort(-np.abs(vector))
+        weights = vector[order] / vector[order[0]]
+        named = int((np.abs(weights) >= NAMED).sum())
+        parts = tuple(NUMBERS[i] for i in order[:named])
+        found.append(Undetermined(parts, tuple(weights[:named].tolist()), left))
+    return tuple(found)
+
+
+def circle_numbers(geometry: ScanGeometry, circle: Circle | None = None) -> CircleNumbers:
+    """Return the numbers of a circular scan, each the mean over the views.
+
+    Args:
+        geometry: the views.
+        circle: circle of their sources; fitted by default.
+
+    Raises:
+        InputError: the geometry is no circle.
+    """
+    circle = circle or fit_circle(geometry)
+    up = circle.axis * (1.0 if float((geometry.v @ circle.axis).mean()) > 0 else -1.0)
+    beam = circle.centre - geometry.source
+    beam = beam - np.outer(beam @ up, up)
+    beam /= np.linalg.norm(beam, axis=1, keepdims=True)
+    right = np.cross(beam, up)
+    machine = np.stack([right, beam, np.broadcast_to(up, beam.shape)], axis=1)
+    to_panel, u, v = (
+        np.einsum("vij,vj->vi", machine, vectors)
+        for vectors in (geometry.detector - geometry.source, geometry.u, geometry.v)
+    )
+    facing = Rotation.from_matrix(np.stack([u, np.cross(v, u), v], axis=2)).mean()
+    roll, slant, back = facing.as_euler("yzx", degrees=True)
+    across, along, above = to_panel.mean(axis=0)
+    column, row = geometry.project(circle.centre)[:, 0].mean(axis=0) - geometry.panel.middle
+    return CircleNumbers(
+        *(float(x) for x in (column, row, circle.radius, along)),
+        (float(across), float(above)),
+        *(float(x) for x in (roll, -back, slant)),
+    )
