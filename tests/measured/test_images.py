@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import tifffile
 from ball_scan import COLUMNS, ROWS, VIEWS, ball_images, orbit
+from soft_balls import circle_of, images
 
 from twinct.core.errors import InputError, ScenarioError
 from twinct.measured.corrections import filled, unlike
@@ -127,6 +128,32 @@ def test_intensities_become_transmissions(circle, stored, imported, tmp_path):
     scan, told = imported({"images": section, "geometry": circle})
     np.testing.assert_allclose(scan.transmission, truth, rtol=2e-6)
     assert f"air: {flicker.min():.4g} to {flicker.max():.4g}" in "\n".join(told.told)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_gains_of_pixels_are_told_by_the_mean_view(turned, circle, stored, imported):
+    """Against the same images without gains; whole columns off are rings, too."""
+    rng = np.random.default_rng(4)
+    truth = np.exp(-images(circle_of()))
+    shape = truth.shape[1:]
+    gain = np.exp(0.03 * rng.normal(size=shape) * (rng.random(shape) < 0.2))
+    gain[:, 8] *= 0.95
+    image, turn = gain * truth, {}
+    if turned:  # by 270 deg: the columns of the stored images are the rows of the turned ones
+        image, turn = np.rot90(image, axes=(1, 2)), {"turn_deg": 270}
+    section = stored(image, "transmissions", rings={"width": 5}, **turn)
+    geometry = circle | {"angles": {"step": 360 / len(truth)}, "pitch_mm": 2.4}
+    scan, told = imported({"images": section, "geometry": geometry})
+    left = np.log(scan.transmission / truth)
+    assert np.sqrt(np.mean(left**2)) < 0.45 * np.sqrt(np.mean(np.log(gain) ** 2))
+    assert np.abs(left[:, :, 8].mean()) < 0.003
+    assert "rings: gains of pixels corrected by 1.3 % (RMS)" in "\n".join(told.told)
+
+
+def test_an_even_median_is_refused(circle, stored, imported):
+    section = stored(np.exp(-ball_images(orbit())), "transmissions", rings={"width": 4})
+    with pytest.raises(InputError, match="images.rings.*width: 4 must be odd"):
+        imported({"images": section, "geometry": circle})
 
 
 def test_bad_pixels_are_found_filled_and_left_out(circle, stored, imported, tmp_path):

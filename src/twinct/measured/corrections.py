@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.images import read_image
-from twinct.measured.description import Air, FieldImages, Images
+from twinct.measured.description import Air, FieldImages, Images, Rings
+from twinct.measured.rings import MeanView
 from twinct.measured.stack import Stack, open_stack
 
 Floats = NDArray[np.float64]
@@ -69,6 +70,8 @@ class Corrections:
         dark: dark images; None: nothing is subtracted.
         flat: flat images without their dark part; None: nothing is divided by.
         bad: bad pixels of the stored images, (rows, columns).
+        gains: factors by which single pixels are too bright, (rows, columns); None: no rings are
+            removed.
     """
 
     section: Images
@@ -76,6 +79,7 @@ class Corrections:
     dark: Fields | None
     flat: Fields | None
     bad: Bools
+    gains: Floats | None = None
 
     def transmission(self, view: int) -> tuple[Floats, float]:
         """Return the transmission of a stored image, (rows, columns), and its scale from air.
@@ -96,7 +100,8 @@ class Corrections:
         if self.section.air is not None:
             scale = self._air(self.section.air, image, view)
             image /= scale
-        return filled(image, self.bad), scale
+        image = filled(image, self.bad)
+        return (image if self.gains is None else image / self.gains), scale
 
     def _uncorrected(self, view: int) -> Floats:
         image = self.stack.image(view).astype(np.float64)
@@ -158,7 +163,14 @@ def corrections(section: Images) -> Corrections:
         bad |= unlike(_mean_image(found), bad)
     if bad.all():
         raise InputError("images.bad_pixels: no pixel is good")
-    return found
+    return found if section.rings is None else replace(found, gains=_gains(found, section.rings))
+
+
+def _gains(found: Corrections, rings: Rings) -> Floats:
+    mean = MeanView()
+    for view in range(0, found.stack.count, found.section.every):
+        mean.add(found.transmission(view)[0])
+    return mean.gains(found.section, rings)
 
 
 def _check_air(air: Air, stack: Stack) -> None:

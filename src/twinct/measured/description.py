@@ -60,6 +60,21 @@ class BadPixels(Section):
     )
 
 
+class Rings(Section):
+    """Removal of rings: gains of single pixels, alike in all views of a turn."""
+
+    width: int = setting(
+        9, "Pixels of the moving median along a row, with which the mean view is compared.",
+        ge=3, le=999,
+    )  # fmt: skip
+
+    @model_validator(mode="after")
+    def _odd(self) -> Rings:
+        if self.width % 2 == 0:
+            raise ValueError(f"width: {self.width} must be odd, so that it has a middle")
+        return self
+
+
 class Crop(Section):
     """Pixels cut off the turned image at each side."""
 
@@ -80,6 +95,7 @@ class Images(Files):
     white: Positive | None = setting(None, "Intensity without object, in place of flats.")
     air: Air | None = setting(None, "Scale each view so that the mean transmission here is 1.")
     bad_pixels: BadPixels = setting(BadPixels(), "Bad pixels.")
+    rings: Rings | None = setting(None, "Remove rings; the views must cover a turn.")
     transpose: bool = setting(False, "Exchange rows and columns first.")
     turn_deg: Literal[0, 90, 180, 270] = setting(0, "Then turn the image counterclockwise.")
     flip_rows: bool = setting(False, "Then reverse the order of rows.")
@@ -107,7 +123,7 @@ class Images(Files):
 
 
 AnyGeometry = Annotated[
-    Circle | Matrices | Poses | Nikon | Rtk | Astra | Leap | Cil | Tigre | OpenCt | Ctsimu,
+    Circle | Matrices | Poses | Joints | Nikon | Rtk | Astra | Leap | Cil | Tigre | OpenCt | Ctsimu,
     Field(discriminator="kind"),
 ]
 

@@ -189,6 +189,13 @@ def _told_of_images(images: Corrections, geometry: ScanGeometry, scales: list[fl
         )
     if images.bad.any():
         told.append(f"bad pixels: {int(images.bad.sum())} of {images.bad.size}, filled")
+    if images.gains is not None and section.rings is not None:
+        off = images.gains - 1
+        told.append(
+            f"rings: gains of pixels corrected by {100 * np.sqrt(np.mean(off**2)):.2g} % (RMS), at "
+            f"most {100 * np.abs(off).max():.2g} %, from the mean of {len(geometry)} views and a "
+            f"median of {section.rings.width} pixels along the rows (Boin and Haibel 2006)"
+        )
     if section.air is not None:
         told.append(f"air: {min(scales):.4g} to {max(scales):.4g}, scaled to 1 in each view")
     return told
