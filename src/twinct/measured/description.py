@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from twinct.core.settings import Finite, Positive, Section, setting
 from twinct.measured.circle import Circle
+from twinct.measured.joints import Joints
 from twinct.measured.matrices import Matrices, Poses
 from twinct.measured.nikon import Nikon
 from twinct.measured.toolkits import Astra, Cil, Ctsimu, Leap, OpenCt, Rtk, Tigre

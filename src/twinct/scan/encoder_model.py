@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import PosePairs
 from twinct.robots.calibrated_arms import CalibratedArms
@@ -37,20 +38,44 @@ def evidence_of(
         taken = slice(len(executed))
         told = PosePairs(commanded.source[taken], commanded.detector[taken])
         return Evidence(scenario.cell, joint_names, joints, told)
+    joints = encoders_of(scenario, joints)
+    told = poses_of_joints(scenario, scenario.cell, joints)
+    return Evidence(scenario.cell, joint_names, joints, told)
+
+
+def poses_of_joints(scenario: Scenario, cell: Cell, joints: Floats) -> PosePairs:
+    """Return the poses of source and panel for encoder readings of a scenario's cell.
+
+    The arms are nominal, or those of ``uncertainty.calibration``.
+
+    Args:
+        scenario: the scenario.
+        cell: its cell, with arms.
+        joints: readings of both arms, source first, (views, joints), rad.
+
+    Raises:
+        InputError: another number of joints, or the file of calibrated arms is invalid or belongs
+            to another cell.
+        MissingExtraError: MuJoCo is not installed.
+        ScenarioError: an arm can no longer be built.
+    """
     from twinct.robots.cell import nominal_chains
 
-    joints = encoders_of(scenario, joints)
-    chains = nominal_chains(scenario.cell, scenario.detector.panel)
-    if section.calibration:
-        told = CalibratedArms.read(section.calibration, chains).poses(joints)
-        return Evidence(scenario.cell, joint_names, joints, told)
-    sides: list[tuple[Pose, ...]] = []
-    first = 0
-    for chain in chains:
-        own = slice(first, first := first + len(chain))
-        sides.append(tuple(map(_pose, chain.tools(joints[:, own]))))
-    source, detector = sides
-    return Evidence(scenario.cell, joint_names, joints, PosePairs(source, detector))
+    chains = nominal_chains(cell, scenario.detector.panel)
+    counts = [len(chain) for chain in chains]
+    if joints.shape[1] != sum(counts):
+        raise InputError(
+            f"{joints.shape[1]} joints of each view, but the cell's source arm has {counts[0]} and "
+            f"its detector arm {counts[1]}"
+        )
+    if calibration := scenario.uncertainty.calibration:
+        return CalibratedArms.read(calibration, chains).poses(joints)
+    source, detector = np.split(joints, counts[:1], axis=1)
+    sides = (
+        tuple(map(_pose, chain.tools(own)))
+        for chain, own in zip(chains, (source, detector), strict=True)
+    )
+    return PosePairs(*sides)
 
 
 def encoders_of(scenario: Scenario, joints: Floats) -> Floats:
