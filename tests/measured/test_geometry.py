@@ -126,6 +126,11 @@ AngularStep={360 / VIEWS}
 WhiteLevel=50000
 MaskRadius=30
 VoxelSizeX=0.3
+Exponent=1.0
+Scaling=1000.0
+TIFFScaling=1
+LowPercentile=0.2
+HighPercentile=99.8
 ObjectOffsetX=0.7
 [Xrays]
 XraykV=180

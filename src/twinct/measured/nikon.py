@@ -34,7 +34,8 @@ _WITHOUT_EFFECT = (
     "Voxel Offset MaskRadius Coef Scattering Region Units Scale Output Input Derivative Filter "
     "Cut MedianFilter Xray Intensity Blanking Order Interpolation Timing Auto CTPro Version "
     "Product Name Operator Import Median Automatic Convert Extended Increment Modifier Slice Angle "
-    "Flux Use Dim Reference BlackLevel Hu Air Normalisation AngularStep Helical Modifier"
+    "Flux Use Dim Reference BlackLevel Hu Air Normalisation AngularStep Helical Modifier Exponent "
+    "Scaling TIFFScaling LowPercentile HighPercentile"
 ).split()
 """Beginnings of keys on the volume, the beam hardening and the software."""
 

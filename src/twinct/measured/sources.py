@@ -10,6 +10,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import ABSENT, no_file, read_text
 from twinct.core.foreign_text import quoted
+from twinct.measured.ctsimu_metadata import is_metadata, read_metadata
 from twinct.measured.description import Measured, read_description
 from twinct.measured.nikon import read_xtekct
 from twinct.measured.toolkits import MOST_BYTES, read_openct
@@ -119,6 +120,8 @@ def _json(path: Path) -> dict[str, Any]:
     data = _read_json(path)
     if "OpenCTJSON" in data:
         return _openct(path)
+    if is_metadata(data):
+        return read_metadata(path, data)
     folder = path.parent / "projections"
     if "geometry" not in data or not folder.is_dir():
         raise InputError(

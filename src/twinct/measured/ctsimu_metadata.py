@@ -1,0 +1,112 @@
+"""CTSimU's ``NAME_metadata.json``: images, fields and scenario of a scan, as a description."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from twinct.core.errors import InputError
+
+KIND = "CTSimU Metadata"
+
+_RAW = (".raw", ".bin")
+
+_TYPES = {"uint8": "u1", "uint16": "u2", "uint32": "u4", "int8": "i1", "int16": "i2", "int32": "i4"}
+_TYPES |= {"float32": "f4", "float64": "f8"}
+"""Number types of raw files, as numpy names them."""
+
+_NUMBER = re.compile(r"%0?[0-9]*d")
+
+
+def is_metadata(data: Mapping[str, Any]) -> bool:
+    """Return True if a JSON object is CTSimU's metadata."""
+    about = data.get("file")
+    return isinstance(about, Mapping) and about.get("file_type") == KIND
+
+
+def read_metadata(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the description of a scan from its metadata.
+
+    Images that are corrected already are divided by ``max_intensity``; others by their flat images,
+    less the dark ones.
+
+    Args:
+        path: the file; its paths are relative to it.
+        data: its contents.
+
+    Raises:
+        InputError: a needed entry is missing, or the fields cannot be used.
+    """
+    try:
+        told = data["output"]["projections"]
+        filename, scenario = told["filename"], data["acquisition_geometry"]["path_to_CTSimU_JSON"]
+        if not (isinstance(filename, str) and filename):
+            raise KeyError("output.projections.filename")
+        if not (isinstance(scenario, str) and scenario):
+            raise KeyError("acquisition_geometry.path_to_CTSimU_JSON")
+        images = {**_files(path, filename, told), "values": "intensities", **_fields(path, told)}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: CTSimU metadata without {error}: state images and geometry in a YAML file "
+            "(docs/measured.md)"
+        ) from None
+    return {
+        "name": str(data["file"].get("name") or path.stem),
+        "description": f"Imported from {path.name}.",
+        "images": images,
+        "geometry": {"kind": "ctsimu", "path": str((path.parent / scenario).resolve())},
+    }
+
+
+def _files(path: Path, filename: str, told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of files; %04d in their name becomes a pattern that digits match."""
+    found: dict[str, Any] = {"path": str(path.parent / _NUMBER.sub("[0-9]*", filename))}
+    if Path(filename).suffix.lower() not in _RAW:
+        return found
+    kind, header = told["datatype"], told.get("headersize") or {}
+    if kind not in _TYPES:
+        raise InputError(
+            f"{path}: output.projections.datatype: {kind}; known are {', '.join(_TYPES)}"
+        )
+    if header.get("image"):
+        raise InputError(
+            f"{path}: output.projections.headersize.image: {header['image']}: a header before each "
+            "image in one file is not read"
+        )
+    sizes = told["dimensions"]
+    return {
+        **found,
+        "dtype": (">" if told.get("byteorder") == "big" else "<") + _TYPES[kind],
+        "rows": int(sizes["y"]["value"]),
+        "columns": int(sizes["x"]["value"]),
+        "header_bytes": int(header.get("file") or 0),
+    }
+
+
+def _fields(path: Path, told: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keys of dark and flat fields and of bad pixels."""
+    dark, flat, bad = (
+        told.get(name) or {} for name in ("dark_field", "flat_field", "bad_pixel_map")
+    )
+    found: dict[str, Any] = {}
+    if bad.get("filename"):
+        found["bad_pixels"] = {"path": str(path.parent / bad["filename"])}
+    if not flat.get("projections_corrected"):
+        if dark.get("projections_corrected") and flat.get("filename"):
+            raise InputError(
+                f"{path}: projections are corrected by the dark images, but not by the flat ones: "
+                "which of these hold the dark signal is not stated; describe them in a YAML file"
+            )
+        if dark.get("filename") and not dark.get("projections_corrected"):
+            found["darks"] = [_files(path, dark["filename"], told)]
+        if flat.get("filename"):
+            return {**found, "flats": [_files(path, flat["filename"], told)]}
+    white = told.get("max_intensity")
+    if not (isinstance(white, (int, float)) and white > 0):
+        raise InputError(
+            f"{path}: output.projections.max_intensity: {white}: it must be the intensity without "
+            "object, where there are no flat images"
+        )
+    return {**found, "white": float(white)}

@@ -1,0 +1,142 @@
+"""CTSimU's metadata beside rendered images: they come back, with their fields and geometry."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import tifffile
+
+from twinct.core.errors import InputError
+from twinct.ctsimu import load_ctsimu
+from twinct.measured import description_of
+
+
+@pytest.fixture
+def scan(tmp_path):
+    """A scenario with few pixels, its images with and without correction, and a metadata file."""
+    from twinct.ctsimu.writing import header, placed, quantity
+
+    scenario = {
+        "file": header("small", "for tests"),
+        "environment": {"material_id": None},
+        "geometry": {
+            "detector": placed((400, 0, 0), (0, -1, 0), (1, 0, 0)),
+            "source": {"type": "cone"} | placed((0, 0, 0), (0, -1, 0), (1, 0, 0)),
+            "stage": placed((200, 0, 0), (1, 0, 0), (0, 0, 1)),
+        },
+        "detector": {
+            "type": "ideal",
+            "columns": quantity(8, "px"),
+            "rows": quantity(6, "px"),
+            "pixel_pitch": {"u": quantity(2.0, "mm"), "v": quantity(2.0, "mm")},
+            "bit_depth": quantity(16),
+            "integration_time": quantity(1.0, "s"),
+            "gray_value": {"imax": quantity(60000), "imin": quantity(0)},
+        },
+        "source": {
+            "voltage": quantity(80.0, "kV"),
+            "current": quantity(1.0, "mA"),
+            "spectrum": {"monochromatic": True},
+        },
+        "samples": [],
+        "acquisition": {
+            "start_angle": quantity(0.0, "deg"),
+            "stop_angle": quantity(360.0, "deg"),
+            "direction": "CCW",
+            "scan_mode": "stop+go",
+            "number_of_projections": 3,
+            "include_final_angle": False,
+            "frame_average": 1,
+            "dark_field": {"number": 1},
+            "flat_field": {"number": 2},
+            "scattering": False,
+        },
+        "materials": [],
+    }
+    (tmp_path / "small.json").write_text(json.dumps(scenario))
+    return tmp_path
+
+
+def field(number, name, corrected=False):
+    return {"number": number, "filename": name, "projections_corrected": corrected}
+
+
+def written(folder, **projections):
+    """Write metadata in a folder of their own."""
+    told = {
+        "filename": "small_%04d.tif",
+        "number": 3,
+        "max_intensity": 60000,
+        "datatype": "uint16",
+        "byteorder": "little",
+        "headersize": {"file": 0, "image": 0},
+        "dimensions": {"x": {"value": 8, "unit": "px"}, "y": {"value": 6, "unit": "px"}},
+        "dark_field": field(0, None),
+        "flat_field": field(0, None),
+        "bad_pixel_map": field(0, None),
+        **projections,
+    }
+    data = {
+        "file": {"name": "small", "file_type": "CTSimU Metadata"},
+        "output": {"projections": told},
+        "acquisition_geometry": {"path_to_CTSimU_JSON": "../small.json"},
+    }
+    path = folder / "out" / "small_metadata.json"
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps(data))
+    return path
+
+
+def test_images_fields_and_geometry_come_back(scan, imported):
+    rng = np.random.default_rng(5)
+    truth = rng.uniform(0.2, 1, (3, 6, 8))
+    dark, gain = rng.uniform(90, 110, (6, 8)), rng.uniform(20000, 50000, (6, 8))
+    fields = {
+        "dark_field": field(1, "small_dark.tif"),
+        "flat_field": field(2, "small_flat_%04d.tif"),
+    }
+    path = written(scan, **fields)
+    for index, image in enumerate(truth):
+        tifffile.imwrite(path.parent / f"small_{index:04d}.tif", (dark + gain * image).astype("f4"))
+    for index in range(2):
+        tifffile.imwrite(path.parent / f"small_flat_{index:04d}.tif", (dark + gain).astype("f4"))
+    tifffile.imwrite(path.parent / "small_dark.tif", dark.astype("f4"))
+    found, _ = imported(path)
+    np.testing.assert_allclose(found.transmission, truth[:, ::-1], rtol=1e-5)
+    points = np.array([[0, 0, 0], [5, -3, 4.0]])
+    believed = load_ctsimu(scan / "small.json").geometry(believed=True)
+    np.testing.assert_allclose(
+        found.geometry("executed").project(points), believed.project(points), atol=1e-6
+    )
+
+
+def test_corrected_raw_images_are_divided_by_the_largest_intensity(scan, imported):
+    truth = np.random.default_rng(6).uniform(0.2, 1, (3, 6, 8))
+    fields = {name: field(1, None, True) for name in ("dark_field", "flat_field")}
+    header = {"headersize": {"file": 16, "image": 0}, "byteorder": "big", "datatype": "float32"}
+    path = written(scan, filename="small_%04d.raw", **fields, **header)
+    for index, image in enumerate(truth):
+        data = bytes(16) + (60000 * image).astype(">f4").tobytes()
+        (path.parent / f"small_{index:04d}.raw").write_bytes(data)
+    found, _ = imported(path)
+    np.testing.assert_allclose(found.transmission, truth[:, ::-1], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("projections", "message"),
+    [
+        ({"filename": None}, "without 'output.projections.filename'"),
+        ({"max_intensity": None}, "max_intensity: None: it must be the intensity without object"),
+        (
+            {"dark_field": field(1, None, True), "flat_field": field(1, "small_flat.tif")},
+            "corrected by the dark images, but not by the flat ones",
+        ),
+        ({"filename": "a.raw", "datatype": "bfloat"}, "datatype: bfloat; known are uint8"),
+        ({"filename": "a.raw", "headersize": {"image": 4}}, "headersize.image: 4: a header"),
+    ],
+)
+def test_metadata_that_cannot_be_used_are_named(projections, message, scan):
+    with pytest.raises(InputError, match=message):
+        description_of(written(scan, **projections))
