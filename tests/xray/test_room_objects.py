@@ -7,6 +7,7 @@ from xray_scenes import box, sphere
 
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.scenario import Detector, GaussianSpot, RoomObject, Source
+from twinct.scenario.room_objects import keyed
 from twinct.specimen import BuiltPart, BuiltSpecimen, GreyField, GreyPart
 from twinct.specimen.materials import material
 from twinct.specimen.room_bodies import beam_bodies
@@ -51,7 +52,7 @@ def rays(seen: ScanGeometry) -> Floats:
 def shot(specimen: BuiltSpecimen, objects: list[RoomObject], engine: str, **more) -> Floats:
     chain = more.pop("chain", False)
     source = Source(focal_spot=GaussianSpot(kind="gaussian", sigma_mm=0.3)) if chain else Source()
-    bodies = beam_bodies(objects)
+    bodies = beam_bodies(keyed(objects))
     with Imager(source, DETECTOR, specimen, engine=engine, objects=bodies) as imager:
         return imager.render(more.get("seen", view()), more.get("place", Pose.identity()))
 

@@ -168,7 +168,7 @@ class SimulationBuilder:
         """
         from twinct.specimen.room_bodies import beam_bodies
 
-        return beam_bodies(self.scenario.cell.objects)
+        return beam_bodies(self.scenario.cell.keyed_objects)
 
     @cached_property
     def _obstacle(self) -> Trimesh:

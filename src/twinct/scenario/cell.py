@@ -24,10 +24,12 @@ from twinct.core.settings import (
     facts,
     setting,
 )
+from twinct.scenario.operating_room import LEAST_HEIGHT_MM, operating_room
 from twinct.scenario.room_objects import (
     GroupClearance,
     RoomObject,
     Zone,
+    keyed,
     require_unique_names,
 )
 
@@ -204,16 +206,45 @@ class Cell(Section):
     zones: tuple[Zone, ...] = setting(
         (), "Forbidden zones, which the arms avoid; images do not show them.", read_by="plan"
     )
+    room: Literal["plain", "operating"] = setting(
+        "plain",
+        "operating: an operating room around the isocentre, made of objects; its table, with "
+        "mattress and column, takes the place of the plain one.",
+        read_by="plan",
+    )
     objects: tuple[RoomObject, ...] = setting((), OBJECTS)
     group_clearance_mm: GroupClearance = setting(
         GroupClearance(), "Additional gaps to the objects of each group.", read_by="plan"
     )
 
     @model_validator(mode="after")
-    def _names_are_unique(self) -> Cell:
-        for key in ("zones", "objects"):
-            require_unique_names(getattr(self, key), key)
+    def _table_fits(self) -> Cell:
+        height = self.table.top_z_mm - self.table.size_mm[2] - self.floor_z_mm
+        if self.room == "operating" and self.table.present and height < LEAST_HEIGHT_MM:
+            what = (
+                f"the plate of an operating table must lie at least {LEAST_HEIGHT_MM:g} mm above "
+                f"the floor, but lies {height:g} mm above it"
+            )
+            raise ConflictError(Conflict(what, ("table.top_z_mm", "floor_z_mm", "room")))
         return self
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> Cell:
+        require_unique_names(self.zones, "zones")
+        require_unique_names([body for _, body in self.keyed_objects], "objects")
+        return self
+
+    @property
+    def keyed_objects(self) -> tuple[tuple[str, RoomObject], ...]:
+        """All objects, those of the room first, each with the key that it comes from."""
+        own = keyed(self.objects)
+        if self.room == "plain":
+            return own
+        table = self.table
+        furniture = operating_room(
+            self.floor_z_mm, table.top_z_mm, table.size_mm, table=table.present
+        )
+        return (*(("cell.room", body) for body in furniture), *own)
 
 
 class GantryCell(Section):
@@ -241,6 +272,11 @@ class GantryCell(Section):
     def _names_are_unique(self) -> GantryCell:
         require_unique_names(self.objects, "objects")
         return self
+
+    @property
+    def keyed_objects(self) -> tuple[tuple[str, RoomObject], ...]:
+        """All objects, each with its key."""
+        return keyed(self.objects)
 
 
 def _kind(value: Any) -> str:

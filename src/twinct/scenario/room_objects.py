@@ -103,6 +103,11 @@ class GroupClearance(Section):
     furniture: NonNegative = setting(0.0, "Objects of the group furniture.", unit="mm")
 
 
+def keyed(objects: Sequence[RoomObject]) -> tuple[tuple[str, RoomObject], ...]:
+    """Return the objects of a cell's section, each with its key."""
+    return tuple((f"cell.objects.{index}", body) for index, body in enumerate(objects))
+
+
 def require_unique_names(bodies: Sequence[Standing], key: str) -> None:
     """Raise ``ConflictError`` if two bodies of a list, such as zones, have the same name."""
     names = [body.name for body in bodies]

@@ -81,18 +81,19 @@ def _mesh_pieces(
     return MeshPieces(mesh, tuple(piece.convex_hull for piece in pieces))
 
 
-def beam_bodies(objects: Sequence[scenario.RoomObject]) -> tuple[BuiltPart, ...]:
+def beam_bodies(objects: Sequence[tuple[str, scenario.RoomObject]]) -> tuple[BuiltPart, ...]:
     """Return the objects that the beam sees, in the world, mm; overlaps count for the later one.
+
+    ``objects`` holds the key of each object, for messages.
 
     Raises:
         SpecimenError: a material is unknown, or a mesh file is unusable; one sentence for each.
     """
     problems: list[str] = []
     found: list[BuiltPart] = []
-    for index, body in enumerate(objects):
+    for key, body in objects:
         if body.material is None:
             continue
-        key = f"cell.objects.{index}"
         try:
             substance = material(body.material, origin=f"{key}.material")
             mesh = _surface(body, key)

@@ -8,9 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from twinct.geometry import Floats
+from twinct.robots.cell._mujoco import mujoco_module
 
 if TYPE_CHECKING:
     import mujoco
+
+FAR_M = 0.3
+"""Gap beyond which a body that stands still affects no plan."""
 
 
 def exclude_adjacent(spec: mujoco.MjSpec) -> None:
@@ -46,6 +50,41 @@ def non_adjacent_pairs(model: mujoco.MjModel) -> np.ndarray:
         if not same_piece and not excluded & {(first, second), (second, first)}:
             pairs.append((a, b))
     return np.array(pairs, dtype=np.int32).reshape(-1, 2)
+
+
+def near_pairs(
+    model: mujoco.MjModel, pairs: np.ndarray, lever: Floats, margins: Floats, prefix: str
+) -> np.ndarray:
+    """Return the pairs without those of a distant body, such as a wall, and a link.
+
+    A body is distant if its name has the prefix and every link stays ``FAR_M`` and the body's
+    margin away from it, wherever the joints stand.
+
+    Args:
+        model: the cell.
+        pairs: geom ids, (p, 2).
+        lever: bounds from ``levers``, m, (bodies, n).
+        margins: additional gap of each geom, m, (geoms,).
+        prefix: beginning of the names of bodies that may be left out.
+    """
+    mujoco = mujoco_module()
+    may_go = {b for b in range(model.nbody) if model.body(b).name.startswith(prefix)}
+    if not may_go:
+        return pairs
+    data, keep = mujoco.MjData(model), np.ones(len(pairs), bool)
+    mujoco.mj_kinematics(model, data)
+    for index, pair in enumerate(pairs.tolist()):
+        bodies = [int(model.geom_bodyid[geom]) for geom in pair]
+        of = next((k for k in (0, 1) if bodies[k] in may_go), None)
+        if of is None:
+            continue
+        standing, joints = pair[of], np.flatnonzero(lever[bodies[1 - of]])
+        turn = data.geom_xmat[standing].reshape(3, 3)
+        centre, half = np.split(model.geom_aabb[standing], 2)
+        local = (data.xanchor[joints[0]] - data.geom_xpos[standing]) @ turn - centre
+        away = float(np.linalg.norm(np.maximum(np.abs(local) - half, 0)))
+        keep[index] = away < lever[bodies[1 - of], joints[0]] + margins[standing] + FAR_M
+    return pairs[keep]
 
 
 def levers(model: mujoco.MjModel) -> Floats:

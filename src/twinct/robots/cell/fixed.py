@@ -16,14 +16,11 @@ from twinct.core.errors import ScenarioError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import MM_PER_M
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.robots.cell.scene import ARMS, CellModel
+from twinct.robots.cell.scene import ARMS, OVERLAP_MM, CellModel
 from twinct.robots.cell.standing import OBJECT, ZONE
 
 if TYPE_CHECKING:
     import mujoco
-
-OVERLAP_MM = 0.01
-"""Overlap above which two bodies do not merely touch."""
 
 SUNK_MM = 20.0
 """Depth to which a base may be set into the floor."""
@@ -137,10 +134,8 @@ def _told(cell: CellModel, body: int) -> Fixed:
         index = [one.name for one in cell.cell.zones].index(zone)
         return Fixed("zone", name, f"zone {quoted(zone)}", f"cell.zones.{index}", name)
     if name.startswith(OBJECT):
-        index = [f"{OBJECT}{one.name}" for one in cell.cell.objects].index(name)
-        one = cell.cell.objects[index]
-        told = f"object {quoted(one.name)}"
-        return Fixed("object", f"objects: {one.group}", told, f"cell.objects.{index}", name)
+        key, one = next(of for of in cell.cell.keyed_objects if f"{OBJECT}{of[1].name}" == name)
+        return Fixed("object", f"objects: {one.group}", f"object {quoted(one.name)}", key, name)
     told = {
         "specimen": ("specimen", "specimen", "the specimen", "specimen.position_mm"),
         "table": ("table", "table", "the table", "cell.table"),

@@ -145,8 +145,9 @@ def room_pictures(
     data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:] = (0.0, 0.0, -0.30)
-    camera.distance, camera.azimuth, camera.elevation = 2.8, 125.0, -16.0
+    wide = isinstance(cell_model, CellModel) and cell_model.cell.room == "operating"
+    camera.lookat[:], camera.distance = ((0, 0.1, -0.12), 4.6) if wide else ((0, 0, -0.30), 2.8)
+    camera.azimuth, camera.elevation = 125.0, -16.0
     if isinstance(cell_model, GantryModel):
         camera.lookat[:], camera.distance = model.stat.center, 1.6 * model.stat.extent
     option = mujoco.MjvOption()

@@ -13,10 +13,16 @@ from twinct.core.errors import ScenarioError
 from twinct.geometry import Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
-from twinct.robots.cell.collision_pairs import exclude_adjacent, levers, non_adjacent_pairs
+from twinct.robots.cell.collision_pairs import (
+    exclude_adjacent,
+    levers,
+    near_pairs,
+    non_adjacent_pairs,
+)
 from twinct.robots.cell.standing import (
     COLLISION_GROUP,
     MM,
+    OBJECT,
     VISUAL_GROUP,
     add_mesh,
     add_objects,
@@ -43,6 +49,15 @@ PANEL_COVER_MM = 4.0
 
 TOOLS_MM = 200.0
 """Length that the housings of source and panel add to the extent of a gantry's picture."""
+
+LYING_MM = 30.0
+"""Gap above the mattress of an operating room below which a specimen lies on it."""
+
+OVERLAP_MM = 0.01
+"""Overlap up to which two bodies merely touch."""
+
+OPERATING_LIGHTS = ((-0.30, 0.42, -1.0), (-0.8, 0.3, -0.5), (0.2, 0.9, -0.6))
+"""Directions of the lights between the walls of an operating room."""
 
 LARGEST_PICTURE = (3840, 2400)
 """Width and height in pixels for which MuJoCo allocates memory."""
@@ -128,7 +143,7 @@ def build_cell(
         MissingExtraError: MuJoCo, or a requested Menagerie, is not installed.
         ScenarioError: an arm or a dimension cannot be built.
     """
-    spec = _room(cell.floor_z_mm)
+    spec = _room(cell.floor_z_mm, cell.room)
     spec.option.timestep = cell.timestep_ms / 1000
     bottom_mm = _specimen(spec, specimen_mesh, world_from_specimen)
     _table(spec, cell, world_from_specimen, bottom_mm)
@@ -139,7 +154,7 @@ def build_cell(
         (_source_tool if side == "source" else _panel_tool)(tool, arm, panel)
         arms.append(loaded)
     add_zones(spec, cell.zones)
-    add_objects(spec, cell.objects)
+    add_objects(spec, cell.keyed_objects)
     names = _servos(spec, arms, cell)
     exclude_adjacent(spec)
     # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
@@ -171,7 +186,7 @@ def build_gantry(
     """
     spec = _room(cell.floor_z_mm)
     _specimen(spec, specimen_mesh, world_from_specimen)
-    add_objects(spec, cell.objects)
+    add_objects(spec, cell.keyed_objects)
     for side, arm, tool, pose in (
         ("source", SourceArm(), _source_tool, world_from_source),
         ("detector", DetectorArm(), _panel_tool, world_from_detector),
@@ -184,13 +199,18 @@ def build_gantry(
     return GantryModel(_compile(spec))
 
 
-def _room(floor_z_mm: float) -> mujoco.MjSpec:
+def _room(floor_z_mm: float, room: str = "plain") -> mujoco.MjSpec:
     """Return a model with floor, lights and all materials."""
-    room = files("twinct.robots.cell").joinpath("room.xml").read_text(encoding="utf-8")
-    spec = mujoco_module().MjSpec.from_string(room)
+    xml = files("twinct.robots.cell").joinpath("room.xml").read_text(encoding="utf-8")
+    spec = mujoco_module().MjSpec.from_string(xml)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
     floor = spec.worldbody.add_body(name="floor")
-    _box(floor, "floor", (0, 0, floor_z_mm - 50), (40_000, 40_000, 100), "floor")
+    material = "floor"
+    if room == "operating":  # its walls need light from the camera's side
+        material = "vinyl"
+        for light, towards in zip(spec.lights, OPERATING_LIGHTS, strict=True):
+            light.dir = towards
+    _box(floor, "floor", (0, 0, floor_z_mm - 50), (40_000, 40_000, 100), material)
     return spec
 
 
@@ -235,19 +255,12 @@ def _table(
     table = cell.table
     if not table.present:
         return
-    sx, sy, sz = table.size_mm
-    top, floor = table.top_z_mm, cell.floor_z_mm
-    if top - sz <= floor:
-        raise ScenarioError(
-            f"cell.table: its top plate, from {top - sz:g} to {top:g} mm, lies in the floor at "
-            f"cell.floor_z_mm = {floor:g} mm"
-        )
+    top = table.top_z_mm
     x, y = world_from_specimen.position[:2]
-    body = spec.worldbody.add_body(name="table")
-    _box(body, "table_top", (x, y, top - sz / 2), (sx, sy, sz), "tabletop")
-    column = (0.4 * sx, 0.35 * sy)
-    _box(body, "table_column", (x, y, (top - sz + floor) / 2), (*column, top - sz - floor), "steel")
-    _box(body, "table_foot", (x, y, floor + 25), (0.8 * sx, 0.7 * sy, 50), "pedestal")
+    if cell.room == "plain":
+        _plain_table(spec, cell, x, y)
+    elif bottom_mm is not None and bottom_mm < top + LYING_MM:
+        return  # it lies on the mattress; ``apart`` judges whether it reaches into it
     if bottom_mm is None:
         return
     if bottom_mm <= top:
@@ -261,6 +274,22 @@ def _table(
     foot = min(15.0, (bottom_mm - top) / 3)
     _rod(holder, "holder_rest", (x, y, bottom_mm - foot), (x, y, bottom_mm), 2 * radius, "post")
     _rod(holder, "holder_foot", (x, y, top), (x, y, top + foot), 2 * radius, "housing")
+
+
+def _plain_table(spec: mujoco.MjSpec, cell: Cell, x: float, y: float) -> None:
+    """Add a top plate, its column and its foot under a point."""
+    sx, sy, sz = cell.table.size_mm
+    top, floor = cell.table.top_z_mm, cell.floor_z_mm
+    if top - sz <= floor:
+        raise ScenarioError(
+            f"cell.table: its top plate, from {top - sz:g} to {top:g} mm, lies in the floor at "
+            f"cell.floor_z_mm = {floor:g} mm"
+        )
+    body = spec.worldbody.add_body(name="table")
+    _box(body, "table_top", (x, y, top - sz / 2), (sx, sy, sz), "tabletop")
+    column = (0.4 * sx, 0.35 * sy)
+    _box(body, "table_column", (x, y, (top - sz + floor) / 2), (*column, top - sz - floor), "steel")
+    _box(body, "table_foot", (x, y, floor + 25), (0.8 * sx, 0.7 * sy, 50), "pedestal")
 
 
 def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:
@@ -375,6 +404,7 @@ def _compiled(
         raise AssertionError("joints are not in the order source arm, detector arm")
     counts = [len(arm.joint_names) for arm in arms]
     _tune_servos(model)
+    lever, margins = levers(model), object_margins(model, cell)
     return CellModel(
         model=model,
         cell=cell,
@@ -388,10 +418,10 @@ def _compiled(
         speed_scales=np.repeat(
             [cell.source_arm.speed_scale, cell.detector_arm.speed_scale], counts
         ),
-        pairs=non_adjacent_pairs(model),
+        pairs=near_pairs(model, non_adjacent_pairs(model), lever, margins, OBJECT),
         homes=tuple(arm.home for arm in arms),
-        margins=object_margins(model, cell),
-        lever=levers(model),
+        margins=margins,
+        lever=lever,
         notes=tuple(
             f"{side} arm: {note}"
             for side, arm in zip(ARMS, arms, strict=True)

@@ -37,20 +37,20 @@ def add_zones(spec: mujoco.MjSpec, zones: Sequence[Zone]) -> None:
         body.add_geom(name=f"zone_{index}", **_primitive(zone.shape), **look)
 
 
-def add_objects(spec: mujoco.MjSpec, objects: Sequence[RoomObject]) -> None:
-    """Add each object as a body of its own.
+def add_objects(spec: mujoco.MjSpec, objects: Sequence[tuple[str, RoomObject]]) -> None:
+    """Add each object, with its key for messages, as a body of its own.
 
     Raises:
         SpecimenError: a mesh file is unusable.
     """
-    for index, one in enumerate(objects):
+    for index, (key, one) in enumerate(objects):
         body, name = _body(spec, one, OBJECT), f"object_{index}"
         look: dict[str, Any] = {"rgba": one.rgba, "group": VISUAL_GROUP}
         solid = {} if one.collides else _LOOK_ONLY
         if one.shape.kind != "mesh":
             body.add_geom(name=name, **_primitive(one.shape), **look, **solid)
             continue
-        pieces = mesh_pieces(one, f"cell.objects.{index}")
+        pieces = mesh_pieces(one, key)
         kind = mujoco_module().mjtGeom.mjGEOM_MESH
         add_mesh(spec, name, pieces.look)
         body.add_geom(name=name, type=kind, meshname=name, **look, **_LOOK_ONLY)
@@ -63,7 +63,7 @@ def add_objects(spec: mujoco.MjSpec, objects: Sequence[RoomObject]) -> None:
 def object_margins(model: mujoco.MjModel, cell: Cell) -> Floats:
     """Return the additional gap that the arms keep from each geom, m, (geoms,)."""
     margins = np.zeros(model.ngeom)
-    for one in cell.objects:
+    for _, one in cell.keyed_objects:
         body = model.body(f"{OBJECT}{one.name}").id
         wide = getattr(cell.group_clearance_mm, one.group)
         margins[model.geom_bodyid == body] = wide * MM
