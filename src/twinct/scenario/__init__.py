@@ -15,6 +15,7 @@ from twinct.scenario.cell import (
     Cell,
     DetectorArm,
     GantryCell,
+    Rail,
     SourceArm,
     Table,
 )
@@ -171,6 +172,7 @@ __all__ = [
     "PatientMotion",
     "PoseNoise",
     "QuantumNoise",
+    "Rail",
     "RandomBadPixels",
     "Readout",
     "SECTIONS",

@@ -24,8 +24,8 @@ from twinct.core.settings import (
     facts,
     setting,
 )
-from twinct.scenario.operating_room import LEAST_HEIGHT_MM, operating_room
 from twinct.scenario.room_objects import (
+    LEAST_HEIGHT_MM,
     GroupClearance,
     RoomObject,
     Zone,
@@ -39,6 +39,40 @@ ARMS = ("ur10e", "lbr_iiwa14")
 
 _OF_FILE = ("base", "flange", "link_density_kg_m3")
 """Keys that only an arm from a file has."""
+
+
+LONGEST_RAIL_MM = 3000.0
+"""Largest distance of the base from ``base_position_mm``."""
+
+
+class Rail(Section):
+    """A linear rail that carries the arm's base: on the floor, on a wall, or under the ceiling."""
+
+    range_mm: tuple[Coordinate, Coordinate] = Field(
+        description="Limits of the base's travel along the axis, from base_position_mm; at most "
+        f"{LONGEST_RAIL_MM:g} mm in either direction."
+    )
+    axis: Vector = setting((0.0, 1.0, 0.0), "Direction of the rail in the world.", unit="1")
+    speed_mm_s: Positive = setting(500.0, "Largest speed; speed_scale applies to it, too.")
+    force_n: Positive = setting(
+        2000.0,
+        "Largest force of the drive, which limits the acceleration; torque_scale applies to it.",
+        unit="N",
+    )
+    carriage_mass_kg: Positive = setting(60.0, "Mass of carriage and pillar.")
+
+    @model_validator(mode="after")
+    def _limits_and_direction(self) -> Rail:
+        low, high = self.range_mm
+        if not -LONGEST_RAIL_MM <= low < high <= LONGEST_RAIL_MM:
+            what = (
+                f"range_mm must rise from one limit to the other, within -{LONGEST_RAIL_MM:g} and "
+                f"{LONGEST_RAIL_MM:g} mm, but is [{low:g}, {high:g}]"
+            )
+            raise ConflictError(Conflict(what, ("range_mm",)))
+        if not any(self.axis):
+            raise ConflictError(Conflict("axis must have a length", ("axis",)))
+        return self
 
 
 class Arm(Section):
@@ -64,6 +98,10 @@ class Arm(Section):
         default=None,
         description="With file: the site, body or link at the tool flange, z pointing away from "
         "the arm; null: one of the usual names.",
+    )
+    rail: Annotated[Rail | None, ReadBy("plan")] = Field(
+        default=None,
+        description="Linear rail that carries the base: a seventh joint, which plans use.",
     )
     home: Annotated[tuple[Finite, ...] | None, ReadBy("plan")] = Field(
         default=None,
@@ -240,6 +278,8 @@ class Cell(Section):
         own = keyed(self.objects)
         if self.room == "plain":
             return own
+        from twinct.scenario.operating_room import operating_room  # few scenarios need it
+
         table = self.table
         furniture = operating_room(
             self.floor_z_mm, table.top_z_mm, table.size_mm, table=table.present

@@ -38,10 +38,6 @@ WALL, PANEL, DOOR, FREE = "#cfdad8", "#9dbab4", "#b3c0c3", "#3fae741c"
 Triple = tuple[float, float, float]
 
 
-LEAST_HEIGHT_MM = 450.0
-"""Smallest height of the mattress above the floor."""
-
-
 @cache
 def operating_room(
     floor_z_mm: float, top_z_mm: float, size_mm: Triple, *, table: bool

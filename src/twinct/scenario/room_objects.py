@@ -21,6 +21,9 @@ from twinct.geometry import Pose
 from twinct.scenario.composition import Composition
 from twinct.scenario.specimen import Box, Cylinder, MeshFile, Sphere
 
+LEAST_HEIGHT_MM = 450.0
+"""Smallest height of the plate of an operating table above the floor."""
+
 Group = Literal["patient", "staff", "furniture"]
 
 

@@ -10,10 +10,11 @@ from twinct.core.settings import Finite, Positive, setting
 from twinct.geometry import Panel, ScanGeometry
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, stops
+from twinct.trajectory.tilt import Tilted, tilted
 
 
-class HelixTrajectory(OrbitSettings):
-    """A helix about z: source and panel rise together."""
+class HelixTrajectory(OrbitSettings, Tilted):
+    """A helix about z: source and panel rise together; it may be tilted as a whole."""
 
     kind: Literal["helix"]
     turns: Positive = setting(2.0, "Turns about z.")
@@ -27,7 +28,7 @@ def _views(section: HelixTrajectory, panel: Panel) -> ScanGeometry:
     centres = np.zeros((section.views, 3))
     centres[:, 2] = section.pitch_mm * turn
     sources = on_sphere(angles, np.zeros_like(angles), section.sod_at(share)) + centres
-    return orbit_views(section, panel, sources, centres)
+    return orbit_views(section, panel, tilted(sources, section), tilted(centres, section))
 
 
 HELIX = Family(HelixTrajectory, _views)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from twinct.core.errors import ScenarioError
 from twinct.geometry import MM_PER_M, Chain, Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.robots.cell.scene import CellModel, build_cell
+from twinct.robots.cell.scene import ARMS, CellModel, build_cell
 from twinct.scenario import Cell
 
 
@@ -21,8 +22,19 @@ def nominal_chains(cell: Cell, panel: Panel) -> tuple[Chain, Chain]:
 
 
 def chains_of(built: CellModel) -> tuple[Chain, Chain]:
-    """Return the chains of source and detector arm of a compiled cell."""
+    """Return the chains of source and detector arm of a compiled cell.
+
+    Raises:
+        ScenarioError: an arm stands on a rail.
+    """
     mujoco, model = mujoco_module(), built.model
+    for side, arm in zip(ARMS, (built.cell.source_arm, built.cell.detector_arm), strict=True):
+        if arm.rail is not None:
+            raise ScenarioError(
+                f"cell.{side}_arm.rail: errors of arms, encoder steps, moving patients and "
+                "calibrated arms are modelled for arms without a rail only; leave out the rail, or "
+                "these keys of uncertainty"
+            )
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)

@@ -72,6 +72,7 @@ def near_pairs(
     if not may_go:
         return pairs
     data, keep = mujoco.MjData(model), np.ones(len(pairs), bool)
+    rail = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
     mujoco.mj_kinematics(model, data)
     for index, pair in enumerate(pairs.tolist()):
         bodies = [int(model.geom_bodyid[geom]) for geom in pair]
@@ -79,16 +80,25 @@ def near_pairs(
         if of is None:
             continue
         standing, joints = pair[of], np.flatnonzero(lever[bodies[1 - of]])
+        hinges = joints[~rail[joints]]
+        if not len(hinges):  # a carriage
+            continue
         turn = data.geom_xmat[standing].reshape(3, 3)
         centre, half = np.split(model.geom_aabb[standing], 2)
-        local = (data.xanchor[joints[0]] - data.geom_xpos[standing]) @ turn - centre
+        local = (data.xanchor[hinges[0]] - data.geom_xpos[standing]) @ turn - centre
         away = float(np.linalg.norm(np.maximum(np.abs(local) - half, 0)))
-        keep[index] = away < lever[bodies[1 - of], joints[0]] + margins[standing] + FAR_M
+        travel = float(np.abs(model.jnt_range[joints[rail[joints]]]).max(axis=1).sum())
+        reach = lever[bodies[1 - of], hinges[0]] + travel
+        keep[index] = away < reach + margins[standing] + FAR_M
     return pairs[keep]
 
 
 def levers(model: mujoco.MjModel) -> Floats:
-    """Return the lengths of the chain from each joint to each body, with the body's own size."""
+    """Return the lengths of the chain from each joint to each body, with the body's own size.
+
+    It is 1 for a rail, which moves each body by its own way.
+    """
+    rail = model.jnt_type == mujoco_module().mjtJoint.mjJNT_SLIDE
     size = np.zeros(model.nbody)
     for geom, body in enumerate(model.geom_bodyid):
         extent = model.geom_rbound[geom] + np.linalg.norm(model.geom_pos[geom])
@@ -98,7 +108,9 @@ def levers(model: mujoco.MjModel) -> Floats:
         length, link = size[body], body
         while link != 0:
             for j in np.flatnonzero(model.jnt_bodyid == link):
-                lever[body, j] = length + float(np.linalg.norm(model.jnt_pos[j]))
+                lever[body, j] = (
+                    1.0 if rail[j] else length + float(np.linalg.norm(model.jnt_pos[j]))
+                )
             length += float(np.linalg.norm(model.body_pos[link]))
             link = int(model.body_parentid[link])
     return lever

@@ -125,7 +125,7 @@ def _told(cell: CellModel, body: int) -> Fixed:
     name = _named(cell.model, body)
     for side, arm in zip(ARMS, (cell.cell.source_arm, cell.cell.detector_arm), strict=True):
         if name.startswith(f"{side}_"):
-            piece = "pillar" if name == f"{side}_pedestal" else "base"
+            piece = {"pedestal": "pillar", "track": "rail"}.get(name.partition("_")[2], "base")
             x, y, z = arm.base_position_mm
             key = f"cell.{side}_arm.base_position_mm = [{x:g}, {y:g}, {z:g}]"
             return Fixed("arm", side, f"the {side} arm's {piece}", key, name)

@@ -19,6 +19,7 @@ from twinct.robots.cell.collision_pairs import (
     near_pairs,
     non_adjacent_pairs,
 )
+from twinct.robots.cell.rails import add_rail, on_rail
 from twinct.robots.cell.standing import (
     COLLISION_GROUP,
     MM,
@@ -50,6 +51,9 @@ PANEL_COVER_MM = 4.0
 TOOLS_MM = 200.0
 """Length that the housings of source and panel add to the extent of a gantry's picture."""
 
+RAIL_MM = 120.0
+"""Depth of a rail with its carriage, below the base of an arm without a pillar."""
+
 LYING_MM = 30.0
 """Gap above the mattress of an operating room below which a specimen lies on it."""
 
@@ -67,8 +71,9 @@ LARGEST_PICTURE = (3840, 2400)
 class CellModel:
     """Compiled model of the cell, with the indices and limits of its parts.
 
-    Every joint is a hinge. Joints, actuators and all arrays are in the order source arm, then
-    detector arm, from base to flange.
+    Every joint is a hinge, except the first one of an arm on a rail, whose unit is m, not rad.
+    Joints, actuators and all arrays are in the order source arm, then detector arm, from base to
+    flange.
 
     Attributes:
         model: MuJoCo's model, metres.
@@ -85,8 +90,8 @@ class CellModel:
             (p, 2).
         homes: start of the path search for each arm, rad, or None if the scenario states none.
         margins: additional gap that arms keep from each geom, m, (geoms,), by its object's group.
-        lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n);
-            zero if the joint does not move the body.
+        lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n), 1
+            for a rail; zero if the joint does not move the body.
         notes: data of the arms that the scenario supplied in place of a file, in words.
     """
 
@@ -150,6 +155,8 @@ def build_cell(
     arms = []
     for side, arm in zip(ARMS, (cell.source_arm, cell.detector_arm), strict=True):
         loaded = load_arm(arm, f"cell.{side}_arm")
+        if arm.rail is not None:
+            loaded = on_rail(loaded, arm.rail)
         tool = _mount(spec, cell, side, arm, loaded).add_body(name=side)
         (_source_tool if side == "source" else _panel_tool)(tool, arm, panel)
         arms.append(loaded)
@@ -298,11 +305,17 @@ def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmMode
     if loaded.file_from_base is not None:
         world_from_file @= loaded.file_from_base.inverse()
     position, quat = world_from_file.to_metres()
-    frame = spec.worldbody.add_frame(pos=position, quat=np.roll(quat, 1))
-    spec.attach(loaded.spec, prefix=f"{side}_", frame=frame)
     x, y, z = arm.base_position_mm
     height = z - cell.floor_z_mm
-    if height > 60 and np.allclose(np.asarray(arm.base_rotation_deg[:2]) % 360, 0):  # upright
+    upright = np.allclose(np.asarray(arm.base_rotation_deg[:2]) % 360, 0)
+    carrier = spec.worldbody
+    if arm.rail is not None:
+        depth = height if upright and height > RAIL_MM else RAIL_MM
+        carrier = add_rail(spec, side, arm, arm.rail, depth)
+        position = position - np.array(arm.base_position_mm) * MM
+    frame = carrier.add_frame(pos=position, quat=np.roll(quat, 1))
+    spec.attach(loaded.spec, prefix=f"{side}_", frame=frame)
+    if arm.rail is None and height > 60 and upright:
         body = spec.worldbody.add_body(name=f"{side}_pedestal")
         _rod(body, f"{side}_pedestal", (x, y, z - height + 30), (x, y, z), 100, "pedestal")
         _box(body, f"{side}_footplate", (x, y, z - height + 15), (420, 420, 30), "pedestal")

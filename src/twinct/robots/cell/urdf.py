@@ -81,12 +81,17 @@ def _join(robot: Xml.Element, cell: CellModel, body: int, names: list[str]) -> N
         return _fix(robot, names[parent], names[body], parent_from_link, new=False)
     joint = int(model.body_jntadr[body])
     axis, zero = model.jnt_axis[joint], float(model.qpos0[joint])
-    back = scipy.spatial.transform.Rotation.from_rotvec(-zero * axis)
-    at_zero = Pose(np.zeros(3), back.as_quat())
+    slides = model.jnt_type[joint] == mujoco_module().mjtJoint.mjJNT_SLIDE
+    if slides:
+        at_zero = _pose(-zero * axis)
+    else:
+        back = scipy.spatial.transform.Rotation.from_rotvec(-zero * axis)
+        at_zero = Pose(np.zeros(3), back.as_quat())
     dof = int(model.jnt_dofadr[joint])
     low, high = model.jnt_range[joint].tolist()
     effort, velocity = cell.torque_limits[joint], cell.speed_limits[joint]
-    element = Xml.SubElement(robot, "joint", name=cell.joint_names[joint], type="revolute")
+    element = Xml.SubElement(robot, "joint", name=cell.joint_names[joint])
+    element.set("type", "prismatic" if slides else "revolute")
     _between(element, names[parent], names[body], parent_from_link @ at_zero)
     Xml.SubElement(element, "axis", xyz=_text(axis))
     limit = {"lower": low, "upper": high, "effort": effort, "velocity": velocity}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import CellModel, mujoco_module
+from twinct.robots.cell.rails import direction
 from twinct.scenario import InverseKinematics
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ D1, A2, A3, D4, D5, D6 = 0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655
 
 ROUNDING = 1e-9
 """Amount by which a sine or cosine may exceed 1, for an arm that is just stretched out."""
+
+RAIL_STEP_M = 0.2
+"""Spacing of the places of a carriage that are tried with the closed form."""
+
+RAIL_ASIDE = 4
+"""Number of such places on either side of a pose."""
 
 SEARCH_STARTS = 48
 """Random starts of the search for a pose of an arm without closed form."""
@@ -82,6 +89,7 @@ class Branches:
         self._ranges = cell.joint_ranges[self._part]
         section = (cell.cell.source_arm, cell.cell.detector_arm)[arm]
         self.closed_form = section.model == "ur10e"
+        self._rail = None if section.rail is None else direction(section.rail)
         mujoco.mj_kinematics(cell.model, self._data)
         base = self._data.body(f"{SIDES[arm]}_base") if self.closed_form else None
         if base is not None:
@@ -102,12 +110,41 @@ class Branches:
         poses[:, :3, 3] /= MM_PER_M
         if not self.closed_form:
             return self._searched(poses, starts)
+        if self._rail is None:
+            return self._closed(poses, self._ranges)
+        places = self._rail_places(poses, self._rail)
+        found = []
+        for place in places.T:
+            shifted = poses.copy()
+            shifted[:, :3, 3] -= place[:, None] * self._rail
+            there = self._closed(shifted, self._ranges[1:])
+            joints = np.column_stack([place[there.pose], there.joints])
+            found.append(Configurations(joints, there.pose))
+        pose = np.concatenate([of.pose for of in found])
+        order = np.argsort(pose, kind="stable")
+        return Configurations(np.vstack([of.joints for of in found])[order], pose[order])
+
+    def _closed(self, poses: Floats, ranges: Floats) -> Configurations:
+        """Return the closed form's results for poses in m, NaN for no pose."""
         base_from_flange = np.linalg.inv(self._world_from_base) @ poses @ self._tool_from_flange
         joints = ur10e(base_from_flange)
         with np.errstate(invalid="ignore"):
-            inside = (joints >= self._ranges[:, 0]) & (joints <= self._ranges[:, 1])
+            inside = (joints >= ranges[:, 0]) & (joints <= ranges[:, 1])
         pose, way = np.nonzero(inside.all(axis=2))
         return Configurations(joints[pose, way], pose)
+
+    def _rail_places(self, poses: Floats, axis: Floats) -> Floats:
+        """Return places of the carriage to try for each pose, m, (poses, k); NaN beyond the limits.
+
+        Some are the same for all poses, so that the carriage may stand still; the others follow the
+        poses along the rail, so that the arm may keep its shape.
+        """
+        low, high = self._ranges[0]
+        fixed = np.linspace(low, high, max(2, int(np.ceil((high - low) / RAIL_STEP_M)) + 1))
+        along = (poses[:, :3, 3] - self._world_from_base[:3, 3]) @ axis
+        following = along[:, None] + RAIL_STEP_M * np.arange(-RAIL_ASIDE, RAIL_ASIDE + 1)
+        following[(following < low) | (following > high)] = np.nan
+        return np.hstack([np.tile(fixed, (len(poses), 1)), following])
 
     def _searched(self, poses: Floats, starts: int) -> Configurations:
         low, high = np.maximum(self._ranges[:, 0], -np.pi), np.minimum(self._ranges[:, 1], np.pi)

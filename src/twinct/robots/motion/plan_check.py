@@ -11,6 +11,7 @@ from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel
+from twinct.robots.cell.rails import JOINT as RAIL_JOINT
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.path_search import kept_mm
@@ -145,9 +146,10 @@ def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
     problems = []
     if beyond.max() > 1e-9:
         worst = int(beyond.max(axis=0).argmax())
-        problems.append(
-            f"{cell.joint_names[worst]} goes {np.degrees(beyond.max()):.1f} deg beyond its range"
-        )
+        far, name = float(beyond[:, worst].max()), cell.joint_names[worst]
+        rails = [f"{side}_{RAIL_JOINT}" for side in SIDES]
+        told = f"{1000 * far:.1f} mm" if name in rails else f"{np.degrees(far):.1f} deg"
+        problems.append(f"{name} goes {told} beyond its range")
     shares = TimeLaw(cell, motion).shares(states)
     for what, share in shares.items():
         if share.max() > OVER:
