@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from twinct.link.topics import DIAGNOSTICS, HOME, ROBOTS, SCAN, TOPICS, XRAY
+from twinct.link.arm_server import NAME as ARMS
+from twinct.link.topics import DIAGNOSTICS, EXPOSE, HOME, ROBOTS, SCAN, TOPICS, XRAY
 
 pytestmark = pytest.mark.ros
 
@@ -17,7 +18,9 @@ SPEAKERS = {SCAN: "scan", ROBOTS: "robots", XRAY: "X-ray", DIAGNOSTICS.owner: "a
 def test_each_topic_has_its_row_with_type_and_speaker():
     rows = ROW.findall(PAGE)
     told = {name: (package, kind, speaker) for name, package, kind, speaker in rows}
-    assert told.pop(HOME) == ("std_srvs", "Trigger", "anybody")
+    for service in (HOME, EXPOSE):
+        assert told.pop(service) == ("std_srvs", "Trigger", "anybody")
+    assert told.pop(ARMS) == ("control_msgs", "FollowJointTrajectory", "anybody")
     assert told == {
         topic.name: (
             topic.kind.partition("/")[0],

@@ -11,6 +11,7 @@ from typing import Any
 
 import rclpy
 from rclpy.action.client import ActionClient
+from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, ShutdownException, TimeoutException
@@ -133,6 +134,30 @@ class Station:
     def action_client(self, action: Any, name: str) -> ActionClient:
         """Return a client of an action, whose callbacks run inside ``wait``."""
         return ActionClient(self._node, action, name)
+
+    def action_server(
+        self,
+        action: Any,
+        name: str,
+        execute: Callable[[Any], Any],
+        take: Callable[[Any], bool],
+    ) -> ActionServer:
+        """Serve an action, inside ``wait``.
+
+        Args:
+            action: type of the action.
+            name: its name.
+            execute: coroutine function that gets a goal's handle, and returns its result.
+            take: returns True if a goal is accepted; every cancelling is.
+        """
+        return ActionServer(
+            self._node,
+            action,
+            name,
+            execute,
+            goal_callback=lambda goal: GoalResponse.ACCEPT if take(goal) else GoalResponse.REJECT,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+        )
 
     def listen_to_all(
         self, topic: Topic, callback: Callable[[Any, Sender], None], *, depth: int = 100

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -19,6 +20,7 @@ from std_srvs.srv import Trigger
 from twinct.core.errors import MotionError
 from twinct.geometry.wire import JointSample, PosePairs, Reached, Target
 from twinct.link import messages
+from twinct.link.arm_server import ArmServer
 from twinct.link.joint_trajectory import PlanListener
 from twinct.link.messages import MalformedError
 from twinct.link.node import (
@@ -35,6 +37,7 @@ from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
     CLOCK,
     DESCRIPTION,
+    EXPOSE,
     HOME,
     JOINTS,
     REACHED,
@@ -44,7 +47,7 @@ from twinct.link.topics import (
     TARGET,
     VIEWS,
 )
-from twinct.robots.motion import MotionPlan
+from twinct.robots.motion import MotionPlan, PursuingSimulation
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
 
@@ -221,6 +224,10 @@ class RobotsNode:
         robots.on_joints = self._on_joints
         self._targets = station.listen_to_all(TARGET, self._on_target)
         station.serve(HOME, Trigger, self._on_home)
+        self._arms: ArmServer | None = None
+        if turns is None and isinstance(robots, PursuingSimulation):
+            self._arms = ArmServer(station, diagnostics, robots, self._advance)
+            station.serve(EXPOSE, Trigger, partial(self._on_expose, robots))
 
     def connected(self) -> bool:
         """Return True if the scan's rig and X-ray node are connected, or there is no scan."""
@@ -257,6 +264,7 @@ class RobotsNode:
         return self._members is not None and self._members.sent(SCAN, sender)
 
     def _admit(self, stamp: Stamp, target: Target, sender: Sender) -> None:
+        self._check_free()
         if self._turns is not None:
             self._turns.check(stamp, target)
         if self._members is not None and not self._of_scan(sender):
@@ -264,6 +272,10 @@ class RobotsNode:
                 "a scan is running, and only the scan may request its next view, not "
                 + self._station.name_of(TARGET.name, sender)
             )
+
+    def _check_free(self) -> None:
+        if self._arms is not None and self._arms.busy:
+            raise RefusedError("the arms follow a joint trajectory: wait for its end, or cancel it")
 
     def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:
         answer: Reached | RefusedError
@@ -320,6 +332,7 @@ class RobotsNode:
         try:
             if self._turns is not None:
                 raise RefusedError("a scan is running, and only the scan may move the arms")
+            self._check_free()
             reached = self._robots.home()
         except (MotionError, RefusedError) as refused:
             response.message = str(refused)
@@ -334,6 +347,25 @@ class RobotsNode:
             self._advance(reached.time_s)
             self._tell_state(reached)
             self._diagnostics.tell(response.message)
+        return response
+
+    def _on_expose(
+        self, robots: PursuingSimulation, _: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Take a view where the arms stand; the message is its stamp."""
+        try:
+            self._check_free()
+            reached = robots.stand()
+        except (MotionError, RefusedError) as refused:
+            response.message = str(refused)
+            values = {"arm": ", ".join(refused.arms), "reason": refused}
+            self._diagnostics.refuse(NO_STAMP, f"exposure refused: {refused}", values)
+            return response
+        stamp = Stamp.at(reached.middle_s)
+        self._advance(reached.time_s)
+        self._tell_view(stamp, reached)
+        self._answer(reached)
+        response.success, response.message = True, str(stamp)
         return response
 
     def _refuse(self, stamp: Stamp, message: PoseArray, sender: Sender, refused: Exception) -> None:

@@ -81,5 +81,5 @@ TF = Topic("/tf", "tf2_msgs/TFMessage", "", 0)
 KINDS = {str(topic): topic.kind for topic in (*TOPICS, TF)}
 """Type of the messages of each topic."""
 
-HOME = "/scan/home"
-"""Name of a service, ``std_srvs/Trigger``."""
+HOME, EXPOSE = "/scan/home", "/scan/expose"
+"""Names of services, ``std_srvs/Trigger``."""

@@ -320,10 +320,10 @@ class SimulationBuilder:
         if isinstance(scenario.cell, GantryCell):
             place = scenario.specimen.world_from_specimen
             return Gantry(scenario.cell, source, place, remember=lags, true_cell=self.true_cell)
-        from twinct.robots.motion import RobotSimulation
+        from twinct.robots.motion import PursuingSimulation
 
         plan = None if planned else self.plan
-        return RobotSimulation(
+        return PursuingSimulation(
             self.cell, scenario.motion, plan, self.shutter, self._roll_free, self.true_cell
         )
 

@@ -4,6 +4,7 @@ MuJoCo, mink and Ruckig are imported on first use, not together with this packag
 """
 
 from twinct.core.renamed import old_names
+from twinct.robots.motion.joint_goal import GoalError, JointGoal, goal_of
 from twinct.robots.motion.kinematics import IkResult, Kinematics
 from twinct.robots.motion.layers import speeds_of
 from twinct.robots.motion.limits import limiting
@@ -17,6 +18,7 @@ from twinct.robots.motion.plan_file import (
     plan_of_arrays,
     save_plan,
 )
+from twinct.robots.motion.pursuit import PursuingSimulation
 from twinct.robots.motion.roll import roll_free
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.simulation import RobotSimulation
@@ -26,15 +28,19 @@ from twinct.robots.motion.tour import moving_seconds, shortest_tour
 __all__ = [
     "LARGEST_PLAN_BYTES",
     "Asked",
+    "GoalError",
     "IkResult",
     "Kinematics",
     "MotionPlan",
     "RobotSimulation",
     "Shutter",
     "TimeLaw",
+    "JointGoal",
     "JointPath",
+    "PursuingSimulation",
     "checked_plan",
     "find_joint_path",
+    "goal_of",
     "load_plan",
     "moving_seconds",
     "plan_arrays",
