@@ -74,7 +74,7 @@ class FakeImager:
     def __init__(self, detector):
         self.shape = detector.rows, detector.columns
 
-    def expose(self, path, view=0, before=None):
+    def expose(self, path, view=0, before=None, *, time_s=0.0):
         geometry, world_from_object = path[0]
         _note("render", geometry.source[0].tolist())
         _wait_at_gate(view)

@@ -114,7 +114,7 @@ class Imager:
     def __init__(self, shape):
         self.image, self.views = np.zeros(shape, np.float32), []
 
-    def expose(self, path, view=0, before=None):
+    def expose(self, path, view=0, before=None, *, time_s=0.0):
         self.views.append(view)
         return self.image
 

@@ -28,7 +28,7 @@ SHORT = (
 class TinyImager:
     """An image that depends on every bit of the geometry."""
 
-    def expose(self, path, view=0, before=None):
+    def expose(self, path, view=0, before=None, *, time_s=0.0):
         del before
         geometry, _ = path[-1]
         seed = np.abs(geometry.source[0].view(np.int64)).tolist()

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from twinct.core.errors import InputError
 from twinct.geometry import Pose, VolumeGrid
+from twinct.recon.deformation import Deformation
 from twinct.specimen.breathing import (
     Breath,
     Chest,
     PhaseFields,
     Rhythm,
-    deformation,
     gated,
     require_smooth,
 )
@@ -69,7 +71,7 @@ def test_hysteresis_opens_a_loop():
 
 def test_a_displacement_has_its_inverse_and_a_fold_is_refused():
     pose = Pose.from_euler((3, 5, -20), (90, 0, 10))
-    moved = deformation(Chest(diaphragm_mm=25), Breath(0.45, 1.3, 0.1), pose)
+    moved = Deformation(partial(Chest(diaphragm_mm=25), breath=Breath(0.45, 1.3, 0.1)), pose)
     points = pose.apply(np.random.default_rng(1).uniform(BOUNDS[0], BOUNDS[1], (300, 3)))
     assert moved.to_reference(moved.from_reference(points)) == pytest.approx(points, abs=1e-4)
     assert require_smooth(Chest(), STATES, BOUNDS, "breathing") > 0.6
@@ -80,7 +82,7 @@ def test_a_displacement_has_its_inverse_and_a_fold_is_refused():
 def test_fields_of_phases_are_linear_in_phase_and_space():
     grid = VolumeGrid((5, 6, 7), 50.0, Pose.from_euler((10, 0, 0), (0, 0, 0)))
     vectors = np.random.default_rng(2).normal(0, 3, (4, 5, 6, 7, 3))
-    fields = PhaseFields(vectors, grid)
+    fields = PhaseFields(vectors, grid.affine)
     node = (grid.affine @ [2, 3, 1, 1])[None, :3]
     for phase, expected in (
         (0.25, vectors[1, 1, 3, 2]),
@@ -92,7 +94,7 @@ def test_fields_of_phases_are_linear_in_phase_and_space():
     mean = (vectors[0, 1, 3, 2] + vectors[0, 1, 3, 3]) / 2
     assert fields(between, Breath(0.0))[0] == pytest.approx(mean)
     with pytest.raises(InputError, match="folds"):
-        require_smooth(PhaseFields(vectors * 40, grid), STATES, BOUNDS, "phases.nii")
+        require_smooth(PhaseFields(vectors * 40, grid.affine), STATES, BOUNDS, "phases.nii")
 
 
 def test_a_gate_takes_the_views_of_its_phases():

@@ -57,3 +57,25 @@ def test_both_links_give_the_same_images_of_a_patient_with_a_rod(
     local = simulate(load_scenario(scan)).transmission
     assert local.min() < 0.3
     assert np.array_equal(local, remote)
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+@pytest.mark.usefixtures("without_gvxr")
+def test_both_links_give_the_same_images_of_a_patient_who_breathes(
+    scan: Path, tmp_path: Path
+) -> None:
+    keys = yaml.safe_load(scan.read_text(encoding="utf-8"))
+    chest = {"dome_mm": [0, 5, 0], "reach_mm": [40, 40], "half_axes_mm": [30, 30]}
+    chest |= {"diaphragm_mm": 4, "front_mm": 0, "period_s": 3.1, "irregularity": 0.2}
+    keys["specimen"]["motion"] = {"kind": "breathing", **chest}
+    keys["source"] = {"exposure_ms": 40, "motion_samples": 2}
+    scan.write_text(yaml.safe_dump(keys), encoding="utf-8")
+    out = tmp_path / "out"
+    done = twinct("run", scan, "--out", out, "--link", "ros2")
+    assert done.returncode == 0, done.stderr
+    remote = ScanStore(out / "scan.zarr").read()
+    local = simulate(load_scenario(scan)).transmission
+    assert np.array_equal(local, remote.transmission)
+    still = simulate(load_scenario(scan, {"specimen.motion": None})).transmission
+    assert np.abs(still - local).max() > 0.01

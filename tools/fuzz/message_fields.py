@@ -419,7 +419,9 @@ def _refused(station: _Station) -> str:
 class _Imager:
     """Imager that checks the poses and returns random images."""
 
-    def expose(self, path: Sequence[Any], view: int = 0, before: Any = None) -> NDArray[np.float32]:
+    def expose(
+        self, path: Sequence[Any], view: int = 0, before: Any = None, *, time_s: float = 0.0
+    ) -> NDArray[np.float32]:
         for geometry, specimen in (*path, *([before] if before else [])):
             _finite(geometry.source, geometry.detector, geometry.u, geometry.v, specimen.matrix)
         return view_rng(0, "noise", view).random(path[0][0].panel.shape, dtype=np.float32)

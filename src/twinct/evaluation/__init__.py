@@ -19,7 +19,7 @@ from twinct.evaluation.figure_kind import (
 )
 from twinct.evaluation.figure_kinds import figure_kinds
 from twinct.evaluation.image import ImageFigures, ImageReference, image_figures
-from twinct.evaluation.image_words import IMAGE_FIGURES
+from twinct.evaluation.image_words import IMAGE_FIGURES, MOTION_FIGURES
 from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
 from twinct.evaluation.observer import detectability
@@ -85,4 +85,5 @@ __all__ = [
     "RoundBody",
     "figure_kinds",
     "IMAGE_FIGURES",
+    "MOTION_FIGURES",
 ]

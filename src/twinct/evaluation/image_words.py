@@ -9,6 +9,7 @@ _WINDOWS = "3-D, windows of 7³ voxels inside the region; 1 is best"
 _NEAR = "of windows centred within 3 mm of {0}"
 _EDGES = "10 to 90 % across edges of {0}, median"
 _DEPTH = "of μ({0}), by the distance to the region's border"
+_MOVING = "of μ({0}), over the voxels of the region that breathing moves by 2 mm or more"
 _SIGNAL = "of the truth's: slope of the volume over the truth, in the region"
 
 IMAGE_FIGURES = (
@@ -109,3 +110,16 @@ IMAGE_FIGURES = (
     ),
 )
 """Figures of every run; those near the object come first, as most of a region may be air."""
+
+MOTION_FIGURES = (
+    percent(
+        "rmse_moving_rel",
+        "RMSE where it moves",
+        _MOVING,
+        "lower",
+        1,
+        good="close to that of a patient at rest",
+        without_signal="worse",
+    ),
+)
+"""Image figures of a patient who moves."""

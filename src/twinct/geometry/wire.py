@@ -129,6 +129,11 @@ class Reached:
         return self.time_s - self.since_middle_s
 
     @property
+    def stamp_s(self) -> float:
+        """``middle_s`` in whole nanoseconds, as messages state it."""
+        return round(self.middle_s * 1e9) / 1e9
+
+    @property
     def clearance_in_words(self) -> str:
         """Clearance as text for log messages."""
         unknown = math.isnan(self.clearance_mm)

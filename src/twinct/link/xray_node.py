@@ -56,6 +56,8 @@ class XRay(Protocol):
         path: Sequence[tuple[ScanGeometry, Pose]],
         view: int = 0,
         before: tuple[ScanGeometry, Pose] | None = None,
+        *,
+        time_s: float = 0.0,
     ) -> NDArray[np.float32]:
         """Return the transmission of one view."""
         ...
@@ -132,10 +134,12 @@ class _AsPlanned:
         path: Sequence[tuple[ScanGeometry, Pose]],
         view: int = 0,
         before: tuple[ScanGeometry, Pose] | None = None,
+        *,
+        time_s: float = 0.0,
     ) -> NDArray[np.float32]:
         if self._imager is None:
             raise RefusedError("the plan of the scan has not arrived")
-        return self._imager.expose(path, view, before)
+        return self._imager.expose(path, view, before, time_s=time_s)
 
     def close(self) -> None:
         if self._imager is not None:
@@ -266,7 +270,7 @@ class XRayNode:
         if index < 0:
             raise MalformedError(f"header.stamp {stamp} is negative")
         try:
-            image = self._imager.expose(path, index, last)
+            image = self._imager.expose(path, index, last, time_s=stamp.time_s)
         except TwinctError as error:  # such as a source inside the specimen
             raise RefusedError(str(error)) from None
         answer = [

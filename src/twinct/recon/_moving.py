@@ -16,7 +16,7 @@ OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
 
 
 @njit(**OPTIONS)
-def _place(shifts, step, k, j, i, nz, ny, nx):
+def place(shifts, step, k, j, i, nz, ny, nx):
     """Return the place that voxel (k, j, i) reads, in voxels (z, y, x), within the grid."""
     c, b, a = k / step, j / step, i / step
     c0 = min(int(c), shifts.shape[0] - 2)
@@ -46,7 +46,7 @@ def add_pulled(x, shifts, step, floor, out):
     for k in prange(nz):
         for j in range(ny):
             for i in range(nx):
-                w, v, u = _place(shifts, step, k, j, i, nz, ny, nx)
+                w, v, u = place(shifts, step, k, j, i, nz, ny, nx)
                 c, b, a = min(int(w), nz - 2), min(int(v), ny - 2), min(int(u), nx - 2)
                 w, v, u = w - c, v - b, u - a
                 low = x[c, b, a] * (1 - u) + x[c, b, a + 1] * u
@@ -77,7 +77,7 @@ def add_pushed(y, shifts, step, layers, out):
                         value = y[k, j, i]
                         if value == 0:
                             continue
-                        w, v, u = _place(shifts, step, k, j, i, nz, ny, nx)
+                        w, v, u = place(shifts, step, k, j, i, nz, ny, nx)
                         c, b, a = min(int(w), nz - 2), min(int(v), ny - 2), min(int(u), nx - 2)
                         w, v, u = w - c, v - b, u - a
                         out[c, b, a] += value * (1 - w) * (1 - v) * (1 - u)

@@ -15,9 +15,11 @@ Displacement = Callable[[Floats], Floats]
 
 STEP_MM = 0.5
 """Step of the differences that give a displacement's derivatives."""
-PRECISION_MM = 1e-6
+PRECISION_MM = 1e-5
 MOST_STEPS = 60
 """Accuracy of an inverse, and the largest number of its steps."""
+STEPS_A_SLOPE = 6
+"""Steps of an inverse with the same derivatives."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,24 +49,54 @@ class Deformation:
         return self.world_from_body.apply(inverse(self.displacement, local))
 
 
+@dataclass(frozen=True, eq=False)
+class Between:
+    """A body at one instant, as seen from another of its states, which a volume holds.
+
+    Attributes:
+        now: deformation at the instant, from the reference state.
+        held: deformation of the state that the volume holds.
+    """
+
+    now: Deformation
+    held: Deformation
+
+    def from_reference(self, points: Floats) -> Floats:
+        """Return the place at the instant of material at points (n, 3) of the volume, mm."""
+        return self.now.from_reference(self.held.to_reference(points))
+
+    def to_reference(self, points: Floats) -> Floats:
+        """Return the points of the volume where the material at ``points`` (n, 3) is, mm.
+
+        Raises:
+            InputError: as in ``Deformation``.
+        """
+        return self.held.from_reference(self.now.to_reference(points))
+
+
 def inverse(displacement: Displacement, points: Floats) -> Floats:
     """Return p with p + displacement(p) = points, (n, 3), by Newton's method.
+
+    A point keeps its derivatives for ``STEPS_A_SLOPE`` steps, since they cost six displacements.
 
     Raises:
         InputError: it does not converge.
     """
     found = points - displacement(points)
-    for _ in range(MOST_STEPS):
-        rest = found + displacement(found) - points
-        if np.abs(rest).max(initial=0.0) < PRECISION_MM:
+    left, rest = np.arange(len(points)), np.zeros((0, 3))
+    slopes = np.zeros((0, 3, 3))
+    for step in range(MOST_STEPS):
+        rest = found[left] + displacement(found[left]) - points[left]
+        moving = ~(np.abs(rest).max(axis=1) < PRECISION_MM)
+        left, rest = left[moving], rest[moving]
+        if not len(left):
             return found
-        moving = np.abs(rest).max(axis=1) >= PRECISION_MM
-        slopes = jacobians(displacement, found[moving])
-        found[moving] -= np.linalg.solve(slopes, rest[moving][:, :, None])[:, :, 0]
-    rest = found + displacement(found) - points
+        fresh = step % STEPS_A_SLOPE == 0
+        slopes = jacobians(displacement, found[left]) if fresh else slopes[moving]
+        found[left] -= np.linalg.solve(slopes, rest[:, :, None])[:, :, 0]
     worst = int(np.abs(rest).max(axis=1).argmax())
     raise InputError(
-        f"the displacement has no inverse near {_told(points[worst])} mm: after "
+        f"the displacement has no inverse near {_told(points[left[worst]])} mm: after "
         f"{MOST_STEPS} steps {np.abs(rest[worst]).max():.3g} mm are left"
     )
 

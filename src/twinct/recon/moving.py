@@ -12,26 +12,37 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from importlib import import_module
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.recon.deformation import Deformation
 from twinct.recon.engine import Singles
 from twinct.recon.projector import LOWEST, Projector, readable, writable
 
 MAP_VOXELS = 8
 """Voxels between the nodes of a map."""
-COARSEST_MM = 8.0
+COARSEST_MM = 10.0
 """Largest distance of the nodes: displacements of breathing are smooth over a few cm."""
 
 Direction = Literal["to_reference", "from_reference"]
 
 
-class _Map(NamedTuple):
+class Deforming(Protocol):
+    """A body in one view, of which a volume holds the reference state."""
+
+    def from_reference(self, points: Floats) -> Floats:
+        """Return the place of material that was at points (n, 3) of the world, mm."""
+        ...
+
+    def to_reference(self, points: Floats) -> Floats:
+        """Return the points of the world where the material at ``points`` (n, 3) was, mm."""
+        ...
+
+
+class Map(NamedTuple):
     """Shifts of the places that voxels read, (z, y, x, 3), in voxels; voxels between the nodes."""
 
     shifts: Singles
@@ -46,17 +57,17 @@ class _Map(NamedTuple):
 class Moved:
     """A deformation on a grid: reads volumes of the reference state, and the reverse."""
 
-    def __init__(self, deformation: Deformation, grid: VolumeGrid) -> None:
+    def __init__(self, deformation: Deforming, grid: VolumeGrid) -> None:
         """Take the deformation; its maps are computed at their first use."""
         self.deformation, self.grid = deformation, grid
 
     @cached_property
-    def _to(self) -> _Map:
-        return _map(self.deformation, self.grid, "to_reference")
+    def _to(self) -> Map:
+        return map_of(self.deformation, self.grid, "to_reference")
 
     @cached_property
-    def _from(self) -> _Map:
-        return _map(self.deformation, self.grid, "from_reference")
+    def _from(self) -> Map:
+        return map_of(self.deformation, self.grid, "from_reference")
 
     def add_deformed(self, x: Singles, out: Singles, floor: float = LOWEST) -> None:
         """Add the deformed body of a volume ``x`` of the reference state to ``out``."""
@@ -79,8 +90,11 @@ def _kernels() -> Any:
     return import_module("twinct.recon._moving")
 
 
-def _map(deformation: Deformation, grid: VolumeGrid, direction: Direction) -> _Map:
-    step = max(1, min(MAP_VOXELS, int(COARSEST_MM / grid.voxel.max())))
+def map_of(
+    deformation: Deforming, grid: VolumeGrid, direction: Direction, step: int | None = None
+) -> Map:
+    """Return the map of a deformation on a grid; ``step``: voxels between its nodes."""
+    step = step or max(1, min(MAP_VOXELS, int(COARSEST_MM / grid.voxel.max())))
     counts = [max(2, -(-(n - 1) // step) + 1) for n in grid.shape]
     nodes = np.indices(counts).reshape(3, -1)[::-1].T
     index = (step * nodes).astype(np.float64)
@@ -89,7 +103,7 @@ def _map(deformation: Deformation, grid: VolumeGrid, direction: Direction) -> _M
     places: Floats = getattr(deformation, direction)(points)
     back = np.linalg.inv(affine[:3, :3]).astype(np.float64)
     shifts = ((places - points) @ back.T).astype(np.float32)
-    return _Map(shifts.reshape(*counts, 3), step)
+    return Map(shifts.reshape(*counts, 3), step)
 
 
 class MovingProjector(Projector):
@@ -105,7 +119,7 @@ class MovingProjector(Projector):
         self,
         geometry: ScanGeometry,
         grid: VolumeGrid,
-        motion: Sequence[Deformation],
+        motion: Sequence[Deforming],
         engine: str | None = None,
     ) -> None:
         """Take one deformation for each view; views that share one are computed together.
@@ -119,7 +133,7 @@ class MovingProjector(Projector):
                 f"there are {len(motion)} deformations for {len(geometry)} views; each view needs "
                 "one"
             )
-        self.motion: tuple[Deformation, ...] = tuple(motion)
+        self.motion: tuple[Deforming, ...] = tuple(motion)
         self._moved = {id(one): Moved(one, grid) for one in self.motion}
 
     def _groups(self) -> list[tuple[Moved, list[int]]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from twinct.core.files.writing import write_text
-from twinct.evaluation import IMAGE_FIGURES
+from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES
 from twinct.report.data import CrossSection
 from twinct.report.measured import nested, reasons
 from twinct.report.page import stage_title
@@ -161,6 +161,8 @@ def _row(
 def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
     materials = "/".join(dict.fromkeys(one.reference for one in compared))
     alike = [one.truth == compared[0].truth for one in compared]
+    moves = any(one.scenario.specimen.motion for one in compared)
+    figures = (*IMAGE_FIGURES, *(MOTION_FIGURES if moves else ()))
     return [
         _row(
             shown.title,
@@ -170,7 +172,7 @@ def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
             f"{shown.meaning}; good: {shown.good}",
             alike,
         )
-        for shown in (one.relative_to(materials) for one in IMAGE_FIGURES)
+        for shown in (one.relative_to(materials) for one in figures)
     ]
 
 

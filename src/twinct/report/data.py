@@ -71,6 +71,7 @@ class ReportData:
         room_png: picture of the robot cell, or None.
         others: further reconstructions.
         mas: tube load of each view, (views,), mAs; None: the scenario's for all.
+        motion: the patient's motion in words; empty if nothing moves.
         nearest: the two bodies that come closest to each other in the plan; empty if unknown.
     """
 
@@ -89,6 +90,7 @@ class ReportData:
     nearest: tuple[str, ...] = ()
     others: Sequence[Another] = ()
     mas: Floats | None = None
+    motion: str = ""
 
 
 PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from twinct.evaluation import IMAGE_FIGURES, Figure, figure_kinds
+from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES, Figure, figure_kinds
 from twinct.evaluation.figure import Best
 from twinct.report.page import stage_title
 
@@ -49,7 +49,8 @@ def _of_image(parts: list[str]) -> Figure | None:
     kind = figure_kinds().get(parts[0]) if len(parts) == 3 else None
     if one := next((one for one in kind.figures if one.key == parts[2]), None) if kind else None:
         return replace(one, title=f"{one.title}, {parts[1].replace('_', ' ')}")
-    return next((one for one in IMAGE_FIGURES if one.key == ".".join(parts)), None)
+    known = (*IMAGE_FIGURES, *MOTION_FIGURES)
+    return next((one for one in known if one.key == ".".join(parts)), None)
 
 
 def _of_run(parts: list[str]) -> Figure:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twinct.core.files.writing import write_text
-from twinct.evaluation import DEPTHS_MM, IMAGE_FIGURES, pose_errors
+from twinct.evaluation import DEPTHS_MM, IMAGE_FIGURES, MOTION_FIGURES, pose_errors
 from twinct.report.algorithm_results import with_found
 from twinct.report.data import ReportData
 from twinct.report.measured import (
@@ -73,7 +73,11 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     speeds = metrics.get("tool_speed_mm_s", {}).values()
     fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
     cell, columns = scenario.cell, _columns(report)
-    beside, shown = _beside(report), [f.relative_to(report.reference) for f in IMAGE_FIGURES]
+    moves = MOTION_FIGURES if scenario.specimen.motion else ()
+    beside, shown = (
+        _beside(report),
+        [f.relative_to(report.reference) for f in (*IMAGE_FIGURES, *moves)],
+    )
     return rendered(
         "report.html",
         fastest_mm_s=fastest_mm_s,
@@ -202,6 +206,7 @@ def _setting(report: ReportData) -> dict[str, str]:
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
     return {
         "Specimen": ", ".join(f"{p.label} ({_made_of(p)})" for p in scenario.specimen.parts),
+        **({"Motion": report.motion} if report.motion else {}),
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),

@@ -16,6 +16,7 @@ from twinct.report import Compared, Comparison, CrossSection, plain, with_found
 from twinct.report.same_planes import Plane, layer_of, planes_through, section_at
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, finished_run
+from twinct.runs.known_motion import as_reconstructed, phase_of_truth
 from twinct.runs.reconstruction_folder import Reconstruction, check_files
 from twinct.scan import SimulationBuilder
 from twinct.scenario import SECTIONS, Scenario, specimen_digest
@@ -43,10 +44,11 @@ def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Compari
     compared: list[Compared] = []
     with audience_of(observers) as audience, audience.stage("slices", len(found)) as step:
         for entry, label in zip(found, labels, strict=True):
-            truth = specimen_digest(entry.scenario)
-            if truth not in specimens:
-                specimens[truth] = SimulationBuilder(entry.scenario).specimen
-            compared.append(_compared(entry, label, specimens[truth], planes, truth))
+            bodies = specimen_digest(entry.scenario)
+            if bodies not in specimens:
+                specimens[bodies] = SimulationBuilder(entry.scenario).specimen
+            truth = bodies + phase_of_truth(entry.scenario)
+            compared.append(_compared(entry, label, specimens[bodies], planes, truth))
             step()
     return Comparison(tuple(compared))
 
@@ -127,6 +129,7 @@ def _compared(
     energy = effective_energy_kev(scenario.source, scenario.detector)
     scan, grid = run.scan, scenario.reconstruction.volume_grid
     stands = scan.stands
+    specimen = as_reconstructed(specimen, scenario)
     if not planes:
 
         def hit(layer: VolumeGrid) -> bool:

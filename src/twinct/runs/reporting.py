@@ -35,6 +35,7 @@ from twinct.report import (
     write_report,
 )
 from twinct.runs.folder import Folder, as_yaml
+from twinct.runs.known_motion import as_reconstructed, motion_in_words, moving_figures
 from twinct.runs.reconstruction_folder import Reconstruction, kept_reconstructions
 from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
@@ -64,8 +65,9 @@ def judge(
         "edge_width_mm": truth.edges.width(array),
         "rmse_rel_by_depth": rmse_by_depth(array, truth.volume, truth.region, truth.depth, mu),
     }
+    further |= moving_figures(scan, array, truth.volume, truth.region, mu, grid)
     if scenario.evaluation is not None:
-        built = specimen or build_specimen(scenario.specimen)
+        built = as_reconstructed(specimen or build_specimen(scenario.specimen), scenario)
         further |= Places(scenario, built, scan.stands, grid).figures(
             array, truth.volume, mu, figures.signal_rel, truth.mu_water
         )
@@ -233,6 +235,7 @@ def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> Re
         room_png=_room(builder),
         nearest=plan.nearest[int(plan.clearance_mm.argmin())] if plan else (),
         mas=scan.mas,
+        motion=motion_in_words(scenario, scan.middle_s) if scenario.specimen.motion else "",
     )
 
 

@@ -28,6 +28,7 @@ from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.geometry.arrays import lock
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
+from twinct.runs.known_motion import as_reconstructed
 from twinct.scan import Scan, SimulationBuilder
 from twinct.specimen import BuiltSpecimen, GreyPart, material
 
@@ -111,7 +112,8 @@ def truth_of(
     """
     from twinct.xray.build import effective_energy_kev
 
-    scenario, specimen = scan.scenario, builder.specimen
+    scenario = scan.scenario
+    specimen = as_reconstructed(builder.specimen, scenario)
     grid = grid or scenario.reconstruction.volume_grid
     energy = effective_energy_kev(scenario.source, scenario.detector)
     executed = scan.relative.geometry(scenario.detector.panel)

@@ -42,6 +42,7 @@ from twinct.recon.surroundings import (
 from twinct.recon.volume import Volume
 from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
+from twinct.runs.known_motion import gated_scan, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
 from twinct.scan import Scan, line_integrals
 from twinct.scenario import (
@@ -156,12 +157,13 @@ def _reconstruct(
     watch: Callable[[int, float], None] | None,
     audience: Audience,
 ) -> Volume:
-    scenario = scan.scenario
-    section = scenario.reconstruction
+    scenario, section = scan.scenario, scan.scenario.reconstruction
     which = "given" if isinstance(geometry, ScanGeometry) else geometry or section.geometries[0]
     pixels = _good_pixels(scan, algorithm, mask)
     poses = geometry if isinstance(geometry, ScanGeometry) else _poses(scan, which)
     _require_fit(scan, poses)
+    if (views := views_that_count(scenario, scan.middle_s)) is not None:
+        scan, poses, pixels = gated_scan(scan, poses, pixels, views)
     grid = section.volume_grid
     kept = _Checkpoints(None, "")
     if checkpoints is not None and algorithm.resumes:
@@ -176,7 +178,7 @@ def _reconstruct(
         finished = _counted(Volume(x0, grid), section, done)
         if section.metal is None:
             return finished
-    A = Projector(poses, grid)
+    A = projector_of(scan, poses, grid)
     integrals, metal = _corrected(scan, A, algorithm, pixels, audience)
     if finished is not None and metal:
         return metal.put_back(finished)

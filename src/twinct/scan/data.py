@@ -153,6 +153,13 @@ class Scan:
         return seen_from(self.stands, self.executed_object, self.executed)
 
     @property
+    def middle_s(self) -> NDArray[np.float64]:
+        """Simulated time of each view at the middle of its exposure, (views,), to a time step."""
+        source, arms = self.scenario.source, self.scenario.cell.kind == "arms"
+        late = source.exposure_ms / 2000 if arms and source.motion_samples > 1 else 0.0
+        return self.simulated_s - late
+
+    @property
     def exposures_rel(self) -> NDArray[np.float64] | None:
         """Tube load of each view, relative to ``source.mas``, (views,); None if all are 1."""
         return None if self.mas is None else self.mas / self.scenario.source.mas

@@ -82,7 +82,7 @@ class LocalRig:
         reached = self._reached[1]
         path = [instant.placed(self._panel) for instant in reached.path]
         before = reached.before.placed(self._panel) if reached.before else None
-        return self.imager.expose(path, view, before)
+        return self.imager.expose(path, view, before, time_s=reached.stamp_s)
 
     def listen(self, tell: Callable[[JointSample], None]) -> None:
         """See ``Rig.listen``."""

@@ -8,6 +8,7 @@ from twinct.recon.objectives.metal_paths import MetalGoal
 from twinct.recon.objectives.motion_time import MovingGoal
 from twinct.recon.objectives.variance import KnownGoal
 from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
+from twinct.scenario.breathing import Breathing, Fields, KnownMotion
 from twinct.scenario.catalogue import scenario_names
 from twinct.scenario.cell import (
     AnyCell,
@@ -219,4 +220,7 @@ __all__ = [
     "with_files_in",
     "with_paths",
     "write_scenario",
+    "Breathing",
+    "Fields",
+    "KnownMotion",
 ]

@@ -14,6 +14,7 @@ from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.scenario.beam_hardening import BeamHardening
+from twinct.scenario.breathing import KnownMotion
 from twinct.scenario.metal import Metal
 
 log = logging.getLogger(__name__)
@@ -108,6 +109,9 @@ class Reconstruction(Section):
         None, "Correction of line integrals before reconstruction."
     )
     metal: Metal | None = setting(None, "Treatment of rays through metal.")
+    motion: KnownMotion | None = setting(
+        None, "Known motion of the patient (specimen.motion); null: it is ignored."
+    )
     geometry: GeometryName | tuple[GeometryName, ...] = setting(
         "believed",
         "Geometry to reconstruct from: commanded, executed, believed, or the name of a geometry "
@@ -178,6 +182,8 @@ class Reconstruction(Section):
         words += [_in_words(key, getattr(self, key)) for key in own_keys(type(self))]
         if self.beam_hardening:
             words.append(f"beam hardening of {self.beam_hardening.kind.replace('_', ' ')}")
+        if self.motion:
+            words.append(_motion_in_words(self.motion))
         if self.surroundings:
             words.append(f"surroundings of {self.surroundings.margin_mm:g} mm removed")
         if self.zoom:
@@ -207,6 +213,17 @@ def _in_words(key: str, value: Any) -> str:
     if isinstance(value, Path):
         return f"{name} {value.name}"
     return f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+
+
+def _motion_in_words(section: KnownMotion) -> str:
+    words = "motion compensated" if section.compensate else "motion ignored"
+    if section.compensate and section.amplitude_rel != 1:
+        words += f" with {section.amplitude_rel:g} of its amplitude"
+    if section.compensate and section.delay_s:
+        words += f" {section.delay_s:g} s late"
+    if section.gate is not None:
+        words += " in phases {:g} to {:g}".format(*section.gate)
+    return f"{words} at phase {section.phase:g}" if section.phase else words
 
 
 def own_keys(section: type[Section]) -> list[str]:

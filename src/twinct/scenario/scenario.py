@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 from pydantic import Field, model_validator
 
 from twinct.core.settings import FILE_KEYS, Conflict, ConflictError, ReadBy, Section, setting
+from twinct.scenario.breathing import motion_conflicts
 from twinct.scenario.cell import AnyCell, Cell, GantryCell
 from twinct.scenario.detector import Detector
 from twinct.scenario.evaluation import Evaluation
@@ -106,6 +107,7 @@ class Scenario(Section):
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
             *(self._arms_to_err(), self._time_of_a_frame()),
+            *self._motion(),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
             *(self.task.conflicts(self.specimen) if self.task else ()),
         )
@@ -187,6 +189,16 @@ class Scenario(Section):
             f"{' and '.join(keys)}: a gantry has no arms; uncertainty.views applies to any machine"
         )
         return Conflict(what, (*keys, "uncertainty.preset", "cell.kind"))
+
+    def _motion(self) -> Iterator[Conflict]:
+        section = self.reconstruction
+        return motion_conflicts(
+            section.motion,
+            moves=self.specimen.motion is not None,
+            algorithm=section.algorithm,
+            metal=section.metal is not None,
+            lag=self.detector.lag > 0,
+        )
 
     def _plan_to_follow(self) -> Conflict | None:
         if self.motion.plan is None or self.motion.scheme == "planned":

@@ -25,6 +25,7 @@ from twinct.core.settings import (
     setting,
 )
 from twinct.geometry import Pose
+from twinct.scenario.breathing import BodyMotion
 from twinct.scenario.composition import Composition
 from twinct.scenario.grey_volume import GreyVolume, HuLine
 
@@ -261,6 +262,9 @@ class Specimen(Section):
         "motion.clearance_mm, as from a patient's skin. Clearances in reports leave it out.",
         read_by="plan",
     )
+    motion: BodyMotion | None = setting(
+        None, "Motion of a grey part, such as breathing; null: it stands still.", read_by="surface"
+    )
 
     @model_validator(mode="after")
     def _parts_or_unknown(self) -> Specimen:
@@ -280,6 +284,29 @@ class Specimen(Section):
             message = "reference: no part is called {}; the parts are {}".format(*told)
             raise ConflictError(Conflict(message, ("reference",)))
         return self
+
+    @model_validator(mode="after")
+    def _motion_has_a_part(self) -> Specimen:
+        if self.motion is None:
+            return self
+        greys = [part for part in self.parts if part.is_grey]
+        named = [part for part in greys if self.motion.part in ("", part.label)]
+        if len(named) != 1:
+            message = "motion.part: {} is not the name of one grey part; the grey parts are {}"
+            told = quoted(self.motion.part), quoted([part.label for part in greys], 300)
+            raise ConflictError(Conflict(message.format(*told), ("motion",)))
+        shape = named[0].shape
+        if self.motion.kind == "fields" and isinstance(shape, GreyVolume) and shape.centre:
+            message = "motion: fields are in the frame of the CT, so that its part needs {}"
+            raise ConflictError(Conflict(message.format("shape.centre: false"), ("motion",)))
+        return self
+
+    @property
+    def moving_part(self) -> Part:
+        """Part that moves, if there is a motion."""
+        assert self.motion is not None
+        name = self.motion.part
+        return next(p for p in self.parts if p.is_grey and name in ("", p.label))
 
     @property
     def names(self) -> list[str]:

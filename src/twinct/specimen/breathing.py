@@ -15,14 +15,14 @@ the front wall of the chest it moves to the front.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Protocol
 
 import numpy as np
 
 from twinct.core.draws import view_rng
-from twinct.geometry import Floats, Pose, VolumeGrid
-from twinct.recon.deformation import Deformation, require_no_fold
+from twinct.geometry import Floats
+from twinct.recon.deformation import require_no_fold
 
 STEEPEST = 4
 """Power of the sine in the breath's course."""
@@ -54,16 +54,20 @@ class Rhythm:
         irregularity: standard deviation of the logarithm of a breath's length and depth.
         drift_per_min: drift, in usual depths a minute.
         seed: seed of the irregularity.
+        start_phase: share of the first breath that is over at time 0.
     """
 
     period_s: float = 4.0
     irregularity: float = 0.0
     drift_per_min: float = 0.0
     seed: int = 0
+    start_phase: float = 0.0
 
     def at(self, time_s: float) -> Breath:
-        """Return the state at a time from the start of the first breath on, s."""
-        count = 1 + int(max(time_s, 0.0) / self.period_s)
+        """Return the state at a time, s; negative times have that of time 0."""
+        drift = self.drift_per_min * time_s / 60.0
+        time_s = max(time_s, 0.0) + self.start_phase * float(self._lengths(1)[0])
+        count = 1 + int(time_s / self.period_s)
         ends = np.cumsum(self._lengths(count))
         while ends[-1] <= time_s:
             count *= 2
@@ -72,7 +76,7 @@ class Rhythm:
         start = ends[breath - 1] if breath else 0.0
         phase = (time_s - start) / (ends[breath] - start)
         depth = _drawn(self.seed, self.irregularity, breath)[1]
-        return Breath(float(phase), depth, self.drift_per_min * time_s / 60.0)
+        return Breath(float(phase), depth, drift)
 
     def _lengths(self, count: int) -> Floats:
         draws = (_drawn(self.seed, self.irregularity, breath)[0] for breath in range(count))
@@ -90,7 +94,11 @@ class Motion(Protocol):
     """Displacement of points of a patient in a state of breathing, mm; a pure function."""
 
     def __call__(self, points: Floats, breath: Breath) -> Floats:
-        """Return the displacements (n, 3) of points (n, 3) of full exhalation."""
+        """Return the displacements (n, 3) of points (n, 3) of the reference state."""
+        ...
+
+    def rests(self, breath: Breath) -> bool:
+        """Return True if nothing is displaced in a state."""
         ...
 
 
@@ -132,6 +140,10 @@ class Chest:
         moved[:, 2] = -down * along * inside * off_spine
         return moved
 
+    def rests(self, breath: Breath) -> bool:
+        """Return True at full exhalation without drift."""
+        return breath.phase == 0 and breath.drift == 0
+
 
 def _ease(t: Floats) -> Floats:
     t = np.clip(t, 0.0, 1.0)
@@ -152,12 +164,12 @@ class PhaseFields:
     that share of the largest field.
 
     Attributes:
-        vectors: (phases, nz, ny, nx, 3), mm along x, y, z of the specimen's frame.
-        grid: grid of the vectors in the specimen's frame.
+        vectors: (phases, nz, ny, nx, 3), mm along x, y, z of the part's frame.
+        affine: matrix (4, 4) from indices (x, y, z) to that frame, mm.
     """
 
     vectors: Floats
-    grid: VolumeGrid
+    affine: Floats
 
     def __call__(self, points: Floats, breath: Breath) -> Floats:
         """Return the displacements (n, 3) of points (n, 3), mm."""
@@ -169,17 +181,20 @@ class PhaseFields:
         field = (1 - at % 1) * self.vectors[first] + at % 1 * self.vectors[(first + 1) % count]
         field = breath.depth * field
         if breath.drift:
-            largest = int(np.abs(self.vectors).reshape(count, -1).max(axis=1).argmax())
-            field = field + breath.drift * self.vectors[largest]
-        affine = self.grid.affine
-        index = np.linalg.solve(affine[:3, :3], (points - affine[:3, 3]).T)[::-1]
+            field = field + breath.drift * self.vectors[self._largest]
+        turned, origin = self.affine[:3, :3], self.affine[:3, 3]
+        index = np.linalg.solve(turned, (points - origin).T)[::-1]
         read = scipy.ndimage.map_coordinates
         return np.stack([read(field[..., i], index, order=1, mode="nearest") for i in range(3)], 1)
 
+    def rests(self, breath: Breath) -> bool:
+        """Return True if the first phase is the reference state, and the breath is in it."""
+        return breath.phase == 0 and breath.drift == 0 and not self.vectors[0].any()
 
-def deformation(motion: Motion, breath: Breath, world_from_specimen: Pose) -> Deformation:
-    """Return the patient's deformation in a state of breathing."""
-    return Deformation(partial(motion, breath=breath), world_from_specimen)
+    @cached_property
+    def _largest(self) -> int:
+        """The phase with the largest displacement."""
+        return int(np.abs(self.vectors).reshape(len(self.vectors), -1).max(axis=1).argmax())
 
 
 def require_smooth(motion: Motion, breaths: list[Breath], bounds: Floats, where: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -24,6 +25,9 @@ from twinct.specimen.voxels import volume_fractions
 
 if TYPE_CHECKING:
     import trimesh
+
+    from twinct.specimen.body_motion import BodyMotion
+    from twinct.specimen.breathing import Breath
 
 HULL_DIRECTIONS = 4000
 """Directions in which the collision hull touches the specimen, about 3 degrees apart."""
@@ -110,12 +114,14 @@ class BuiltSpecimen:
     """A specimen ready to be imaged: images and true volume come from the same bodies.
 
     Its parts are disjoint. Where two overlapped in the scenario, the overlap belongs to the later
-    one. Parts of one material are closed meshes; grey parts are voxels.
+    one. Parts of one material are closed meshes; grey parts are voxels. A part that moves is in its
+    reference state, full exhalation.
     """
 
     parts: tuple[AnyPart, ...]
     world_from_specimen: Pose
     reference: str = ""
+    motion: BodyMotion | None = None
 
     @property
     def bounds(self) -> Floats:
@@ -132,6 +138,17 @@ class BuiltSpecimen:
     def greys(self) -> tuple[GreyPart, ...]:
         """Parts of voxels, whose fields are imaged."""
         return tuple(part for part in self.parts if isinstance(part, GreyPart))
+
+    def at(self, breath: Breath) -> BuiltSpecimen:
+        """Return the specimen at rest in a state of breathing; itself if no part moves."""
+        motion = self.motion
+        if motion is None:
+            return self
+        parts = (
+            motion.moved(p, breath) if isinstance(p, GreyPart) and p.name == motion.part else p
+            for p in self.parts
+        )
+        return replace(self, parts=tuple(parts), motion=None)
 
     @property
     def materials(self) -> tuple[Material, ...]:
@@ -231,6 +248,8 @@ class BuiltSpecimen:
         import trimesh
 
         points = np.concatenate([part.mesh.vertices for part in self.parts])
+        if self.motion is not None:
+            points = np.concatenate([points, *self._skins()])
         try:
             points = points[scipy.spatial.ConvexHull(points).vertices]
         except scipy.spatial.QhullError:
@@ -239,6 +258,16 @@ class BuiltSpecimen:
                 f"specimen.parts: all parts together measure {edges} mm, too flat for a solid body"
             ) from None
         return trimesh.convex.convex_hull(points[_outermost(points)])
+
+    def _skins(self) -> Iterator[Floats]:
+        """Yield the corners of the moving part's skin in deep breaths."""
+        from twinct.specimen.breathing import Breath
+
+        assert self.motion is not None
+        corners = self.named(self.motion.part, "specimen.motion").mesh.vertices
+        depth = float(np.exp(2 * self.motion.rhythm.irregularity))
+        for phase in (0.25, 0.5, 0.75):
+            yield self.motion.deformation(Breath(phase, depth)).from_reference(np.array(corners))
 
     def obstacle(self, margin_mm: float) -> trimesh.Trimesh:
         """Return the convex hull with a margin on all sides, mm, at most 3 % of it too much."""
@@ -285,7 +314,8 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
     """Build every part, then subtract from each the volume that later parts cover.
 
     Raises:
-        SpecimenError: with one sentence for each part that cannot be built.
+        InputError: with one sentence for each part that cannot be built; or a motion folds its
+            part, has an unusable file, or moves what lies around a part that stands still.
     """
     problems: list[str] = []
     built: list[AnyPart] = []
@@ -309,7 +339,17 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
         raise SpecimenError(problems)
     specimen = BuiltSpecimen(_disjoint(built), section.world_from_specimen, section.reference)
     specimen.require_names()
-    return specimen
+    return specimen if section.motion is None else _in_motion(specimen, section)
+
+
+def _in_motion(specimen: BuiltSpecimen, section: scenario.Specimen) -> BuiltSpecimen:
+    from twinct.specimen.body_motion import body_motion, require_possible
+
+    motion = body_motion(section)
+    require_possible(motion, specimen.greys)
+    for part in specimen.solids:
+        motion.require_apart(part.name, part.mesh)
+    return replace(specimen, motion=motion)
 
 
 def _made(part: scenario.Part, substance: Material | None, key: str) -> AnyPart | None:

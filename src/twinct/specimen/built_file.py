@@ -55,7 +55,12 @@ def load_built(section: scenario.Specimen, path: Path) -> BuiltSpecimen:
     where = f"{path}: the cached specimen"
     arrays = read_npz(path, where, LARGEST_BYTES)
     parts = [_part(part, arrays, str(i), where) for i, part in enumerate(section.parts)]
-    specimen = BuiltSpecimen(tuple(parts), section.world_from_specimen, section.reference)
+    motion = None
+    if section.motion is not None:
+        from twinct.specimen.body_motion import body_motion
+
+        motion = body_motion(section)
+    specimen = BuiltSpecimen(tuple(parts), section.world_from_specimen, section.reference, motion)
     if any(name.startswith(f"{_HULL}.") for name in arrays):
         vars(specimen)[_HULL] = _mesh(arrays, _HULL, where)
     return specimen

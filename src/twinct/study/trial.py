@@ -33,6 +33,7 @@ from twinct.runs import (
     run,
 )
 from twinct.runs.acquisition import rig_factory
+from twinct.runs.known_motion import as_reconstructed, phase_of_truth
 from twinct.runs.reporting import figures_of
 from twinct.runs.truth import grey_body
 from twinct.scan import Scan, ScanStore, SimulationBuilder
@@ -336,11 +337,12 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
     stands = scan.stands
     at = [*stands.position.tolist(), *stands.quat.tolist()]
     grid = section.model_dump(mode="json")
-    of_truth = _digest(["truth", specimen_digest(scenario), energy, at, grid])
+    bodies = filter(None, (specimen_digest(scenario), phase_of_truth(scenario)))
+    of_truth = _digest(["truth", *bodies, energy, at, grid])
     of_region = _digest(["region", stage_digests(scenario)["executed"], grid, scenario.detector])
 
     def truth() -> Any:
-        return specimen.truth(section.volume_grid, energy, stands)
+        return as_reconstructed(specimen, scenario).truth(section.volume_grid, energy, stands)
 
     executed = scan.relative.geometry(scenario.detector.panel)
 

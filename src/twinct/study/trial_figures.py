@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from twinct.evaluation import IMAGE_FIGURES
+from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES
 from twinct.scenario import Scenario
 
 _SECTIONS = ("views", "reached", "simulated_seconds", "clearance_mm", "pose_error")
@@ -28,7 +28,8 @@ def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
 def figure_names(scenario: Scenario) -> tuple[str, ...]:
     """Return the names of the figures that a trial of a scenario will have."""
     asked = scenario.evaluation
-    of_image = [*_OF_IMAGE, *(asked.figure_names() if asked else ())]
+    moves = [one.key for one in MOTION_FIGURES] if scenario.specimen.motion else []
+    of_image = [*_OF_IMAGE, *moves, *(asked.figure_names() if asked else ())]
     names = [f"image.{name}" for name in of_image]
     geometries = scenario.reconstruction.geometries
     if len(geometries) > 1:

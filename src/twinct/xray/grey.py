@@ -24,6 +24,10 @@ class GreyCaster:
         self.field, self.panel = field, panel
         self._flat = field.amounts.reshape(-1)
 
+    def show(self, amounts: NDArray[np.float32]) -> None:
+        """Take other amounts of the same shape, such as those of a moved body."""
+        self._flat = amounts.reshape(-1)
+
     def cast(self, view: SceneView) -> NDArray[np.float32]:
         """Return the integral of each amount along each ray, (materials, rows, columns), mm.
 

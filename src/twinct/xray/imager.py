@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.grey import GreyCaster
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 from twinct.xray.room_rays import RoomRays
+
+if TYPE_CHECKING:
+    from twinct.xray.moving_voxels import MovingVoxels
 
 Placed = tuple[ScanGeometry, Pose]
 """Executed geometry at one instant: one view of source and panel, and ``world_from_object``."""
@@ -78,6 +82,7 @@ class Imager(SceneOwner):
         self._source, self._detector, self._seed = source, detector, seed
         self._commanded, self._mas = commanded, mas
         self._paths: PathRenderer | None = None
+        self._exposure_s = source.exposure_ms / 1000
         self._chain: Chain | None = None
         edge = longest_edge(_nearest_mm(specimen, commanded))
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
@@ -99,6 +104,17 @@ class Imager(SceneOwner):
                 objects,
             )
             self._open = True
+        self._moving = self._moving_of(specimen)
+
+    def _moving_of(self, specimen: BuiltSpecimen) -> MovingVoxels | None:
+        if specimen.motion is None:
+            return None
+        from twinct.xray.moving_voxels import MovingVoxels
+
+        casters = self._casters if self._paths is None else self._paths.casters
+        greys = zip(specimen.greys, casters, strict=True)
+        caster = next(caster for part, (caster, _) in greys if part.name == specimen.motion.part)
+        return MovingVoxels(specimen.motion, caster, self._exposure_s)
 
     def _open_ideal(
         self, specimen: BuiltSpecimen, edge_mm: float, engine: str, objects: Sequence[BuiltPart]
@@ -137,7 +153,12 @@ class Imager(SceneOwner):
         return self.expose([(geometry, world_from_object)], view)
 
     def expose(
-        self, path: Sequence[Placed], view: int = 0, before: Placed | None = None
+        self,
+        path: Sequence[Placed],
+        view: int = 0,
+        before: Placed | None = None,
+        *,
+        time_s: float = 0.0,
     ) -> NDArray[np.float32]:
         """Take one view during motion: the mean over the instants of the path.
 
@@ -145,6 +166,7 @@ class Imager(SceneOwner):
             path: instants of equal duration, at least one; the middle one is the view's geometry.
             view: index of the view, which keys its noise.
             before: geometry of the previous view, whose signal lags; None for the first view.
+            time_s: time of the scan at the middle of the exposure, for a patient who breathes.
 
         Returns:
             Transmission, (rows, columns). See ``render``, also for the exceptions.
@@ -159,14 +181,26 @@ class Imager(SceneOwner):
                     f"the view has {geometry.panel}; the imager was made for {self.panel}"
                 )
         if self._paths is not None:
-            return self.frame(path, view, before).transmission
-        images = [self._ideal(*instant) for instant in path]
+            return self.frame(path, view, before, time_s=time_s).transmission
+        images = [self._ideal(*instant) for instant in self._shown(path, time_s)]
         if len(images) == 1:
             return images[0]
         return np.asarray(np.mean(images, axis=0, dtype=np.float64), dtype=np.float32)
 
+    def _shown(self, path: Sequence[Placed], time_s: float) -> Iterator[Placed]:
+        """Yield the instants of an exposure, each with the patient in its state."""
+        for number, instant in enumerate(path):
+            if self._moving is not None:
+                self._moving.show(time_s, number, len(path))
+            yield instant
+
     def frame(
-        self, path: Sequence[Placed], view: int = 0, before: Placed | None = None
+        self,
+        path: Sequence[Placed],
+        view: int = 0,
+        before: Placed | None = None,
+        *,
+        time_s: float = 0.0,
     ) -> ViewImages:
         """Take one view with raw, flat and dark images, which an ideal detector does not have."""
         if self._paths is None:
@@ -175,8 +209,8 @@ class Imager(SceneOwner):
         chain = self._chain = self._chain or self._new_chain(self._commanded or middle)
         last = None
         if self._detector.lag and before is not None:
-            last = self._expected(chain, [before], view - 1), self._object_mm(*before)
-        expected = self._expected(chain, path, view)
+            last = self._expected(chain, [before], view - 1, time_s), self._object_mm(*before)
+        expected = self._expected(chain, path, view, time_s)
         return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]), last)
 
     def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
@@ -184,11 +218,13 @@ class Imager(SceneOwner):
         centre = world_from_object.apply(self._centre)
         return float((centre - geometry.detector[0]) @ geometry.normal[0])
 
-    def _expected(self, chain: Chain, path: Sequence[Placed], index: int) -> NDArray[np.float32]:
+    def _expected(
+        self, chain: Chain, path: Sequence[Placed], index: int, time_s: float
+    ) -> NDArray[np.float32]:
         assert self._paths is not None
         expected = chain.blank()
         share = chain.load(index) / (len(path) * len(chain.spot))
-        for geometry, world_from_object in path:
+        for geometry, world_from_object in self._shown(path, time_s):
             for seen in chain.from_spot(chain.physical(geometry)):
                 chain.add(self._paths.render(seen, world_from_object), seen, expected, share)
         return expected

@@ -52,6 +52,7 @@ class PathRenderer(SceneOwner):
             basis materials, then of the room's objects. The images have this order.
         panel: panel of every view.
         samples: samples along each pixel edge.
+        casters: caster of each grey part, and the images of its materials.
     """
 
     def __init__(
@@ -96,7 +97,7 @@ class PathRenderer(SceneOwner):
         self._corners = [corners(body.mesh) for body in bodies]
         self.panel, self.samples = panel, samples
         fine = self._fine = panel.divided(samples)
-        self._casters = [
+        self.casters = [
             (GreyCaster(part.field, fine), [self.materials.index(m) for m in part.field.materials])
             for part in greys
         ]
@@ -146,7 +147,7 @@ class PathRenderer(SceneOwner):
                 for column in range(0, self._fine.columns, self._tile.shape[1]):
                     self._add(body, views[body], (row, column), paths[material], filled[material])
             filled[material] = True
-        for seen, (caster, into) in zip(views[len(self._material) :], self._casters, strict=True):
+        for seen, (caster, into) in zip(views[len(self._material) :], self.casters, strict=True):
             caster.add(scene_view(seen), into, paths)
         self._room.add(view, self._room_into, paths)
         return paths

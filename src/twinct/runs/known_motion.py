@@ -1,0 +1,204 @@
+"""A patient's motion after the scan: states of the views, gating, compensation, moving voxels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
+from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
+from twinct.geometry.wire import PosePairs
+from twinct.recon.projector import Projector
+from twinct.scan import Scan
+from twinct.scenario import KnownMotion, Scenario
+from twinct.specimen import BuiltSpecimen
+
+if TYPE_CHECKING:
+    from twinct.recon.deformation import Between, Deformation
+    from twinct.specimen.body_motion import BodyMotion
+    from twinct.specimen.breathing import Breath
+
+MOVING_MM = 2.0
+"""Way in a usual breath from which a voxel counts as moving."""
+
+
+def _motion_of(scenario: Scenario) -> BodyMotion | None:
+    """Return the motion of a scenario's specimen, whose modules load only where one moves."""
+    if scenario.specimen.motion is None:
+        return None
+    from twinct.specimen.body_motion import body_motion
+
+    return body_motion(scenario.specimen)
+
+
+def state_of_volume(scenario: Scenario) -> Breath:
+    """Return the state of breathing that a scenario reconstructs, and its truth shows."""
+    from twinct.specimen.breathing import Breath
+
+    known = scenario.reconstruction.motion
+    return Breath(known.phase if known else 0.0)
+
+
+def as_reconstructed(specimen: BuiltSpecimen, scenario: Scenario) -> BuiltSpecimen:
+    """Return a specimen in the state of breathing that a scenario reconstructs."""
+    if specimen.motion is None:
+        return specimen
+    state = state_of_volume(scenario)
+    return specimen if specimen.motion.displacement.rests(state) else specimen.at(state)
+
+
+def phase_of_truth(scenario: Scenario) -> str:
+    """Return the state that is reconstructed as text; empty without a motion."""
+    return str(state_of_volume(scenario).phase) if scenario.specimen.motion else ""
+
+
+def views_that_count(scenario: Scenario, times_s: Floats) -> list[int] | None:
+    """Return the views whose phase lies in ``reconstruction.motion.gate``; None for all.
+
+    Args:
+        scenario: the scenario.
+        times_s: time of each view.
+
+    Raises:
+        InputError: there is none.
+    """
+    known, motion = scenario.reconstruction.motion, _motion_of(scenario)
+    if known is None or known.gate is None or motion is None:
+        return None
+    from twinct.specimen.breathing import gated
+
+    chosen = gated([motion.at(float(t)) for t in times_s], known.gate)
+    if not chosen:
+        low, high = known.gate
+        raise InputError(
+            f"reconstruction.motion.gate: none of the {len(times_s)} views has a phase between "
+            f"{low:g} and {high:g}"
+        )
+    return chosen
+
+
+def gated_scan(
+    scan: Scan, poses: ScanGeometry, pixels: NDArray[np.bool_] | None, views: list[int]
+) -> tuple[Scan, ScanGeometry, NDArray[np.bool_] | None]:
+    """Return some views of a scan, of their poses, and of their good pixels."""
+    of_views = pixels[views] if pixels is not None and pixels.ndim == 3 else pixels
+    return _part_of_scan(scan, views), poses[views], of_views
+
+
+def _part_of_scan(scan: Scan, views: list[int]) -> Scan:
+    """Return a scan of some views, without its derived geometries."""
+
+    def of(poses: PosePairs) -> PosePairs:
+        return PosePairs(
+            tuple(poses.source[v] for v in views), tuple(poses.detector[v] for v in views)
+        )
+
+    return replace(
+        scan,
+        transmission=scan.transmission[views],
+        commanded=of(scan.commanded),
+        executed=of(scan.executed),
+        executed_object=tuple(scan.executed_object[v] for v in views),
+        joints=scan.joints[views],
+        simulated_s=scan.simulated_s[views],
+        clearance_mm=scan.clearance_mm[views],
+        exposure=tuple(scan.exposure[v] for v in views) if scan.exposure else (),
+        derived={},
+        mas=None if scan.mas is None else scan.mas[views],
+        acquired=None,
+    )
+
+
+def projector_of(scan: Scan, poses: ScanGeometry, grid: VolumeGrid) -> Projector:
+    """Return the projector of a scan's views, which compensates the motion that is known."""
+    known, motion = scan.scenario.reconstruction.motion, _motion_of(scan.scenario)
+    if known is None or not known.compensate or motion is None:
+        return Projector(poses, grid)
+    from twinct.recon.moving import MovingProjector
+
+    states = deformations(motion, known, scan.middle_s, scan.stands)
+    return MovingProjector(poses, grid, states)
+
+
+def deformations(
+    motion: BodyMotion, known: KnownMotion, times_s: Floats, world_from_specimen: Pose
+) -> list[Deformation | Between]:
+    """Return the believed deformation of the body in each view, from the volume's state."""
+    from twinct.recon.deformation import Between
+    from twinct.specimen.breathing import Breath
+
+    believed = motion.scaled(known.amplitude_rel)
+    state = Breath(known.phase)
+    held = believed.deformation(state, world_from_specimen)
+    rests = believed.displacement.rests(state)
+    found: dict[Breath, Deformation | Between] = {}
+    states = [believed.at(float(t) - known.delay_s) for t in times_s]
+    for state in states:
+        if state not in found:
+            now = believed.deformation(state, world_from_specimen)
+            found[state] = now if rests else Between(now, held)
+    return [found[state] for state in states]
+
+
+def moving_voxels(
+    motion: BodyMotion, grid: VolumeGrid, world_from_specimen: Pose
+) -> NDArray[np.bool_]:
+    """Return the voxels that move by ``MOVING_MM`` or more in a usual breath, (z, y, x)."""
+    step = max(1, int(MOVING_MM * 2 / grid.voxel.max()))
+    counts = [max(2, -(-(n - 1) // step) + 1) for n in grid.shape]
+    nodes = step * np.indices(counts).reshape(3, -1)[::-1].T
+    points = nodes @ grid.affine[:3, :3].T + grid.affine[:3, 3]
+    ways = motion.ways_mm(world_from_specimen.inverse().apply(points)).reshape(counts)
+    found = np.empty(grid.shape, np.bool_)
+    rows = np.indices(grid.shape[1:]) / step
+    for k in range(grid.shape[0]):
+        at = np.stack([np.full(grid.shape[1:], k / step), *rows])
+        found[k] = scipy.ndimage.map_coordinates(ways, at, order=1) >= MOVING_MM
+    return found
+
+
+def moving_figures(
+    scan: Scan,
+    volume: NDArray[np.float32],
+    truth: NDArray[np.float32],
+    region: NDArray[np.bool_],
+    mu_reference: float,
+    grid: VolumeGrid,
+) -> dict[str, float]:
+    """Return the error in the moving part of a region; nothing if no part moves.
+
+    Args:
+        scan: the scan, with its scenario.
+        volume: attenuation, (z, y, x), 1/mm.
+        truth: true attenuation, (z, y, x), 1/mm.
+        region: voxels that every view sees, (z, y, x).
+        mu_reference: attenuation to which figures are relative, 1/mm.
+        grid: grid of the volume.
+    """
+    motion = _motion_of(scan.scenario)
+    if motion is None:
+        return {}
+    moving = moving_voxels(motion, grid, scan.stands) & region
+    off = volume[moving].astype(np.float64) - truth[moving]
+    rmse = float(np.sqrt(np.mean(off**2))) / mu_reference if off.size else float("nan")
+    return {"rmse_moving_rel": rmse, "moving_fraction": float(moving.sum() / region.sum())}
+
+
+def motion_in_words(scenario: Scenario, times_s: Floats) -> str:
+    """Return a patient's motion during a scan in one line."""
+    section, motion = scenario.specimen.motion, _motion_of(scenario)
+    assert section is not None and motion is not None
+    first, last = (motion.at(float(t)) for t in (times_s[0], times_s[-1]))
+    breaths = (times_s[-1] - times_s[0]) / section.period_s
+    words = f"{quoted(motion.part)} breathes about {breaths:.1f} times of {section.period_s:g} s"
+    words += f", from phase {first.phase:.2f} to {last.phase:.2f}"
+    if section.irregularity:
+        words += f", irregular by {100 * section.irregularity:g} %"
+    if section.drift_per_min:
+        words += f", drift {section.drift_per_min:g} depths a minute"
+    return words
