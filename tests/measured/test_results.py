@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from ball_scan import BALL, MU, PITCH, RADIUS, ROWS, SDD, SOD, VIEWS, ball_images, orbit
 
+from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
-from twinct.measured import reconstruct_measured
+from twinct.measured import MeasuredVolume, reconstruct_measured
 from twinct.recon.algorithms import algorithms
 from twinct.runs import load_scan, run, simulate
 
@@ -139,3 +140,37 @@ def test_the_command_line_imports_and_reconstructs(measured, stored, circle, tmp
     told = capsys.readouterr()
     assert "source to axis 200 mm, to panel 300 mm, pitch 2 x 2 mm" in told.out
     assert "residual" in told.out and (tmp_path / "out" / "imported.png").is_file()
+
+
+def test_report_judges_again_and_compare_shows_no_figure_of_a_truth(
+    measured, monkeypatch, capfd, tmp_path
+):
+    monkeypatch.setattr("twinct.measured.volume_folder.write_measured_report", lambda *_: None)
+    fdk = reconstruct_measured(measured, ["reconstruction.algorithm=fdk"], halves=True)
+    judged = fdk.judgement
+    assert judged.residual_rel < judged.consistency_rel < 3 * judged.residual_rel
+    coarse = {"voxels": [20, 20, 12], "voxel_mm": 2.0}
+    reconstruct_measured(measured, [f"reconstruction.grid={coarse}"], name="coarse")
+    file = fdk.path / "judgement.json"
+    told = json.loads(file.read_text())
+    file.write_text(json.dumps(told | {"judgement": told["judgement"] | {"residual": 9.0}}))
+    assert run_command(["report", str(measured)]) == 0
+    assert "consistency" in capfd.readouterr().out
+    assert MeasuredVolume.read(fdk.path).judgement == judged
+
+    page = tmp_path / "both.html"
+    assert run_command(["compare", str(measured), "--out", str(page)]) == 0
+    assert "fdk and coarse have different grids" in capfd.readouterr().err
+    text = re.sub('data:image[^"]*', "", page.read_text(encoding="utf-8"))
+    assert f"{100 * judged.consistency_rel:.2f}" in text and "edge width" in text
+    assert not re.search("RMSE|SSIM|PSNR|bone|truth|[Pp]ose error|clearance", text)
+    one = [str(fdk.path)]
+    for folders, words in (
+        (one, "1 volumes: at least two"),
+        ([*one, *one], "given twice"),
+        ([*one, str(tmp_path)], "is no measured scan"),
+    ):
+        assert run_command(["compare", *folders, "--out", str(page)]) == 2
+        assert words in capfd.readouterr().err
+    assert run_command(["report", str(measured), "--set", "evaluation.regions=[]"]) == 2
+    assert "has no truth" in capfd.readouterr().err

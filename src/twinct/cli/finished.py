@@ -204,17 +204,36 @@ def report(
 ) -> None:
     """Evaluate a finished run again and rewrite its metrics.json and report.html.
 
-    ``--set evaluation.KEY=VALUE`` adds measurements in its volumes; none is reconstructed again.
+    ``--set evaluation.KEY=VALUE`` adds measurements in its volumes; none is reconstructed again. Of
+    a measured scan, all volumes are judged again, as far as that needs no truth.
 
     Args:
-        folder: Folder of ``twinct run --out``.
+        folder: Folder of ``twinct run --out``, or of ``twinct import`` of a measured scan.
     """
+    from twinct.measured import is_measured_scan
     from twinct.runs import report_again
     from twinct.scenario import named_places
+
+    if is_measured_scan(folder):
+        _report_measured(folder, set_)
+        return
 
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         again = report_again(folder, audience, set_)
     say_result(again)
+
+
+def _report_measured(folder: Path, set_: tuple[str, ...]) -> None:
+    from twinct.core.errors import InputError
+    from twinct.measured import report_measured
+
+    if set_:
+        raise InputError(f"--set {set_[0]}: a measured scan has no truth that evaluation could use")
+    with on_terminal() as audience:
+        kept = report_measured(folder, audience)
+    for one in kept.values():
+        say(one.told)
+    say(f"report: {folder / 'report.html'}")
 
 
 def compare(
@@ -224,19 +243,23 @@ def compare(
 ) -> None:
     """Compare finished runs on one page: slices, figures, pose errors, times, and their scenarios.
 
-    Slices show the same places in the same windows; differences refer to the first run.
+    Slices show the same places in the same windows; differences refer to the first run. Measured
+    scans are compared with each other, without any figure of a truth.
 
     Args:
         folders: Folders of ``twinct run --out``, or DIR/reconstructions/NAME for results of
-            ``twinct reconstruct``; two or more.
+            ``twinct reconstruct``; two or more. A measured scan's folder means all its volumes.
         out: File to write.
     """
     from twinct.core.files.writing import check_page, storage_errors
+    from twinct.measured import compare_measured, is_measured_scan
+    from twinct.measured.comparing import scan_folder
     from twinct.runs import compare
 
     check_page(out)
+    measured = any(is_measured_scan(scan_folder(folder)) for folder in folders)
     with on_terminal() as audience:
-        comparison = compare(folders, audience)
+        comparison = (compare_measured if measured else compare)(folders, audience)
     for note in comparison.notes:
         say(note, warning=True)
     with storage_errors(out):
@@ -316,13 +339,7 @@ def _reconstruct_measured(
     how = {"geometry": geometry, "name": name, "halves": halves}
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_measured(folder, set_, **how, observers=audience)
-    judged = made.judgement
-    noise = f", noise {judged.noise_per_mm:.5f}/mm" if halves else ""
-    say(
-        f"{made.name}: {made.in_words}, {made.geometry} geometry; {made.seconds:.1f} s, residual "
-        f"{100 * judged.residual_rel:.2f} %, edges {judged.edge_width_mm:.3f} mm wide{noise}\n"
-        f"{made.path}; report: {folder / 'report.html'}"
-    )
+    say(f"{made.told}\n{made.path}; report: {folder / 'report.html'}")
 
 
 def geometry(

@@ -29,6 +29,8 @@ class Judgement:
             without such a surface in the region that every view sees.
         noise_per_mm: standard deviation of the noise, from two volumes of every other view; NaN if
             they were not made.
+        consistency_rel: residual of each half of the views predicted by the volume of the other
+            half, relative to p; NaN if these volumes were not made.
     """
 
     residual: float
@@ -36,6 +38,7 @@ class Judgement:
     residual_by_view: tuple[float, ...]
     edge_width_mm: float
     noise_per_mm: float = math.nan
+    consistency_rel: float = math.nan
 
 
 def judge_volume(
@@ -54,27 +57,42 @@ def judge_volume(
         bad: bad pixels, (rows, columns), which do not count.
         halves: volumes of the even and of the odd views, by the same algorithm.
     """
-    A = Projector(geometry, volume.grid)
-    inside = A(np.ones(volume.shape, np.float32)) > 0
-    if bad is not None:
-        inside &= ~bad
-    off = np.where(inside, line_integrals - A(volume.array), 0.0)
-    rays = np.maximum(inside.sum(axis=(1, 2)), 1)
-    squares = np.square(off, dtype=np.float64).sum(axis=(1, 2))
-    whole = math.sqrt(float(np.square(line_integrals[inside], dtype=np.float64).mean() or 1.0))
+    squares, rays, whole = _squares(volume, geometry, line_integrals, bad)
     residual = math.sqrt(float(squares.sum() / rays.sum()))
     region = region_of_interest(geometry, volume.grid)
-    noise = math.nan
-    if halves is not None and region.any():
-        # The difference has the noise of each half twice; the whole has half the noise of a half.
-        noise = float(np.std((halves[0].array - halves[1].array)[region])) / 2
+    noise = consistency = math.nan
+    if halves is not None:
+        if region.any():
+            # The difference has the noise of each half twice; the whole has half that of a half.
+            noise = float(np.std((halves[0].array - halves[1].array)[region])) / 2
+        held = [
+            _squares(half, geometry[other::2], line_integrals[other::2], bad)
+            for half, other in zip(halves, (1, 0), strict=True)
+        ]
+        off, seen = (sum(float(one[k].sum()) for one in held) for k in (0, 1))
+        consistency = math.sqrt(off / seen) / whole
     return Judgement(
         residual=residual,
         residual_rel=residual / whole,
         residual_by_view=tuple((np.sqrt(squares / rays) / whole).tolist()),
         edge_width_mm=_edge_width(volume, region),
         noise_per_mm=noise,
+        consistency_rel=consistency,
     )
+
+
+def _squares(
+    volume: Volume, geometry: ScanGeometry, line_integrals: Singles, bad: Bools | None
+) -> tuple[NDArray[np.float64], NDArray[np.intp], float]:
+    """Return sum of (p - A x)^2 and number of rays of each view, and the RMS of p."""
+    A = Projector(geometry, volume.grid)
+    inside = A(np.ones(volume.shape, np.float32)) > 0
+    if bad is not None:
+        inside &= ~bad
+    off = np.where(inside, line_integrals - A(volume.array), 0.0)
+    rays = np.maximum(inside.sum(axis=(1, 2)), 1)
+    whole = math.sqrt(float(np.square(line_integrals[inside], dtype=np.float64).mean() or 1.0))
+    return np.square(off, dtype=np.float64).sum(axis=(1, 2)), rays, whole
 
 
 MOST_FOR_THRESHOLD = 10**6

@@ -7,7 +7,6 @@ scenario's X-ray simulation, without noise, at the poses of a geometry.
 
 from __future__ import annotations
 
-import itertools
 import logging
 import shutil
 from collections.abc import Iterable
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import passing_folder, storage_errors, write_json, write_text
 from twinct.core.interruption import keeping
@@ -32,7 +31,8 @@ from twinct.recon.volume import Volume
 from twinct.report import plain
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.log import logged_to
-from twinct.scan import Scan, ScanStore, SimulationBuilder, checked_name
+from twinct.runs.reconstruction_folder import free_name
+from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.specimen import BuiltSpecimen
 
@@ -130,7 +130,7 @@ def predict(
         stack.enter_context(sole_owner(folder.lock))
         own = not scan.scenario.specimen.parts
         base = OWN_VOLUME if own else Path(mesh).stem if mesh else "specimen"
-        target = folder.predictions / _free_name(folder, name, base)
+        target = folder.predictions / free_name(name, base, folder.predictions, "prediction")
         stack.enter_context(logged_to(folder.log))
         stack.enter_context(keeping(lambda: _kept(folder)))
         made = _predicted(scan, which, material or "water", folder, target, audience)
@@ -187,16 +187,6 @@ def _scenario(
 def _kept(folder: Folder) -> str:
     there = folder.checkpoints.is_dir() and any(folder.checkpoints.iterdir())
     return "the same command goes on from the last checkpoint" if there else ""
-
-
-def _free_name(folder: Folder, name: str | None, base: str) -> str:
-    taken = folder.predictions
-    if name:
-        if (taken / checked_name(name)).exists():
-            raise ScanExistsError(f"{taken / name} is another prediction; choose another --as")
-        return name
-    numbered = (f"{base}-{number}" for number in itertools.count(2))
-    return next(one for one in itertools.chain([base], numbered) if not (taken / one).exists())
 
 
 def _own_volume(

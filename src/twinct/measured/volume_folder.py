@@ -1,11 +1,9 @@
-"""Reconstructions of a measured scan, judged without a truth: folders, and one page of all."""
+"""Reconstructions of a measured scan, judged without a truth, in a folder each."""
 
 from __future__ import annotations
 
-import itertools
 import json
 import logging
-import shutil
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
@@ -15,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import read_json
-from twinct.core.files.writing import storage_errors, write_json
+from twinct.core.files.writing import passing_folder, remove_folder, storage_errors, write_json
 from twinct.measured.judgement import Judgement, judge_volume
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
@@ -27,9 +25,14 @@ from twinct.report import MeasuredColumn, found_of, plain, with_found, write_mea
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.folder import as_yaml, refuse_other_keys
 from twinct.runs.log import logged_to
-from twinct.runs.reconstruction_folder import JUDGEMENT, file_digest
-from twinct.scan import Scan, checked_name
-from twinct.scenario import Scenario
+from twinct.runs.reconstruction_folder import (
+    JUDGEMENT,
+    check_files,
+    file_digest,
+    free_name,
+    reconstruction_base,
+)
+from twinct.scan import Scan
 
 log = logging.getLogger(__name__)
 
@@ -66,20 +69,35 @@ class MeasuredVolume:
         """The volume, 1/mm, read from its file."""
         return Volume.read(self.path / VOLUME)
 
+    @property
+    def told(self) -> str:
+        """Name, settings and figures in one line."""
+        judged = self.judgement
+        words = (
+            f"{self.name}: {self.in_words}, {self.geometry} geometry; {self.seconds:.1f} s, "
+            f"residual {100 * judged.residual_rel:.2f} %, edges {judged.edge_width_mm:.3f} mm wide"
+        )
+        if np.isfinite(judged.noise_per_mm):
+            words += f", noise {judged.noise_per_mm:.5f}/mm"
+        if np.isfinite(judged.consistency_rel):
+            words += f", consistency {100 * judged.consistency_rel:.2f} %"
+        return words
+
     def write(self, volume: Volume) -> None:
         """Write the folder, which appears only when it is complete."""
         draft = self.path.with_name(f".{self.path.name}.partial")
-        shutil.rmtree(draft, ignore_errors=True)
-        try:
+        with passing_folder(draft):
             draft.mkdir(parents=True)
             volume.write(draft / VOLUME, f"twinct {self.in_words}"[:78])
-            digests = {VOLUME: file_digest(draft / VOLUME)}
-            told = {"format": FORMAT, **asdict(self), "files": digests}
-            del told["path"]
-            write_json(draft / JUDGEMENT, plain(told))
+            self.write_figures(draft)
             draft.rename(self.path)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
+
+    def write_figures(self, folder: Path | None = None) -> None:
+        """Write everything but the voxels, into the folder of the volume."""
+        folder = folder or self.path
+        told = {"format": FORMAT, **asdict(self), "files": {VOLUME: file_digest(folder / VOLUME)}}
+        del told["path"]
+        write_json(folder / JUDGEMENT, plain(told))
 
     @classmethod
     def read(cls, path: Path) -> MeasuredVolume:
@@ -138,21 +156,54 @@ def reconstruct_measured(
         audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))
         stack.enter_context(sole_owner(folder.lock))
-        kept = measured_volumes(folder.reconstructions)
-        name = checked_name(name) if name else _free_name(scenario, which, kept)
-        if name in kept:
-            raise ScanExistsError(
-                f"{kept[name].path} is another reconstruction; choose another --as"
-            )
+        base = reconstruction_base(scenario, which)
+        name = free_name(name, base, folder.reconstructions)
         stack.enter_context(logged_to(folder.log))
         log.info("measured scan, %s: %s", name, scenario.reconstruction.in_words)
         made, volume = _made(scan, folder, which, name, audience, halves=halves)
         made.write(volume)
-        shutil.rmtree(folder.checkpoints, ignore_errors=True)
+        remove_folder(folder.checkpoints)
         with audience.stage("report", 1) as step:
-            _write_report(scan, folder, {**kept, name: made})
+            write_page(scan, folder, measured_volumes(folder.reconstructions))
             step()
     return made
+
+
+def report_measured(path: str | Path, observers: Observers = ()) -> dict[str, MeasuredVolume]:
+    """Judge all volumes of a measured scan again, and rewrite figures and page.
+
+    Figures of two halves of the views stay, as the volumes of the halves are not kept.
+
+    Args:
+        path: folder of ``import_measured``.
+        observers: notified of the stages.
+
+    Raises:
+        InputError: there is no measured scan or no volume in the folder, or one is damaged.
+    """
+    folder = Folder(Path(path))
+    scan, kept = load_scan(folder.path), measured_volumes(folder.reconstructions)
+    if not kept:
+        raise InputError(f"{folder.path} holds no volume yet; 'twinct reconstruct' makes one")
+    with (
+        sole_owner(folder.lock),
+        storage_errors(folder.path),
+        audience_of(observers) as audience,
+        audience.stage("judge", len(kept)) as step,
+    ):
+        integrals = scan.line_integrals()
+        for name, one in kept.items():
+            check_files(one.path)
+            judged = judge_volume(
+                one.volume, scan.geometry(one.geometry), integrals, scan.bad_pixels
+            )
+            before = one.judgement
+            of_halves = {key: getattr(before, key) for key in ("noise_per_mm", "consistency_rel")}
+            kept[name] = replace(one, judgement=replace(judged, **of_halves))
+            kept[name].write_figures()
+            step()
+        write_page(scan, folder, kept)
+    return kept
 
 
 def measured_volumes(folder: Path) -> dict[str, MeasuredVolume]:
@@ -167,12 +218,6 @@ def is_measured_scan(path: Path) -> bool:
     """Return True if a folder holds a scan of an unknown specimen."""
     file = Folder(path).scenario
     return file.is_file() and Folder(path).scenario_of_run(planned=True).specimen.unknown
-
-
-def _free_name(scenario: Scenario, which: str, kept: Mapping[str, MeasuredVolume]) -> str:
-    base = scenario.reconstruction.algorithm + ("" if which == "believed" else f"-{which}")
-    numbered = (f"{base}-{number}" for number in itertools.count(2))
-    return next(name for name in itertools.chain([base], numbered) if name not in kept)
 
 
 def _made(
@@ -222,7 +267,8 @@ def _half(scan: Scan, which: str, first: int, audience: Audience) -> Volume:
     return reconstruct(part, geometry=scan.geometry(which)[first::2], observers=audience)
 
 
-def _write_report(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -> None:
+def write_page(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -> None:
+    """Write ``report.html`` and ``metrics.json`` of all volumes of a measured scan."""
     columns = [
         MeasuredColumn(
             name=one.name,

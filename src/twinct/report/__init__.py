@@ -3,6 +3,7 @@
 from twinct.report.algorithm_results import FOUND, found_of, with_found
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
+from twinct.report.measured_comparison import MeasuredComparison
 from twinct.report.measured_page import MeasuredColumn, write_measured_report
 from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
@@ -24,6 +25,7 @@ __all__ = [
     "Comparison",
     "CrossSection",
     "MeasuredColumn",
+    "MeasuredComparison",
     "ReportData",
     "StudyAxis",
     "StudyData",

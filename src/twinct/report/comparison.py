@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from twinct.core.files.writing import write_text
 from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES
@@ -108,14 +108,33 @@ class Comparison:
             compared=self.compared,
             first=first,
             notes=self.notes,
-            pictures=_pictures(self.compared),
-            tables={
-                "Image figures": _image_rows(self.compared),
-                "Pose errors": _pose_rows(self.compared),
-                "Time": _time_rows(self.compared),
-            },
+            kicker=self.kicker,
+            about_slices=self.about_slices,
+            pictures=self.pictures(),
+            tables=self.tables(),
             keys=self.keys,
         )
+
+    kicker: ClassVar[str] = "Twin robotic CT simulation"
+    about_slices: ClassVar[str] = (
+        "All volumes show the same planes of the world, with one window and one scale. Each is in "
+        "its own voxels, above its error against its own truth. Where a volume's own plane lies up "
+        "to half a voxel away, its position is given; a grid that is turned against the first one "
+        "shows its nearest voxels. The outline bounds the region that every view sees; the figures "
+        "below are computed in it."
+    )
+
+    def tables(self) -> dict[str, list[Row]]:
+        """Return the rows of each table by its title."""
+        return {
+            "Image figures": _image_rows(self.compared),
+            "Pose errors": _pose_rows(self.compared),
+            "Time": time_rows(self.compared),
+        }
+
+    def pictures(self) -> list[tuple[str, str]]:
+        """Return a title and the address of an image for each plane."""
+        return _pictures(self.compared)
 
 
 def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:
@@ -129,7 +148,7 @@ def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:
     return found
 
 
-class _Row(NamedTuple):
+class Row(NamedTuple):
     """Values, and the differences from the first value, both as text."""
 
     title: str
@@ -138,14 +157,14 @@ class _Row(NamedTuple):
     meaning: str = ""
 
 
-def _row(
+def row_of(
     title: str,
     unit: str,
     values: Sequence[float | None],
     text: Callable[[float | None], str],
     meaning: str = "",
     alike: Sequence[bool] | None = None,
-) -> _Row:
+) -> Row:
     """Return a row; a value that is not ``alike`` with the first has no difference."""
     first, cells = values[0], [(text(values[0]), "")]
     for value, counts in zip(values[1:], (alike or [True] * len(values))[1:], strict=True):
@@ -155,16 +174,16 @@ def _row(
             sign, size = "+" if change > 0 else "−", text(abs(change))
             difference = f"{sign}{size}" if size != text(0.0) else "≈" if change else "="
         cells.append((text(value), difference))
-    return _Row(title, unit, cells, meaning)
+    return Row(title, unit, cells, meaning)
 
 
-def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
+def _image_rows(compared: Sequence[Compared]) -> list[Row]:
     materials = "/".join(dict.fromkeys(one.reference for one in compared))
     alike = [one.truth == compared[0].truth for one in compared]
     moves = any(one.scenario.specimen.motion for one in compared)
     figures = (*IMAGE_FIGURES, *(MOTION_FIGURES if moves else ()))
     return [
-        _row(
+        row_of(
             shown.title,
             shown.unit,
             [nested(one.image, shown.key) for one in compared],
@@ -176,14 +195,14 @@ def _image_rows(compared: Sequence[Compared]) -> list[_Row]:
     ]
 
 
-def _pose_rows(compared: Sequence[Compared]) -> list[_Row]:
+def _pose_rows(compared: Sequence[Compared]) -> list[Row]:
     """Return rows for executed against commanded poses, then for reconstructed against executed."""
     metrics = [one.metrics for one in compared]
     believed = [
         one.metrics.get("geometries", {}).get(one.scenario.reconstruction.geometries[0], {})
         for one in compared
     ]
-    rows: list[_Row] = []
+    rows: list[Row] = []
     for of, what, statistics in (
         (metrics, "executed against commanded", ("mean", "max")),
         (believed, "used for reconstruction, against executed", ("mean",)),
@@ -196,20 +215,21 @@ def _pose_rows(compared: Sequence[Compared]) -> list[_Row]:
                 for statistic in statistics:
                     values = [_found(one, "pose_error", arm, kind, statistic) for one in of]
                     title = f"{arm}, {name}, {statistic}"
-                    rows.append(_row(title, unit, values, partial(fixed, digits=3), what))
+                    rows.append(row_of(title, unit, values, partial(fixed, digits=3), what))
     gaps = [_found(one, "clearance_mm", "min") for one in metrics]
-    rows.append(_row("smallest clearance", "mm", gaps, partial(fixed, digits=1)))
+    rows.append(row_of("smallest clearance", "mm", gaps, partial(fixed, digits=1)))
     return [row for row in rows if any(text != fixed(None) for text, _ in row.cells)]
 
 
-def _time_rows(compared: Sequence[Compared]) -> list[_Row]:
+def time_rows(compared: Sequence[Compared]) -> list[Row]:
+    """Return the seconds of each stage, and the simulated ones."""
     stages = dict.fromkeys(name for one in compared for name in one.seconds if name != "total")
     rows = [
-        _row(stage_title(name), "", [one.seconds.get(name) for one in compared], duration)
+        row_of(stage_title(name), "", [one.seconds.get(name) for one in compared], duration)
         for name in (*stages, "total")
     ]
     simulated = [_found(one.metrics, "simulated_seconds") for one in compared]
-    return [*rows, _row("simulated time", "", simulated, duration)]
+    return [*rows, row_of("simulated time", "", simulated, duration)]
 
 
 def _found(told: Any, *keys: str) -> float | None:

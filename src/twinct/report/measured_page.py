@@ -56,6 +56,13 @@ FIGURES = {
         "residual", "%", "root mean square of p − A x over the rays, relative to that of p", 100, 2
     ),
     "residual": _Told("residual", "", "the same as a line integral", 1, 4),
+    "consistency_rel": _Told(
+        "consistency",
+        "%",
+        "residual of views that the volume of the others predicts (--halves)",
+        100,
+        2,
+    ),
     "edge_width_mm": _Told(
         "edge width", "mm", "median 10–90 % rise across the volume's own surface (Otsu's threshold)"
     ),

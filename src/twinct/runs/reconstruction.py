@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import logging
 import time
 from collections.abc import Iterable
@@ -23,7 +22,12 @@ from twinct.runs.checks import check_corrections
 from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
 from twinct.runs.job import Run, finished_run, report_again
 from twinct.runs.log import logged_to
-from twinct.runs.reconstruction_folder import Reconstruction, kept_reconstructions
+from twinct.runs.reconstruction_folder import (
+    Reconstruction,
+    free_name,
+    kept_reconstructions,
+    reconstruction_base,
+)
 from twinct.runs.reporting import judge
 from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
@@ -142,11 +146,8 @@ def reconstruct_again(
             if _is_reported(folder, there):
                 return there
         else:
-            name = checked_name(name) if name else _free_name(scan.scenario, which, kept)
-            if name in kept:
-                raise ScanExistsError(
-                    f"{kept[name].path} is another reconstruction; choose another --as"
-                )
+            base = reconstruction_base(scan.scenario, which)
+            name = free_name(name, base, folder.reconstructions)
             stack.enter_context(logged_to(folder.log))
             log.info("reconstruction %s: %s", name, scan.scenario.reconstruction.in_words)
             there, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
@@ -198,13 +199,6 @@ def _made(
         found=found_of(volume.extras),
     )
     return found, volume
-
-
-def _free_name(scenario: Scenario, which: str, kept: dict[str, Reconstruction]) -> str:
-    section = scenario.reconstruction
-    base = section.algorithm if which == "believed" else f"{section.algorithm}-{which}"
-    numbered = (f"{base}-{number}" for number in itertools.count(2))
-    return next(name for name in itertools.chain([base], numbered) if name not in kept)
 
 
 def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,13 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from twinct.core.errors import InputError
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import passing_folder, write_json
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
 from twinct.report import CrossSection, plain, with_found
+from twinct.scan import checked_name
+from twinct.scenario import Scenario
 
 FORMAT = "twinct reconstruction 1"
 JUDGEMENT = "judgement.json"
@@ -157,6 +160,27 @@ def check_files(path: Path) -> None:
     for name, digest in told.get("files", {}).items():
         if not (path / name).is_file() or file_digest(path / name) != digest:
             raise InputError(f"{path / name} differs from the file written for {path.name}")
+
+
+def free_name(asked: str | None, base: str, folder: Path, what: str = "reconstruction") -> str:
+    """Return the name of a new result in a folder: as asked, or the base, with a number if taken.
+
+    Raises:
+        InputError: the name is no name of a file.
+        ScanExistsError: the name that was asked for is taken.
+    """
+    if asked:
+        if (there := folder / checked_name(asked)).exists():
+            raise ScanExistsError(f"{there} is another {what}; choose another --as")
+        return asked
+    names = itertools.chain([base], (f"{base}-{number}" for number in itertools.count(2)))
+    return next(name for name in names if not (folder / name).exists())
+
+
+def reconstruction_base(scenario: Scenario, which: str) -> str:
+    """Return the name of a reconstruction after its algorithm and geometry."""
+    algorithm = scenario.reconstruction.algorithm
+    return algorithm if which == "believed" else f"{algorithm}-{which}"
 
 
 def file_digest(path: Path) -> str:
