@@ -516,11 +516,11 @@ def test_an_interrupt_that_a_library_swallows_is_no_bug(
         raise TypeError(f"unsupported operand: {kept!r}")
 
     monkeypatch.setattr("twinct.cli.commands.app.cli", imported)
-    assert run_command([]) == code
+    assert run_command(["check"]) == code
     said = "before its results were complete; earlier ones stay"
     assert capfd.readouterr().err == f"twinct: interrupted: {said}\n"
     monkeypatch.setattr("twinct.cli.commands.app.cli", lambda **_: 1 / 0)
-    assert run_command([]) == 1  # a bug of the next command stays one
+    assert run_command(["check"]) == 1  # a bug of the next command stays one
     assert "unexpected ZeroDivisionError" in capfd.readouterr().err
 
 
@@ -545,13 +545,13 @@ def test_a_lack_of_memory_is_told_whatever_meets_it(
 
     for work in (lacking, Mock(side_effect=error)):
         monkeypatch.setattr("twinct.cli.commands.app.cli", work)
-        assert run_command([]) == 2
+        assert run_command(["check"]) == 2
         assert re.match(r"twinct: too little memory, by the .*: \w+: ", capfd.readouterr().err)
     monkeypatch.setattr("twinct.cli._code_of", Mock(side_effect=SystemError("no exception set")))
-    assert run_command([]) == 2
+    assert run_command(["check"]) == 2
     assert "too little memory" in capfd.readouterr().err
     monkeypatch.setattr("twinct.cli.available_bytes", Mock(side_effect=MemoryError))
-    assert run_command([]) == 2
+    assert run_command(["check"]) == 2
     assert capfd.readouterr().err == "twinct: too little memory\n"
 
 
@@ -564,7 +564,7 @@ def test_readings_that_an_interrupt_cuts_short_do_not_complain(
     monkeypatch.setattr("twinct.cli.signal.signal", Mock())
     monkeypatch.setattr("twinct.cli.run_command", Mock(return_value=129))
     with pytest.raises(SystemExit):
-        main([])
+        main(["check"])
     assert logger.disabled
 
 

@@ -67,20 +67,28 @@ def _code_of(arguments: list[str]) -> int:
         return EXIT_DONE
     try:
         limit_threads()  # before the libraries that it limits are loaded
-        from twinct.cli.commands import app
+        from twinct.cli.commands import app, check_names, overview
         from twinct.cli.old_spelling import respelled
 
-        app.cli(
+        alone = arguments in ([], ["-h"], ["--help"])
+        if arguments[:1] == ["--completion"]:
+            arguments = ["--tyro-print-completion", *arguments[1:]]
+        elif not alone:
+            arguments = respelled(arguments)
+            check_names(arguments)
+        (overview() if alone else app).cli(
             prog="twinct",
             description="Simulates a twin robotic CT system from one scenario file: two arms, "
-            "X-ray projections, ROS 2, reconstruction and evaluation. "
-            "--version prints the version.",
-            args=respelled(arguments),
+            "X-ray projections, ROS 2, reconstruction and evaluation.\n\n"
+            "twinct COMMAND --help explains a command, --version prints the version, and "
+            "--completion bash|zsh|fish prints what a shell needs to complete commands.",
+            args=["--help"] if alone else arguments,
         )
     except SystemExit as stop:  # tyro: 0 after --help, 2 after invalid arguments
         if isinstance(stop.__context__, BrokenPipeError):  # rich
             raise stop.__context__ from None
-        return stop.code if isinstance(stop.code, int) else EXIT_OTHER
+        code = stop.code or EXIT_DONE  # None after completion is printed
+        return code if isinstance(code, int) else EXIT_OTHER
     except TwinctError as error:
         for line in error.lines:
             _say(f"twinct: {line}")

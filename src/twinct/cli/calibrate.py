@@ -63,7 +63,7 @@ def beads(folder: Run, *, as_: Name = "beads", to: Others = ()) -> None:
     """Calibrate each view from a phantom of balls at known positions.
 
     Args:
-        folder: Folder of ``twinct run --out``, of a specimen with a ball_helix.
+        folder: Folder of twinct run --out, of a specimen with a ball_helix.
         to: Folders of scans with the same views that get the geometry, too.
     """
     import numpy as np
@@ -94,7 +94,7 @@ def balls(
     """Calibrate a scan from a few balls at unknown positions on its specimen.
 
     Args:
-        folder: Folder of ``twinct run --out``.
+        folder: Folder of twinct run --out.
         ball_radius_mm: Radius of each ball.
     """
     import numpy as np
@@ -139,7 +139,7 @@ def self_(
     """Calibrate a scan from its projections alone, each view moved until they agree.
 
     Args:
-        folder: Folder of ``twinct run --out``.
+        folder: Folder of twinct run --out.
         what: Parts that may have moved: source and panel, or the patient between them.
         start: Initial poses; epipolar: each view is first moved until it is consistent with other
             views in planes through both sources, without a volume.
@@ -189,7 +189,7 @@ def kinematics(
     """Calibrate both arms from all views of a phantom of balls, and store them in DIR/arms.json.
 
     Args:
-        folder: Folder of ``twinct run --out``, of a specimen with a ball_helix.
+        folder: Folder of twinct run --out, of a specimen with a ball_helix.
         to: Folders of scans of the same arms, along any trajectory, that get the geometry, too.
         from_: An arms.json; the scan then needs no balls.
     """

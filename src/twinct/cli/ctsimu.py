@@ -87,7 +87,7 @@ def export(
     Writes NAME.json, NAME_openCT.json, a mesh for each part and the projections into DIR.
 
     Args:
-        scan: Folder of ``twinct run --out``, or its scan.zarr.
+        scan: Folder of twinct run --out, or its scan.zarr.
         out: Folder for the files.
         ideal: Describe an ideal source and detector, whatever the scan used.
         geometry: Geometry for the reconstruction: believed, executed, commanded, or one made by

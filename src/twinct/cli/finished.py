@@ -204,11 +204,11 @@ def report(
 ) -> None:
     """Evaluate a finished run again and rewrite its metrics.json and report.html.
 
-    ``--set evaluation.KEY=VALUE`` adds measurements in its volumes; none is reconstructed again. Of
+    --set evaluation.KEY=VALUE adds measurements in its volumes; none is reconstructed again. Of
     a measured scan, all volumes are judged again, as far as that needs no truth.
 
     Args:
-        folder: Folder of ``twinct run --out``, or of ``twinct import`` of a measured scan.
+        folder: Folder of twinct run --out, or of twinct import of a measured scan.
     """
     from twinct.measured import is_measured_scan
     from twinct.runs import report_again
@@ -247,8 +247,8 @@ def compare(
     scans are compared with each other, without any figure of a truth.
 
     Args:
-        folders: Folders of ``twinct run --out``, or DIR/reconstructions/NAME for results of
-            ``twinct reconstruct``; two or more. A measured scan's folder means all its volumes.
+        folders: Folders of twinct run --out, or DIR/reconstructions/NAME for results of
+            twinct reconstruct; two or more. A measured scan's folder means all its volumes.
         out: File to write.
     """
     from twinct.core.files.writing import check_page, storage_errors
@@ -275,7 +275,7 @@ def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
     damaged parts of a scan again.
 
     Args:
-        folder: Folder of ``twinct run --out``, or its scan.zarr.
+        folder: Folder of twinct run --out, or its scan.zarr.
     """
     from twinct.runs import verify
 
@@ -304,7 +304,7 @@ def reconstruct(
     Or reconstruct a measured scan, and judge the volume as far as that needs no truth.
 
     Args:
-        folder: Folder of ``twinct run --out``, or of ``twinct import`` of a measured scan.
+        folder: Folder of twinct run --out, or of twinct import of a measured scan.
         geometry: commanded, executed, believed, or one made by twinct geometry.
         as_: Name of the result, below DIR/reconstructions; after its algorithm unless given.
         halves: Of a measured scan: also reconstruct every other view, for the noise.
@@ -351,7 +351,7 @@ def geometry(
     """List the geometries of a scan, or derive a new one: poses that its robots would report.
 
     Args:
-        folder: Folder of ``twinct run --out``.
+        folder: Folder of twinct run --out.
         as_: Name of the new geometry; without it, existing geometries are listed.
         set_: Keys of uncertainty, such as --set uncertainty.seed=3.
     """

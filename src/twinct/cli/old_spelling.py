@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import shlex
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 from twinct.cli.calibrate import METHODS
 from twinct.core.errors import InputError
@@ -28,7 +30,7 @@ def respelled(arguments: Sequence[str]) -> list[str]:
             method = value if equals else next(words, "")
         else:
             others.append(word)
-    if method is None and others[0] in METHODS:
+    if method is None and (others[0] in METHODS or _mistyped(others[0])):
         return list(arguments)
     method = "beads" if method is None else method
     if method not in METHODS:
@@ -36,3 +38,8 @@ def respelled(arguments: Sequence[str]) -> list[str]:
     new = ["calibrate", method, *others]
     sys.stderr.write(f"twinct: the method comes first now; write: {shlex.join(['twinct', *new])}\n")
     return new
+
+
+def _mistyped(word: str) -> bool:
+    """Return whether a word looks like the name of a method, and not like a folder."""
+    return bool(difflib.get_close_matches(word, METHODS, n=1)) and not Path(word).exists()

@@ -1,0 +1,75 @@
+"""Conventions that people expect of a command line: help, near names, completion."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from twinct.cli import run_command
+from twinct.cli.commands import NAMES
+
+METHODS = {
+    "calibrate": ("beads", "balls", "self", "kinematics"),
+    "ctsimu": ("render", "export", "qualify"),
+}
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    run_command(arguments)
+    told = capsys.readouterr()
+    return told.out + told.err
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_is_text_for_a_terminal(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pages = [(name,), *((name, method) for method in METHODS.get(name, ()))]
+    for page in pages:
+        text = said(capsys, *page, "--help")
+        assert f"usage: twinct {' '.join(page)}" in text
+        for mark in ("``", "`", ":class:", ":func:", ".. "):
+            assert mark not in text, page
+
+
+def test_the_help_of_twinct_names_each_command_in_a_sentence(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    text = said(capsys, "--help")
+    assert all(f"• {name} " in text for name in NAMES)
+    assert len(text.splitlines()) < 75
+    assert said(capsys) == text, "and without arguments"
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["chek", "demo"], "twinct has no command 'chek'; did you mean 'check'?"),
+        (["calibrate", "slef", "out"], "calibrate has no command 'slef'; did you mean 'self'?"),
+        (["ctsimu", "rendr"], "twinct ctsimu has no command 'rendr'; did you mean 'render'?"),
+        (["xyzzy"], "twinct has no command 'xyzzy' (demo, check, run"),
+    ],
+)
+def test_an_unknown_command_is_answered_with_the_nearest(
+    words: list[str], hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(words) == 2
+    assert hint in capsys.readouterr().err
+
+
+@pytest.mark.process
+def test_bash_completes_commands_and_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = tmp_path / "twinct.bash"
+    assert run_command(["--completion", "bash"]) == 0
+    script.write_text(capsys.readouterr().out)
+    ask = (
+        f'source {script}; complete_it() {{ COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); '
+        '_tyro_twinct; printf "%s\\n" "${COMPREPLY[@]}"; }; '
+        "complete -p twinct; complete_it twinct che; complete_it twinct check --time"
+    )
+    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [
+        *"complete -F _tyro_twinct twinct".split(), "check", "--time-limit"
+    ]  # fmt: skip
