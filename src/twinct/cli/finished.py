@@ -13,6 +13,7 @@ from rich.table import Table
 from twinct.cli.arguments import Flag, Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import percent, say_result
+from twinct.link.recording.arms_recording import ArmsRecording
 
 
 def import_(
@@ -27,6 +28,7 @@ def import_(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     try_: Annotated[Flag, tyro.conf.arg(name="try")] = False,
+    arms: ArmsRecording = ArmsRecording(),  # noqa: B008 - frozen
 ) -> None:
     """Import a measured scan, or a scan's recordings: DIR/scan.zarr and DIR/scenario.yaml.
 
@@ -36,6 +38,9 @@ def import_(
     Several recordings belong to one scan that was interrupted and resumed. Missing views are
     listed; run --resume acquires them. From another tool's recording of the same topics, poses,
     cameras and images are imported as a gantry's scan of an unknown specimen.
+
+    From recordings of real arms, made by twinct drive or with --arms.scenario, the executed poses
+    are those of the joints at the time of each image.
 
     Args:
         out: Folder to write, without a run in it.
@@ -55,6 +60,8 @@ def import_(
         return
     if try_:
         raise InputError(f"--try: only for a measured scan; {', '.join(map(str, files))} is none")
+    if _import_driven(files, out, arms):
+        return
     from twinct.runs import import_scan
 
     found = import_scan(files, out)
@@ -64,6 +71,26 @@ def import_(
         say(f"missing: {found.missing_in_words}", warning=True)
     count = len(found.views)
     say(f"{count} of {count + len(found.missing)} views imported to {out}")
+
+
+def _import_driven(files: tuple[Path, ...], out: Path, arms: ArmsRecording) -> bool:
+    """Import recordings of real arms; return False if they are none."""
+    from twinct.core.extras import require
+    from twinct.measured import import_driven, is_driven
+
+    require("record")
+    if not is_driven(files, arms):
+        return False
+    require("robots")
+    found = import_driven(files, out, arms)
+    for sentence in found.told:
+        say(sentence, warning=True)
+    if found.lag_ms is not None:
+        say(f"the arms followed the plan {found.lag_ms:.2f} ms late")
+    estimated = ", estimated from the images" if arms.estimate_latency else ""
+    say(f"images are stamped {found.latency_ms:.2f} ms after their exposures{estimated}")
+    say(f"{found.views} views imported to {out}")
+    return True
 
 
 def _import_measured(source: Path, out: Path) -> None:

@@ -113,7 +113,7 @@ class Drive:
         self._at: dict[str, float] = {}
         self._limits: dict[str, str] = {}
         self._sent_ns: dict[str, int] = {}
-        self._started = False
+        self._start: Stamp | None = None
         self.told: list[str] = []
 
     def run(self) -> None:
@@ -131,11 +131,15 @@ class Drive:
             self._watch(start)
         except BaseException as error:
             self._cancel()
-            self._hear_out()
-            self._file.finish(ended=str(error) or type(error).__name__)
+            self._finish(str(error) or type(error).__name__)
             raise
+        self._finish("all controllers succeeded")
+
+    def _finish(self, ended: str) -> None:
         self._hear_out()
-        self._file.finish(ended="all controllers succeeded", start_ns=str(start.ns))
+        longest_s = max(part.course.duration_s for part in self._parts)
+        start = {} if self._start is None else {"start_ns": str(self._start.ns)}
+        self._file.finish(ended=ended, duration_s=repr(longest_s), **start)
 
     def _wait(self, done: Callable[[], bool], seconds: float) -> bool:
         """Handle what comes until a condition holds; return False if the time is over."""
@@ -189,7 +193,7 @@ class Drive:
     def _hear(self, topic: Topic, raw: Raw, sender: Sender) -> None:
         self._file.write(topic, topic.kind, raw, sender)
         self._sent_ns[topic.name] = raw.sent_ns
-        if topic in self._settings.joint_states and not self._started:
+        if topic in self._settings.joint_states and self._start is None:
             message = deserialize_message(raw.data, topic.message_class)
             self._at.update(zip(message.name, message.position, strict=False))
 
@@ -234,7 +238,7 @@ class Drive:
         for part in self._parts:
             goal = self._action.Goal(**part.course.goal(Stamp(0, 0) if alone else start))
             part.answer = part.client.send_goal_async(goal)
-        self._started = True
+        self._start = start
         answered = self._wait(
             lambda: all(part.answer.done() for part in self._parts), self._settings.patience_s
         )

@@ -51,7 +51,7 @@ class Joints(Section):
         facts.require(f"{self.scenario}: detector", facts.views, panel)
         try:
             joints = np.radians(table) if self.unit == "deg" else table
-            poses = poses_of_joints(scenario, scenario.cell, joints)
+            poses = poses_of_joints(scenario, joints)
             geometry = poses.geometry(panel)
         except (InputError, ValueError) as error:
             raise InputError(f"{where}: {error}") from None

@@ -39,18 +39,16 @@ def evidence_of(
         told = PosePairs(commanded.source[taken], commanded.detector[taken])
         return Evidence(scenario.cell, joint_names, joints, told)
     joints = encoders_of(scenario, joints)
-    told = poses_of_joints(scenario, scenario.cell, joints)
-    return Evidence(scenario.cell, joint_names, joints, told)
+    return Evidence(scenario.cell, joint_names, joints, poses_of_joints(scenario, joints))
 
 
-def poses_of_joints(scenario: Scenario, cell: Cell, joints: Floats) -> PosePairs:
+def poses_of_joints(scenario: Scenario, joints: Floats) -> PosePairs:
     """Return the poses of source and panel for encoder readings of a scenario's cell.
 
     The arms are nominal, or those of ``uncertainty.calibration``.
 
     Args:
-        scenario: the scenario.
-        cell: its cell, with arms.
+        scenario: scenario whose cell has arms.
         joints: readings of both arms, source first, (views, joints), rad.
 
     Raises:
@@ -61,7 +59,8 @@ def poses_of_joints(scenario: Scenario, cell: Cell, joints: Floats) -> PosePairs
     """
     from twinct.robots.cell import nominal_chains
 
-    chains = nominal_chains(cell, scenario.detector.panel)
+    assert isinstance(scenario.cell, Cell)
+    chains = nominal_chains(scenario.cell, scenario.detector.panel)
     counts = [len(chain) for chain in chains]
     if joints.shape[1] != sum(counts):
         raise InputError(

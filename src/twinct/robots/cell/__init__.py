@@ -5,7 +5,7 @@ MuJoCo is imported when a cell is built, not together with this package.
 
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.bodies import BodyPlaces
-from twinct.robots.cell.chains import chains_of, nominal_chains
+from twinct.robots.cell.chains import chains_of, joint_names_of, nominal_chains
 from twinct.robots.cell.clearance import Clearance, Gap
 from twinct.robots.cell.fixed import Overlap, apart, overlaps
 from twinct.robots.cell.frames import LinkFrames
@@ -39,6 +39,7 @@ __all__ = [
     "check_drawing",
     "check_picture_size",
     "mujoco_module",
+    "joint_names_of",
     "nominal_chains",
     "overlaps",
     "render_cell",

@@ -21,6 +21,11 @@ def nominal_chains(cell: Cell, panel: Panel) -> tuple[Chain, Chain]:
     return chains_of(build_cell(cell, None, Pose.identity(), panel))
 
 
+def joint_names_of(cell: Cell, panel: Panel) -> tuple[str, ...]:
+    """Return the names of all joints of a scenario's arms, source first; see ``nominal_chains``."""
+    return build_cell(cell, None, Pose.identity(), panel).joint_names
+
+
 def chains_of(built: CellModel) -> tuple[Chain, Chain]:
     """Return the chains of source and detector arm of a compiled cell.
 

@@ -1,0 +1,36 @@
+"""Choices of an import from recordings of real arms."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class ArmsRecording:
+    """Recording of real arms: what in it is what.
+
+    Attributes:
+        scenario: Scenario of the scan, whose arms and specimen are kept (default: the one that
+            twinct drive recorded).
+        image: Topic of the detector's images.
+        joint_states: Topics of the drivers' joint states.
+        source_prefix: Prefix of the joint names of the source arm's driver.
+        detector_prefix: Prefix of the joint names of the detector arm's driver.
+        flat: Files of flat images, whose mean counts; raw images need them.
+        dark: Files of dark images.
+        flip: rows or columns of the images that run the other way than v and u.
+        latency_ms: Time from the middle of an exposure to its image's stamp, on the joints' clock.
+        estimate_latency: Estimate that time from the images of the scenario's specimen.
+    """
+
+    scenario: Path | None = None
+    image: str = "/xray/image"
+    joint_states: tuple[str, ...] = ("/joint_states",)
+    source_prefix: str = ""
+    detector_prefix: str = ""
+    flat: tuple[Path, ...] = ()
+    dark: tuple[Path, ...] = ()
+    flip: tuple[str, ...] = ()
+    latency_ms: float = 0.0
+    estimate_latency: bool = False

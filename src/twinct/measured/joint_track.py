@@ -1,0 +1,167 @@
+"""Joints over time, as the drivers of both arms told them, and their values at the images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+
+if TYPE_CHECKING:
+    from twinct.robots.motion import MotionPlan
+
+Floats = NDArray[np.float64]
+
+WINDOW_S = 0.04
+"""Time over which readings are fitted by a cubic: at 500 Hz their noise falls to a third."""
+
+DEGREE = 3
+
+LARGEST_GAP_S = 0.1
+"""Longest time between a reading before an image and one after it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Readings of one group of joints, which one driver told together.
+
+    Attributes:
+        joints: names of the joints in the scenario.
+        time_s: increasing stamps, since the recording's epoch, (readings,).
+        position: rad, (readings, joints).
+    """
+
+    joints: tuple[str, ...]
+    time_s: Floats
+    position: Floats
+
+    def at(self, time_s: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Return positions and speeds at some times, by a local cubic, and where there are any.
+
+        Args:
+            time_s: (times,).
+
+        Returns:
+            positions, (times, joints); speeds, (times, joints); whether readings lie before and
+            after each time, closely enough, (times,).
+        """
+        position = np.full((len(time_s), len(self.joints)), np.nan)
+        speed, there = position.copy(), np.zeros(len(time_s), dtype=bool)
+        for i, t in enumerate(time_s.tolist()):
+            after = int(np.searchsorted(self.time_s, t))
+            if not 0 < after < len(self.time_s):
+                continue
+            if self.time_s[after] - self.time_s[after - 1] > LARGEST_GAP_S:
+                continue
+            first, last = np.searchsorted(self.time_s, (t - WINDOW_S / 2, t + WINDOW_S / 2))
+            first, last = min(first, after - 1), max(last, after + 1)
+            since = self.time_s[first:last] - t
+            degree = min(DEGREE, len(since) - 1)
+            powers = np.vander(since / WINDOW_S, degree + 1, increasing=True)
+            found, *_ = np.linalg.lstsq(powers, self.position[first:last], rcond=None)
+            position[i], speed[i], there[i] = found[0], found[1] / WINDOW_S, True
+        return position, speed, there
+
+
+@dataclass(frozen=True, eq=False)
+class JointTrack:
+    """Readings of all joints.
+
+    Attributes:
+        joints: names of all joints, source first.
+        groups: readings of each driver.
+    """
+
+    joints: tuple[str, ...]
+    groups: tuple[Readings, ...]
+
+    def at(self, time_s: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Return positions and speeds of all joints; see ``Readings.at``."""
+        shape = len(time_s), len(self.joints)
+        position, speed = np.full(shape, np.nan), np.full(shape, np.nan)
+        there = np.ones(len(time_s), dtype=bool)
+        for group in self.groups:
+            columns = [self.joints.index(name) for name in group.joints]
+            position[:, columns], speed[:, columns], own = group.at(time_s)
+            there &= own
+        return position, speed, there
+
+    def lag_s(self, plan: MotionPlan, start_s: float, slower: float) -> float:
+        """Return the time by which the joints follow a plan, by least squares.
+
+        Args:
+            plan: the plan.
+            start_s: time at which it was to start.
+            slower: duration of the motion over that of the plan.
+        """
+        lag, names = 0.0, list(plan.joint_names)
+        for _ in range(20):
+            top, bottom = 0.0, 0.0
+            for group in self.groups:
+                since = (group.time_s - start_s - lag) / slower
+                inside = (since > 0) & (since < plan.duration_s)
+                wanted = plan.at(since[inside])[:, :2, [names.index(n) for n in group.joints]]
+                speed = wanted[:, 1] / slower
+                top += float((speed * (wanted[:, 0] - group.position[inside])).sum())
+                bottom += float((speed**2).sum())
+            if not bottom:
+                raise InputError("no joint moved while the plan was to be followed")
+            lag += (step := top / bottom)
+            if abs(step) < 1e-7:
+                break
+        return lag
+
+
+def track_of(
+    heard: Mapping[tuple[str, ...], tuple[list[int], list[Sequence[float]]]],
+    names: Mapping[str, str],
+    joints: tuple[str, ...],
+    epoch_ns: int,
+) -> tuple[JointTrack, tuple[str, ...]]:
+    """Return the readings of all joints of a cell.
+
+    Args:
+        heard: stamps, ns, and positions by the names that the drivers told together.
+        names: joint names of the scenario by those of the drivers.
+        joints: joint names of the scenario.
+        epoch_ns: origin of the times.
+
+    Returns:
+        The readings, and sentences on what was left out.
+
+    Raises:
+        InputError: nobody told of a joint.
+    """
+    groups, told, found = [], [], set()
+    for told_names, (stamps, rows) in heard.items():
+        columns = [i for i, name in enumerate(told_names) if names.get(name) in joints]
+        own = tuple(names[told_names[i]] for i in columns)
+        if not own or found & set(own):
+            continue
+        found |= set(own)
+        time_ns = np.array(stamps, dtype=np.int64)
+        newest = np.maximum.accumulate(time_ns)
+        good = np.concatenate([[True], time_ns[1:] > newest[:-1]])
+        if not good.all():
+            first = int(np.argmin(good))
+            back_ms = (newest[first - 1] - time_ns[first]) / 1e6
+            told.append(
+                f"stamps of {told_names[0]} and others run backwards: {int((~good).sum())} of "
+                f"{len(good)} readings are left out, the first is {back_ms:.3f} ms before the one "
+                "it follows"
+            )
+        position = np.array([[row[i] for i in columns] for row in rows], dtype=np.float64)
+        if not np.isfinite(position).all():
+            raise InputError(f"a position of {', '.join(told_names)} is not finite")
+        groups.append(Readings(own, (time_ns[good] - epoch_ns) / 1e9, position[good]))
+    if missing := [name for name in joints if name not in found]:
+        there = sorted({name for group in heard for name in group})
+        raise InputError(
+            f"no joint state tells of {', '.join(missing)}; they tell of {', '.join(there)}: "
+            "name the prefixes of the drivers (--arms.source-prefix, --arms.detector-prefix)"
+        )
+    return JointTrack(joints, tuple(groups)), tuple(told)

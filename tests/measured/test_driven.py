@@ -1,0 +1,197 @@
+"""A plan sent to a stand-in for two drivers, recorded, and imported: poses and times."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("mcap")
+
+from PIL import Image as Picture
+from stand_in import LAG_S, StandIn
+
+from twinct.cli import run_command
+from twinct.core.errors import InputError
+from twinct.link.driving import Drive, DriveSettings, names_of
+from twinct.link.environment import Domain
+from twinct.link.follow import courses
+from twinct.link.participant import Station
+from twinct.link.recording.arms_recording import ArmsRecording
+from twinct.link.recording.drive_file import DriveFile
+from twinct.measured import import_driven
+from twinct.robots.programs import Program, program_of
+from twinct.runs import Folder
+from twinct.scan import ScanStore, SimulationBuilder
+from twinct.scan.encoder_model import poses_of_joints
+from twinct.scenario import Scenario, load_scenario
+
+pytestmark = pytest.mark.process
+
+SCENARIO = {
+    "trajectory": {"kind": "arc", "views": 24, "longitude_range_deg": 40},
+    "specimen": {
+        "parts": [
+            {
+                "name": "phantom",
+                "material": "bone",
+                "shape": {"kind": "box", "size_mm": [60, 40, 50]},
+            }
+        ]
+    },
+    "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8},
+    "xray": {"engine": "mesh"},
+    "motion": {"tool_speed_mm_s": 60},
+}
+ACTIONS = ("/left/follow_joint_trajectory", "/right/follow_joint_trajectory")
+NOISE_DEG, LATENCY_S = 0.001, 0.012
+IMAGE = "/detector/image"
+DARK, LIGHT = 100, 60_000
+
+
+class Driven:
+    """A scan of a stand-in: what is recorded of it, and what was true."""
+
+    def __init__(self, domain: int, folder: Path) -> None:
+        self.scenario: Scenario = load_scenario(SCENARIO)
+        self.builder = SimulationBuilder(self.scenario)
+        plan = self.builder.plan
+        assert plan is not None
+        self.plan = plan
+        self.program: Program = program_of(plan, "a test", ("left_", "right_"))
+        self.path = folder / "drive.mcap"
+        # The detector is triggered when the arms pass the views' poses, and its stamps are late.
+        self.exposed_s = plan.exposures_s + LAG_S
+        self.joints = plan.at(plan.exposures_s)[:, 0]
+        true = poses_of_joints(self.scenario, self.joints)
+        self.poses = true
+        self._images = self._rendered(true)
+        arms = [self._stand_in(domain, arm) for arm in (0, 1)]
+        self._drive(domain)
+        for arm in arms:
+            arm.close()
+        for name, level in (("flat", LIGHT), ("dark", DARK)):
+            pixels = np.full((30, 40), level, np.uint16)
+            Picture.fromarray(pixels).save(folder / f"{name}.tif")
+
+    def _rendered(self, poses: Any) -> list[np.ndarray]:
+        geometry = poses.geometry(self.scenario.detector.panel)
+        with self.builder.imager() as imager:
+            place = self.scenario.specimen.world_from_specimen
+            images = [imager.render(geometry[i : i + 1], place, i) for i in range(len(geometry))]
+        return [np.rint(DARK + (LIGHT - DARK) * np.clip(image, 0, 1)) for image in images]
+
+    def _stand_in(self, domain: int, arm: int) -> StandIn:
+        stamps = (self.exposed_s + LATENCY_S).tolist()
+        images = (IMAGE, lambda: list(zip(stamps, self._images, strict=True)))
+        return StandIn(
+            domain,
+            ACTIONS[arm],
+            self.program.names[arm],
+            self.program.states(arm)[0, 0],
+            noise_deg=NOISE_DEG,
+            images=images if arm == 0 else None,
+            seed=arm + 1,
+        )
+
+    def _drive(self, domain: int) -> None:
+        parts = courses(self.program, ACTIONS, 1.0)
+        file = DriveFile(
+            self.path, self.scenario, self.plan, names_of(parts, self.plan.joint_names)
+        )
+        station = Station("twinct_drive", domain)
+        try:
+            Drive(station, parts, DriveSettings(record=(IMAGE,)), file).run()
+        finally:
+            file.close()
+            station.close()
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
+    held = Domain()
+    yield Driven(held.id, tmp_path_factory.mktemp("driven"))
+    held.close()
+
+
+@pytest.fixture
+def choice(driven: Driven) -> ArmsRecording:
+    folder = driven.path.parent
+    return ArmsRecording(
+        image=IMAGE,
+        flat=(folder / "flat.tif",),
+        dark=(folder / "dark.tif",),
+        latency_ms=1000 * LATENCY_S,
+    )
+
+
+def off_mm(found: Any, true: Any) -> float:
+    """Largest distance of a source or a panel from where it really was."""
+    sides = zip((*found.source, *found.detector), (*true.source, *true.detector), strict=True)
+    return max(float(np.linalg.norm(a.position - b.position)) for a, b in sides)
+
+
+def test_executed_poses_and_lag(driven: Driven, choice: ArmsRecording, tmp_path: Path) -> None:
+    found = import_driven([driven.path], tmp_path / "out", choice)
+    scan = ScanStore(Folder(tmp_path / "out").scan).read()
+    off = off_mm(scan.executed, driven.poses)
+    assert off < 0.05
+    assert found.lag_ms == pytest.approx(1000 * LAG_S, abs=0.5)
+    assert found.views == 24
+    assert scan.scenario.cell == driven.scenario.cell
+    assert scan.scenario.specimen == driven.scenario.specimen
+    assert off_mm(scan.believed, driven.poses) < 0.05
+    true = np.clip(driven._images[3], DARK, LIGHT)
+    np.testing.assert_allclose(scan.transmission[3], (true - DARK) / (LIGHT - DARK), atol=1e-6)
+
+
+def test_latency_of_the_images(driven: Driven, choice: ArmsRecording, tmp_path: Path) -> None:
+
+    guessed = replace(choice, latency_ms=0.0, estimate_latency=True)
+    found = import_driven([driven.path], tmp_path / "out", guessed)
+    assert found.latency_ms == pytest.approx(1000 * LATENCY_S, abs=0.5)
+    scan = ScanStore(Folder(tmp_path / "out").scan).read()
+    assert off_mm(scan.executed, driven.poses) < 0.05
+
+
+def test_raw_images_need_flat_ones(driven: Driven, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"raw images \(mono16\) need flat ones"):
+        import_driven([driven.path], tmp_path / "out", ArmsRecording(image=IMAGE))
+    assert not (tmp_path / "out" / "scan.zarr").exists()
+
+
+def test_topics_that_are_not_there_are_named(driven: Driven, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"nothing on /xray/image; topics found: {IMAGE}, /joint"):
+        import_driven([driven.path], tmp_path / "out", ArmsRecording())
+
+
+def test_unknown_joints_are_named(driven: Driven, choice: ArmsRecording, tmp_path: Path) -> None:
+
+    wrong = replace(choice, source_prefix="north_", detector_prefix="right_")
+    with pytest.raises(
+        InputError, match="no joint state tells of source_.*they tell of left_elbow"
+    ):
+        import_driven([driven.path], tmp_path / "out", wrong)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_the_command_says_what_it_found(
+    own: bool, driven: Driven, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    folder, out = driven.path.parent, tmp_path / "out"
+    command = ["import", str(driven.path), "--out", str(out), "--arms.image", IMAGE]
+    command += ["--arms.flat", str(folder / "flat.tif"), "--arms.dark", str(folder / "dark.tif")]
+    if own:  # as for a bag that another tool recorded
+        (tmp_path / "s.yaml").write_text(json.dumps(SCENARIO))
+        command += ["--arms.scenario", str(tmp_path / "s.yaml")]
+        command += ["--arms.source-prefix", "left_", "--arms.detector-prefix", "right_"]
+    assert run_command([*command, "--arms.latency-ms", "12"]) == 0
+    said = capfd.readouterr().out
+    assert "the arms followed the plan 8.0" in said
+    assert "24 views imported" in said

@@ -1,0 +1,66 @@
+"""Readings of joints: fitted at the images, with gaps, and with stamps that run backwards."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twinct.core.errors import InputError
+from twinct.measured.joint_track import Readings, track_of
+
+NAMES = {"left_a": "source_a", "left_b": "source_b", "right_a": "detector_a"}
+MS = 1_000_000
+
+
+def told(stamps_ms: list[float], *rows: list[float]) -> tuple[list[int], list[list[float]]]:
+    return [round(t * MS) for t in stamps_ms], list(rows)
+
+
+def path(time_s: np.ndarray) -> np.ndarray:
+    return np.stack([np.sin(3 * time_s), 0.2 * time_s**2], axis=1)
+
+
+def test_noise_falls_and_motion_stays() -> None:
+    rng = np.random.default_rng(5)
+    ticks = np.arange(0, 2, 0.002)
+    at = np.linspace(0.1, 1.9, 300)
+    sigma = np.radians(0.001)
+    noisy = path(ticks) + rng.normal(0, sigma, (len(ticks), 2))
+    found, speed, there = Readings(("a", "b"), ticks, noisy).at(at)
+    assert there.all()
+    error = np.sqrt(np.mean((found - path(at)) ** 2))
+    straight = np.stack([np.interp(at, ticks, column) for column in noisy.T], axis=1)
+    assert error < 0.5 * np.sqrt(np.mean((straight - path(at)) ** 2))
+    np.testing.assert_allclose(speed[:, 0], 3 * np.cos(3 * at), atol=0.01)
+
+
+def test_images_without_readings_about_them_are_left_out() -> None:
+    ticks = np.concatenate([np.arange(0, 1, 0.002), np.arange(1.5, 2, 0.002)])
+    found, _, there = Readings(("a", "b"), ticks, path(ticks)).at(np.array([-0.1, 0.5, 1.2, 3.0]))
+    assert there.tolist() == [False, True, False, False]
+    assert np.isnan(found[~there]).all()
+
+
+def test_stamps_that_run_backwards_are_named_and_left_out() -> None:
+    heard = {
+        ("left_b", "left_a"): told([1, 2, 3, 1.5, 4], [0, 1], [0, 2], [0, 3], [9, 9], [0, 4]),
+        ("right_a",): told([1, 2], [5], [6]),
+    }
+    track, sentences = track_of(heard, NAMES, tuple(NAMES.values()), 0)
+    left = track.groups[0]
+    assert left.joints == ("source_b", "source_a")
+    assert left.position[:, 1].tolist() == [1, 2, 3, 4]
+    (sentence,) = sentences
+    assert "1 of 5 readings are left out, the first is 1.500 ms before" in sentence
+
+
+def test_joints_that_nobody_told_of_are_named() -> None:
+    heard = {("left_a", "left_b"): told([1, 2], [0, 0], [0, 0])}
+    with pytest.raises(InputError, match="no joint state tells of detector_a; they tell of left_a"):
+        track_of(heard, NAMES, tuple(NAMES.values()), 0)
+
+
+def test_positions_that_are_not_finite_are_refused() -> None:
+    heard = {("left_a", "left_b"): told([1, 2], [0, np.nan], [0, 0])}
+    with pytest.raises(InputError, match="not finite"):
+        track_of(heard, NAMES, tuple(NAMES.values()), 0)
