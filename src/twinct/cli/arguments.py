@@ -31,6 +31,13 @@ Threads = Annotated[
     ),
 ]
 Flag = tyro.conf.FlagCreatePairsOff[bool]
+Json = Annotated[
+    Flag,
+    tyro.conf.arg(
+        name="json",
+        help="Print one JSON object for scripts; everything else goes to stderr.",
+    ),
+]
 
 LOOPBACK, PAGE_PORT = "127.0.0.1", 8080
 Host = Annotated[str, tyro.conf.arg(help="Address that the page listens on.")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,7 +11,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from twinct.cli.arguments import Flag, Overrides, Threads
+from twinct.cli.arguments import Flag, Json, Overrides, Threads
+from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import percent, say_result
 from twinct.link.recording.arms_recording import ArmsRecording
@@ -227,6 +229,7 @@ def _export_volume(
 def report(
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
     *,
+    as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Evaluate a finished run again and rewrite its metrics.json and report.html.
@@ -241,16 +244,18 @@ def report(
     from twinct.runs import report_again
     from twinct.scenario import named_places
 
-    if is_measured_scan(folder):
-        _report_measured(folder, set_)
-        return
+    with answering(as_json) as answer:
+        if is_measured_scan(folder):
+            answer |= _report_measured(folder, set_)
+            return
+        with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
+            again = report_again(folder, audience, set_)
+        say_result(again)
+        answer |= {"report": str(again.paths.report), "figures": again.figures}
 
-    with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
-        again = report_again(folder, audience, set_)
-    say_result(again)
 
-
-def _report_measured(folder: Path, set_: tuple[str, ...]) -> None:
+def _report_measured(folder: Path, set_: tuple[str, ...]) -> dict[str, Any]:
+    """Judge all volumes of a measured scan again, and return the answer for scripts."""
     from twinct.core.errors import InputError
     from twinct.measured import report_measured
 
@@ -260,13 +265,19 @@ def _report_measured(folder: Path, set_: tuple[str, ...]) -> None:
         kept = report_measured(folder, audience)
     for one in kept.values():
         say(one.told)
-    say(f"report: {folder / 'report.html'}")
+    page = folder / "report.html"
+    say(f"report: {page}")
+    return {
+        "report": str(page),
+        "figures": {name: asdict(one.judgement) for name, one in kept.items()},
+    }
 
 
 def compare(
     folders: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DIR")],
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="HTML")] = Path("compare.html"),
+    as_json: Json = False,
 ) -> None:
     """Compare finished runs on one page: slices, figures, pose errors, times, and their scenarios.
 
@@ -285,17 +296,27 @@ def compare(
 
     check_page(out)
     measured = any(is_measured_scan(scan_folder(folder)) for folder in folders)
-    with on_terminal() as audience:
-        comparison = (compare_measured if measured else compare)(folders, audience)
-    for note in comparison.notes:
-        say(note, warning=True)
-    with storage_errors(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        comparison.write(out)
-    say(f"wrote {out}: {len(comparison.keys)} scenario keys differ")
+    with answering(as_json) as answer:
+        with on_terminal() as audience:
+            comparison = (compare_measured if measured else compare)(folders, audience)
+        for note in comparison.notes:
+            say(note, warning=True)
+        with storage_errors(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
+            comparison.write(out)
+        say(f"wrote {out}: {len(comparison.keys)} scenario keys differ")
+        answer |= {"page": str(out), "notes": comparison.notes, "keys": comparison.keys}
+        answer["runs"] = [
+            {"path": one.path, "label": one.label, "image": one.image, "seconds": one.seconds}
+            for one in comparison.compared
+        ]
 
 
-def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]) -> None:
+def verify(
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")],
+    *,
+    as_json: Json = False,
+) -> None:
     """Compare each file of a scan with its stored digest, and check its results.
 
     Exits with 1 if anything is damaged, missing or unfinished; 'twinct run --resume' acquires
@@ -306,13 +327,16 @@ def verify(folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="
     """
     from twinct.runs import verify
 
-    found = verify(folder)
-    for problem in found.problems:
-        say(problem, warning=True)
-    for file in found.unknown:
-        say(f"{file}: unknown file, ignored")
-    told = f"{len(found.problems)} problems" if found.problems else "intact"
-    say(f"{folder}: {told} ({found.in_words})")
+    with answering(as_json) as answer:
+        found = verify(folder)
+        for problem in found.problems:
+            say(problem, warning=True)
+        for file in found.unknown:
+            say(f"{file}: unknown file, ignored")
+        told = f"{len(found.problems)} problems" if found.problems else "intact"
+        say(f"{folder}: {told} ({found.in_words})")
+        answer |= {"intact": not found.problems, "problems": found.problems}
+        answer["unknown"] = [str(file) for file in found.unknown]
     if found.problems:
         sys.exit(1)
 

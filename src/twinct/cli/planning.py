@@ -7,7 +7,8 @@ from typing import Annotated
 
 import tyro
 
-from twinct.cli.arguments import Flag, Overrides, ScenarioFile, Threads
+from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
+from twinct.cli.json_answer import answering
 
 
 def reach(
@@ -18,6 +19,7 @@ def reach(
     odd: Annotated[float | None, tyro.conf.arg(metavar="MM")] = None,
     directions: int = 1000,
     connected: Flag = False,
+    as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Show where source and panel can go: directions all over the sphere, at one radius or several.
@@ -33,7 +35,9 @@ def reach(
     """
     from twinct.cli.reach import reach_command
 
-    reach_command(scenario, set_, out, radii, odd, directions, connected)
+    with answering(as_json) as answer:
+        shares = reach_command(scenario, set_, out, radii, odd, directions, connected)
+        answer |= {"directions": directions, "shares": shares}
 
 
 def place(
@@ -48,6 +52,7 @@ def place(
     tool_rotation: tuple[float, float] = (-180.0, 180.0),
     samples: int = 128,
     seed: int = 0,
+    as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Find good positions of the arms for a scenario's trajectory, or for most of the sphere.
@@ -66,9 +71,9 @@ def place(
     from twinct.cli.reach import place_command
     from twinct.robots.reach import Bounds
 
-    place_command(
-        scenario, set_, sphere, save, Bounds(x, y, z, standoff, tool_rotation), samples, seed
-    )
+    bounds = Bounds(x, y, z, standoff, tool_rotation)
+    with answering(as_json) as answer:
+        answer |= place_command(scenario, set_, sphere, save, bounds, samples, seed)
 
 
 def plan(
@@ -108,6 +113,7 @@ def uncertainty(
     draws: int = 1000,
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
+    as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Compute the effects of a scenario's errors on poses and images, by cause, without rendering.
@@ -119,7 +125,8 @@ def uncertainty(
     """
     from twinct.cli.uncertainty import uncertainty_command
 
-    uncertainty_command(scenario, set_, draws, out, picture)
+    with answering(as_json) as answer:
+        answer |= uncertainty_command(scenario, set_, draws, out, picture)
 
 
 def motion(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -85,8 +86,8 @@ def reach_command(
     odd: float | None,
     directions: int,
     connected: bool,
-) -> None:
-    """Compute the reach, print the shares, and write tables and pictures into a folder if given."""
+) -> list[dict[str, Any]]:
+    """Compute the reach, print and return the shares, and write tables and pictures if asked."""
     check_asked(directions, radii or (1.0,), 1.0 if odd is None else odd)
     loaded = load_scenario(scenario, set_)
     arms_of(loaded)
@@ -119,7 +120,7 @@ def reach_command(
         table.add_row(f"{row['sod_mm']:g}", *figures)
     Console().print(table)
     if out is None:
-        return
+        return rows
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         write_tables(found, out)
@@ -127,6 +128,7 @@ def reach_command(
             draw_sphere(found, out / f"sphere_{one:g}.png", k, loaded.name)
             draw_room(found, builder.room, out / f"room_{one:g}.png", k, loaded.name)
     Console().print(f"wrote {out}", highlight=False)
+    return rows
 
 
 def place_command(
@@ -137,8 +139,8 @@ def place_command(
     bounds: Bounds,
     samples: int,
     seed: int,
-) -> None:
-    """Search positions, print the keys for a scenario, and write such a scenario if requested."""
+) -> dict[str, Any]:
+    """Search positions, print and return the keys, and write such a scenario if requested."""
     loaded = load_scenario(scenario, set_)
     cell = arms_of(loaded)
     builder = SimulationBuilder(loaded)
@@ -169,6 +171,14 @@ def place_command(
         with storage_errors(save):
             write_scenario(save, scenario, [*set_, *found.overrides])
         say(f"wrote {save}")
+    return {
+        "share_before": before,
+        "share_after": after,
+        "judged_on": len(judged),
+        "cells": found.judged,
+        "seed": seed,
+        "set": list(found.overrides),
+    }
 
 
 def _share(builder: SimulationBuilder, cell: Cell, poses: Poses, free: tuple[bool, bool]) -> float:

@@ -14,12 +14,14 @@ from twinct.cli.arguments import (
     PAGE_PORT,
     Flag,
     Host,
+    Json,
     Network,
     Overrides,
     Port,
     ScenarioFile,
     Threads,
 )
+from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal
 from twinct.cli.summary import say_result
 
@@ -36,6 +38,7 @@ def run(
     port: Port = PAGE_PORT,
     allow_network: Network = False,
     threads: Threads = None,
+    as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Run a scenario: plan, move, expose, reconstruct, judge, report.
@@ -53,12 +56,12 @@ def run(
     """
     from twinct.scenario import load_scenario, named_places
 
-    loaded = load_scenario(scenario, set_)
-    from twinct import runs  # a mistake in the scenario is told without waiting for this
-    from twinct.cli.view import live_page
-    from twinct.scan import SimulationBuilder
+    with answering(as_json) as answer, ExitStack() as page:
+        loaded = load_scenario(scenario, set_)
+        from twinct import runs  # a mistake in the scenario is told without waiting for this
+        from twinct.cli.view import live_page
+        from twinct.scan import SimulationBuilder
 
-    with ExitStack() as page:
         live, builder = [], None
         if view:
             builder = SimulationBuilder(loaded)  # shared by page and run, so that it is built once
@@ -76,6 +79,7 @@ def run(
                 observers=audience,
             )
         say_result(finished)
+        answer |= {"report": str(finished.paths.report), "figures": finished.figures}
 
 
 def view(

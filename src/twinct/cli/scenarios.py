@@ -7,13 +7,14 @@ import sys
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from twinct.cli.arguments import Flag, Overrides, ScenarioFile, Threads
+from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
+from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.time_limit import limited
 
@@ -32,6 +33,7 @@ def check(
     no_cures: Flag = False,
     time_limit: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     threads: Threads = None,
+    as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
     """Validate a scenario, build its specimen, plan its motion and rehearse it, without running it.
@@ -49,11 +51,18 @@ def check(
     from twinct.core.threads import limit_threads
 
     limit_threads(threads)
-    with limited(time_limit, "--time-limit"):
-        _check(scenario, save, None if no_cures else picture, set_)
+    with answering(as_json) as answer, limited(time_limit, "--time-limit"):
+        answer |= {"scenario": str(scenario), "can_be_run": False, "warnings": []}
+        _check(scenario, save, None if no_cures else picture, set_, answer)
 
 
-def _check(scenario: Path, save: Path | None, picture: Path | None, set_: Overrides) -> None:
+def _check(
+    scenario: Path,
+    save: Path | None,
+    picture: Path | None,
+    set_: Overrides,
+    answer: dict[str, Any],
+) -> None:
     """Check a scenario; without a path for a picture, no remedy is sought."""
     from twinct.scenario import load_scenario, named_places
 
@@ -86,17 +95,21 @@ def _check(scenario: Path, save: Path | None, picture: Path | None, set_: Overri
                 _planned(builder)
         check_physics(builder)
         require_feasible(loaded, builder.commanded)
-        for warning in check_sight(builder):
+        answer["warnings"] = check_sight(builder)
+        for warning in answer["warnings"]:
             say(warning, warning=True)
         with remedy():
             _planned(builder)
         with on_terminal() as audience:
             rehearse(builder, audience)
-        table = Table(title=f"{loaded.name}: can be run", show_header=False)
-        for name, words in findings(builder).items():
-            table.add_row(name, words.replace("×", "x"))
+        found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
+        doubt = ", with the warnings above" if answer["warnings"] else ""
+        table = Table(title=f"{loaded.name}: can be run{doubt}", show_header=False)
+        for name, words in found.items():
+            table.add_row(name, words)
         if save is not None:
             _save_plan(builder, save)
+    answer |= {"can_be_run": True, "findings": found}
     Console().print(table)
 
 

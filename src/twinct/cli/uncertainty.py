@@ -29,8 +29,8 @@ TASK_DRAWS = 5
 
 def uncertainty_command(
     scenario: Path, set_: Sequence[str], draws: int, out: Path | None, picture: Path
-) -> None:
-    """Propagate errors, print two tables, and write numbers and a picture to ``out`` if given."""
+) -> dict[str, Any]:
+    """Propagate errors, print two tables, and return the numbers; write them to ``out`` if given."""
     loaded = load_scenario(scenario, set_)
     if loaded.cell.kind == "arms":
         require("robots")
@@ -54,7 +54,7 @@ def uncertainty_command(
         ):
             told["task"] = _of_the_task(builder, min(draws, TASK_DRAWS), audience)
     if out is None:
-        return
+        return told
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         write_text(out / "uncertainty.json", json.dumps(told) + "\n")
@@ -62,6 +62,7 @@ def uncertainty_command(
             with complete(out / "uncertainty.png") as draft:
                 draft.write_bytes(drawn.content)
     Console().print(f"wrote {out}", highlight=False)
+    return told
 
 
 def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:
