@@ -23,7 +23,7 @@ from twinct.cli.finished import (
 from twinct.cli.planning import motion, place, plan, reach, uncertainty
 from twinct.cli.predict import predict
 from twinct.cli.running import node, run, view
-from twinct.cli.scenarios import check, render, schema, specimen, urdf
+from twinct.cli.scenarios import check, init, render, schema, specimen, urdf
 from twinct.cli.study import study
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
@@ -32,7 +32,7 @@ CALIBRATE = "Estimate the executed poses of source and detector, and add them as
 CTSIMU = "Scenarios in the CTSimU format: render, export, qualify."
 
 _FUNCTIONS: tuple[Callable[..., None], ...] = (
-    *(demo, check, run, view, render, reach, plan, uncertainty, place, node, urdf, schema),
+    *(demo, init, check, run, view, render, reach, plan, uncertainty, place, node, urdf, schema),
     *(motion, drive, specimen, export, import_, report, compare, verify, reconstruct, predict),
     *(geometry, study),
 )

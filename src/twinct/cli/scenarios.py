@@ -244,6 +244,33 @@ def urdf(
     Console().print(f"wrote {file}", highlight=False)
 
 
+def init(
+    file: Annotated[
+        tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE", help="Scenario file to write.")
+    ] = Path("scenario.yaml"),
+    *,
+    from_: Annotated[str, tyro.conf.arg(name="from", metavar="NAME")] = "demo",
+) -> None:
+    """Write a scenario to start from, with a comment on each key.
+
+    Args:
+        from_: Built-in scenario that is written, such as circle_gantry, head or patient_spine.
+    """
+    from twinct.core.errors import InputError
+    from twinct.core.files.writing import storage_errors, write_text
+    from twinct.scenario.commented import commented_scenario
+
+    if file.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{file}: a scenario file must end in .yaml")
+    if file.exists():
+        raise InputError(f"{file} exists already; choose another name, or remove it")
+    text = commented_scenario(from_, str(file))
+    with storage_errors(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_text(file, text)
+    say(f"wrote {file}; 'twinct check {file}' says whether it can be run")
+
+
 def schema() -> None:
     """Print the JSON Schema of the scenario file, for editors."""
     from twinct.scenario import scenario_schema

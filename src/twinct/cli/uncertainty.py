@@ -30,7 +30,7 @@ TASK_DRAWS = 5
 def uncertainty_command(
     scenario: Path, set_: Sequence[str], draws: int, out: Path | None, picture: Path
 ) -> dict[str, Any]:
-    """Propagate errors, print two tables, and return the numbers; write them to ``out`` if given."""
+    """Propagate errors, print two tables, return the numbers, and write them to ``out``."""
     loaded = load_scenario(scenario, set_)
     if loaded.cell.kind == "arms":
         require("robots")

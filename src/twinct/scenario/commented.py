@@ -1,0 +1,79 @@
+"""A scenario as a text to edit: each key that is set, with its description as a comment."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel
+
+from twinct.scenario.loading import load_scenario
+from twinct.scenario.reading import drafted, is_list, is_mapping
+
+WIDTH = 100
+_HEAD = """\
+# A scenario of twinct, made by 'twinct init' from the built-in scenario {name}.
+#   twinct check {file}                    can it be run?
+#   twinct run {file} --out out/{name}     images, volume, report
+# Keys that are left out have defaults: 'twinct schema' lists all keys. Lengths are in mm.
+"""
+
+
+def commented_scenario(name: str, file: str) -> str:
+    """Return a built-in scenario as YAML, each key with its description as a comment.
+
+    What the scenario extends is part of the text, so that it stands alone.
+
+    Args:
+        name: name of the built-in scenario.
+        file: name of the file that the text is for.
+
+    Raises:
+        ScenarioError: there is no such scenario.
+    """
+    data, model = drafted(Path(name)).data, load_scenario(name)
+    return "\n".join([_HEAD.format(name=name, file=file), *_section(data, model, "")]) + "\n"
+
+
+def _section(data: dict[str, Any], model: object, indent: str) -> Iterator[str]:
+    """Yield the lines of a section; its keys are fields of the model."""
+    for key, value in data.items():
+        inner = getattr(model, key, None)
+        yield from _comment(model, key, indent)
+        if is_mapping(value) and value and isinstance(inner, BaseModel):
+            yield f"{indent}{key}:"
+            yield from _section(value, inner, f"{indent}  ")
+        elif is_list(value) and value and all(map(is_mapping, value)):
+            yield f"{indent}{key}:"
+            for item, its_model in zip(value, inner or [None] * len(value), strict=False):
+                yield from _item(item, its_model, f"{indent}  ")
+        else:
+            yield f"{indent}{key}: {_flow(value)}"
+        if not indent:
+            yield ""
+
+
+def _item(item: dict[str, Any], model: object, indent: str) -> Iterator[str]:
+    """Yield the lines of a section in a list: the first key stands behind a dash."""
+    comments = True
+    for line in _section(item, model, f"{indent}  "):
+        if comments and not line.lstrip().startswith("#"):
+            line, comments = f"{indent}- {line.lstrip()}", False
+        yield line
+
+
+def _comment(model: object, key: str, indent: str) -> Iterator[str]:
+    """Yield the description of a key as a comment."""
+    field = type(model).model_fields.get(key) if isinstance(model, BaseModel) else None
+    text = " ".join(((field and field.description) or "").split()).replace("``", "")
+    prefix = f"{indent}# "
+    yield from textwrap.wrap(text, WIDTH, initial_indent=prefix, subsequent_indent=prefix)
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML on one line."""
+    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=2**31)
+    return text.removesuffix("...\n").strip()
