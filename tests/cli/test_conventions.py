@@ -47,7 +47,7 @@ def test_the_help_of_twinct_names_each_command_in_a_sentence(
         (["chek", "demo"], "twinct has no command 'chek'; did you mean 'check'?"),
         (["calibrate", "slef", "out"], "calibrate has no command 'slef'; did you mean 'self'?"),
         (["ctsimu", "rendr"], "twinct ctsimu has no command 'rendr'; did you mean 'render'?"),
-        (["xyzzy"], "twinct has no command 'xyzzy' (demo, check, run"),
+        (["xyzzy"], "twinct has no command 'xyzzy' (demo, init, check, run"),
     ],
 )
 def test_an_unknown_command_is_answered_with_the_nearest(

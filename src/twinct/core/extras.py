@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+from typing import Any
 
 from twinct.core.errors import InputError, MissingExtraError
 
@@ -91,6 +92,24 @@ def require(*extras: str) -> None:
         broken += gone.problems
     if broken:
         raise InputError(broken)
+
+
+def optional(module: str, purpose: str) -> Any:
+    """Import a module that belongs to no extra, and that few people need.
+
+    Args:
+        module: name of the module, which pip calls the same.
+        purpose: subject of the message.
+
+    Raises:
+        InputError: it is not installed, or cannot be imported.
+    """
+    problem = _problem(module, found_only=False)
+    if problem is None:
+        return importlib.import_module(module)
+    if problem:
+        raise InputError(f"{purpose} needs {module}, which cannot be imported ({problem})")
+    raise InputError(f"{purpose} needs {module}: python -m pip install {module}")
 
 
 def _problem(module: str, *, found_only: bool) -> str | None:

@@ -14,6 +14,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.extras import optional
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import Floats, Pose, VolumeGrid
@@ -180,6 +181,25 @@ class Volume(NDArrayOperatorsMixin):
             axes.imshow(section, cmap="gray", norm=greys.norm, origin="lower", extent=extent)
             axes.set(title=f"{name} = {at:.4g} mm", xlabel=f"{across} / mm", ylabel=f"{up} / mm")
         figure.colorbar(greys, ax=figure.axes, shrink=0.8, label="attenuation / mm⁻¹")
+
+    def to_xarray(self) -> Any:
+        """Return a labelled view of the voxels, an ``xarray.DataArray`` that shares their memory.
+
+        It has the axes z, y and x in mm along the grid. ``attrs["world_from_index"]`` is the 4 x 4
+        matrix from (x, y, z) indices to world mm, which a rotated grid needs.
+
+        Raises:
+            InputError: xarray is not installed.
+        """
+        xarray = optional("xarray", "Volume.to_xarray")
+        x, y, z = self.grid.axes()
+        attributes = {"units": "1/mm", "world_from_index": self.grid.affine.tolist()}
+        axes = {
+            name: (name, axis, {"units": "mm"}) for name, axis in zip("zyx", (z, y, x), strict=True)
+        }
+        return xarray.DataArray(
+            self.array, coords=axes, dims=("z", "y", "x"), name="attenuation", attrs=attributes
+        )
 
     def in_hu(self, water_per_mm: float, air_per_mm: float = 0.0) -> Volume:
         """Return the volume in HU, in which air is -1000 and water is 0.

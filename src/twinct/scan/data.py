@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.extras import optional
 from twinct.core.files.pictures import show
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose, ScanGeometry
@@ -249,6 +250,45 @@ class Scan:
     def line_integrals(self) -> NDArray[np.float32]:
         """Return -ln(I/I0) of all images, (views, rows, columns), float32."""
         return line_integrals(self.transmission)
+
+    def to_xarray(self, which: str = "believed") -> Any:
+        """Return a labelled view of the scan, an ``xarray.Dataset`` that shares the images' memory.
+
+        Its variables are transmission (view, row, column), joints (view, joint), time and clearance
+        (view), and of one geometry source, detector, u and v (view, axis). Columns and rows are in
+        mm from the middle of the panel.
+
+        Args:
+            which: name of the geometry, see ``poses``.
+
+        Raises:
+            InputError: xarray is not installed, or there is no geometry of this name.
+        """
+        xarray = optional("xarray", "Scan.to_xarray")
+        geometry, panel = self.geometry(which), self.scenario.detector.panel
+        rows, columns = (np.arange(n) - (n - 1) / 2 for n in panel.shape)
+        mm = {"units": "mm"}
+        vectors = {"source": mm, "detector": mm, "u": {}, "v": {}}
+        return xarray.Dataset(
+            {
+                "transmission": (("view", "row", "column"), self.transmission),
+                "joints": (("view", "joint"), self.joints, {"units": "rad"}),
+                "simulated": ("view", self.simulated_s, {"units": "s"}),
+                "clearance": ("view", self.clearance_mm, mm),
+                **{
+                    name: (("view", "axis"), getattr(geometry, name), attributes)
+                    for name, attributes in vectors.items()
+                },
+            },
+            coords={
+                "view": np.arange(len(self)),
+                "row": ("row", rows * panel.pitch_v, mm),
+                "column": ("column", columns * panel.pitch_u, mm),
+                "axis": list("xyz"),
+                "joint": np.array(self.joint_names, dtype=np.str_),
+            },
+            attrs={"scenario": self.scenario.name, "geometry": which},
+        )
 
     def show(self, path: str | Path | None = None, views: Sequence[int] | None = None) -> None:
         """Show projections as line integrals in one grey window, seen from the source.
