@@ -1,4 +1,4 @@
-"""Scan and volume as labelled arrays; xarray itself is no dependency, so a stand-in notes the call."""
+"""Scan and volume as labelled arrays; a stand-in for xarray, no dependency, notes the calls."""
 
 from __future__ import annotations
 
