@@ -6,28 +6,9 @@ import re
 import runpy
 from pathlib import Path
 
-import pytest
-
-from twinct.core.errors import ScenarioError
-from twinct.scenario import Detector, Source, load_scenario
+from twinct.scenario import Detector, Source
 
 ROOT = Path(__file__).parents[1]
-YAML = re.compile(r"^```yaml\n(extends:.*?)^```", re.MULTILINE | re.DOTALL)
-
-
-def test_scenarios_in_the_readme_are_valid(tmp_path: Path) -> None:
-    examples = YAML.findall((ROOT / "README.md").read_text(encoding="utf-8"))
-    assert len(examples) >= 2
-    assert any("kind: ct" in example for example in examples)
-    (tmp_path / "paper.yaml").write_text(f"extends: {ROOT}/scenarios/paper.yaml\n")
-    for example in examples:
-        file = tmp_path / "mine.yaml"
-        file.write_text(example, encoding="utf-8")
-        try:
-            load_scenario(file)
-        except ScenarioError as error:  # the reader's own files are not here
-            if not all("no file at" in problem for problem in error.problems):
-                pytest.fail(f"{error}\n\n{example}")
 
 
 def test_the_scenario_reference_is_up_to_date() -> None:

@@ -1,0 +1,183 @@
+"""Code blocks of the pages, and what each kind has to be."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import importlib
+import inspect
+import io
+import re
+import shlex
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import yaml
+
+from twinct.core.errors import ScenarioError
+from twinct.measured import read_description
+from twinct.scenario import load_scenario
+from twinct.study import load_study
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "site"))
+
+from generated_pages import command_parser  # noqa: E402
+
+FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
+SYSTEM = {"source", "xdg-open", "export", "cd", "git", "apt-get", "ros2", "sbatch", "srun", "ray"}
+"""Programs of the reader's system, which cannot be checked here."""
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "docs" / "index.md",
+    ROOT / "docs" / "reference" / "python.md",
+    ROOT / "docs" / "reference" / "files.md",
+    *sorted(
+        page
+        for folder in ("start", "howto", "explanation")
+        for page in (ROOT / "docs" / folder).glob("*.md")
+        if page.name != "errors.md"  # its commands fail on purpose: test_errors.py
+    ),
+]
+
+
+class Block(NamedTuple):
+    """A block of code in a page."""
+
+    page: Path
+    number: int
+    language: str
+    text: str
+
+    @property
+    def name(self) -> str:
+        """Name of the block in a test's name."""
+        return f"{self.page.relative_to(ROOT)}-{self.number}-{self.language}"
+
+
+def blocks() -> list[Block]:
+    """Return the code blocks of all new pages, but for those that Sphinx itself reads."""
+    return [
+        Block(page, number, language, re.sub(f"^{indent}", "", text, flags=re.MULTILINE))
+        for page in PAGES
+        for number, (indent, language, text) in enumerate(
+            FENCE.findall(page.read_text(encoding="utf-8"))
+        )
+    ]
+
+
+def check(block: Block, folder: Path) -> None:
+    """Check a block of code; an unknown language fails."""
+    {"sh": _shell, "yaml": _yaml, "python": _python, "text": _nothing}[block.language](
+        block, folder
+    )
+
+
+def _nothing(block: Block, folder: Path) -> None:
+    """Output of a program and formulas are no code."""
+
+
+# Commands -----------------------------------------------------------------------------------------
+
+
+def _shell(block: Block, folder: Path) -> None:
+    for line in block.text.replace("\\\n", " ").splitlines():
+        for command in re.split(r" \| | && ", line):
+            words = shlex.split(command.split(" > ")[0], comments=True)
+            words = [word for word in words if not re.fullmatch(r"[A-Z_]+=\S*|&", word)]
+            if words and words[0] not in SYSTEM:
+                _command(words)
+
+
+def _command(words: list[str]) -> None:
+    program, *arguments = words
+    if program == "twinct":
+        if arguments != ["--version"]:
+            twinct(arguments)
+    elif program == "make":
+        made = (ROOT / "Makefile").read_text(encoding="utf-8")
+        assert re.search(rf"^{arguments[0]}:", made, re.MULTILINE), arguments
+    elif program == "pip":
+        _extras(arguments)
+    elif program == "python":
+        assert arguments[0] == "load.py" or (ROOT / arguments[0]).exists(), arguments
+    else:
+        assert (ROOT / program).exists(), f"unknown program {program}"
+
+
+def _extras(arguments: list[str]) -> None:
+    assert arguments[0] == "install"
+    package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for word in arguments[1:]:
+        if found := re.fullmatch(r"(\.|twinct)\[([\w,]+)\]", word):
+            assert set(found[2].split(",")) <= package["optional-dependencies"].keys()
+
+
+def twinct(arguments: list[str]) -> None:
+    """Check the words of a command: its options, the scenario that it names, and its keys."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            command_parser().parse_args(arguments)
+    except SystemExit as stop:
+        assert stop.code == 0, f"twinct {shlex.join(arguments)}: {said.getvalue()}"
+    given = [
+        value for word, value in zip(arguments, arguments[1:], strict=False) if word == "--set"
+    ]
+    named = [word for word in arguments if word.startswith(("scenarios/", "examples/"))]
+    for word in named:
+        assert (ROOT / word).exists(), word
+        if word.startswith("scenarios/"):
+            load_scenario(ROOT / word, given)
+    if not any(word.startswith("scenarios/") for word in named) and arguments[0] != "study":
+        load_scenario(ROOT / "scenarios" / "demo.yaml", given)
+
+
+# Files --------------------------------------------------------------------------------------------
+
+
+def _yaml(block: Block, folder: Path) -> None:
+    content = yaml.safe_load(block.text)
+    file = folder / "mine.yaml"
+    for scenario in (ROOT / "scenarios").glob("*.yaml"):
+        (folder / scenario.name).write_text(f"extends: {scenario}\n", encoding="utf-8")
+    if "scenario" in content:
+        content["scenario"] = str(ROOT / "scenarios" / Path(content["scenario"]).name)
+        file.write_text(yaml.safe_dump(content), encoding="utf-8")
+        design = load_study(file)
+        design.scenario(next(iter(design.trials())))
+    elif "images" in content:
+        file.write_text(block.text, encoding="utf-8")
+        _without_the_readers_files(lambda: read_description(file), block)
+    else:
+        base = "" if "extends" in content else "extends: demo.yaml\n"
+        file.write_text(base + block.text, encoding="utf-8")
+        _without_the_readers_files(lambda: load_scenario(file), block)
+
+
+def _without_the_readers_files(load: Any, block: Block) -> None:
+    try:
+        load()
+    except ScenarioError as error:
+        others = [problem for problem in error.problems if "no file" not in problem]
+        assert not others, f"{error}\n\n{block.text}"
+
+
+# Programs -----------------------------------------------------------------------------------------
+
+
+def _python(block: Block, folder: Path) -> None:
+    """Each import is there, and functions of twinct have the arguments of their calls."""
+    names: dict[str, Any] = {}
+    tree = ast.parse(block.text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("twinct"):
+            module = importlib.import_module(str(node.module))
+            names |= {one.asname or one.name: getattr(module, one.name) for one in node.names}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in names:
+            positional = [None for one in node.args if not isinstance(one, ast.Starred)]
+            named = {str(one.arg): None for one in node.keywords if one.arg is not None}
+            inspect.signature(names[node.func.id]).bind_partial(*positional, **named)

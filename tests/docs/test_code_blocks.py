@@ -1,0 +1,54 @@
+"""Each block of code on the new pages holds: commands, scenarios, studies, programs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from code_blocks import Block, blocks, check, twinct  # noqa: E402
+
+from twinct.core.errors import ScenarioError  # noqa: E402
+
+BLOCKS = blocks()
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
+def test_a_block_of_code_holds(block: Block, tmp_path: Path) -> None:
+    check(block, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "run scenarios/none.yaml --out out",
+        "run scenarios/demo.yaml --out out --fast",
+        "compares out/a out/b",
+    ],
+)
+def test_a_command_that_does_not_exist_is_seen(command: str) -> None:
+    with pytest.raises(AssertionError):
+        twinct(command.split())
+
+
+def test_a_key_that_does_not_exist_is_seen() -> None:
+    with pytest.raises(ScenarioError):
+        twinct("run scenarios/demo.yaml --out out --set detector.colums=3".split())
+
+
+@pytest.mark.parametrize(
+    ("language", "text"),
+    [
+        ("yaml", "detector: {colums: 3}\n"),
+        ("python", "from twinct import runn\n"),
+        ("python", "from twinct import load_scenario\nload_scenario('demo.yaml', views=3)\n"),
+        ("sh", "twinct chek scenarios/demo.yaml\n"),
+        ("fortran", "end\n"),
+    ],
+)
+def test_a_wrong_block_is_seen(language: str, text: str, tmp_path: Path) -> None:
+    with pytest.raises((AssertionError, ScenarioError, AttributeError, KeyError, TypeError)):
+        check(Block(Path(__file__), 0, language, text), tmp_path)
