@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from twinct.cli import run_command
 from twinct.core.errors import ScanExistsError
-from twinct.measured import prediction
+from twinct.measured import prediction, reconstruct_measured
 from twinct.measured.prediction import predict
 from twinct.measured.residuals import residuals_of
 from twinct.specimen.materials import material
@@ -116,6 +116,8 @@ def test_even_views_predict_odd_ones_and_a_wrong_view_stands_out(scan) -> None:
     images[7] = np.roll(images[7], 1, axis=1)
     folder = scan(images)
     keys = ["reconstruction.algorithm=sart", "reconstruction.iterations=6"]
+    reconstruct_measured(folder, ["reconstruction.algorithm=fdk"])
+    assert "Predictions beside" not in (folder / "report.html").read_text(encoding="utf-8")
     made = predict(folder, [*keys, "reconstruction.grid.rotation_deg=[10,20,30]"])
     views = made.residuals.views
     assert [one.view for one in views] == list(range(1, VIEWS, 2))
@@ -129,6 +131,8 @@ def test_even_views_predict_odd_ones_and_a_wrong_view_stands_out(scan) -> None:
     assert np.sqrt(np.mean(off[3] ** 2)) == pytest.approx(views[3].rms, rel=0.3)
     assert (made.path / "prediction.png").stat().st_size > 10_000
     assert sorted(p.name for p in made.path.parent.iterdir()) == ["volume"]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "Predictions beside" in page and f"{100 * made.residuals.rms_rel:.2f} %" in page
 
 
 def two_lines(tmp_path):

@@ -65,11 +65,10 @@ def judge_volume(
         if region.any():
             # The difference has the noise of each half twice; the whole has half that of a half.
             noise = float(np.std((halves[0].array - halves[1].array)[region])) / 2
-        held = [
-            _squares(half, geometry[other::2], line_integrals[other::2], bad)
-            for half, other in zip(halves, (1, 0), strict=True)
-        ]
-        off, seen = (sum(float(one[k].sum()) for one in held) for k in (0, 1))
+        off = seen = 0.0
+        for half, other in zip(halves, (1, 0), strict=True):
+            held = _squares(half, geometry[other::2], line_integrals[other::2], bad)
+            off, seen = off + float(held[0].sum()), seen + int(held[1].sum())
         consistency = math.sqrt(off / seen) / whole
     return Judgement(
         residual=residual,

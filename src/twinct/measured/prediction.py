@@ -8,7 +8,6 @@ scenario's X-ray simulation, without noise, at the poses of a geometry.
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
@@ -20,11 +19,18 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import passing_folder, storage_errors, write_json, write_text
+from twinct.core.files.writing import (
+    passing_folder,
+    remove_folder,
+    storage_errors,
+    write_json,
+    write_text,
+)
 from twinct.core.interruption import keeping
 from twinct.geometry import Pose, ScanGeometry
 from twinct.measured.prediction_picture import show_prediction
 from twinct.measured.residuals import CAUSES, Residuals, residuals_of
+from twinct.measured.volume_folder import is_measured_scan, measured_volumes, write_page
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon import Projector
 from twinct.recon.volume import Volume
@@ -134,7 +140,9 @@ def predict(
         stack.enter_context(logged_to(folder.log))
         stack.enter_context(keeping(lambda: _kept(folder)))
         made = _predicted(scan, which, material or "water", folder, target, audience)
-        shutil.rmtree(folder.checkpoints, ignore_errors=True)
+        remove_folder(folder.checkpoints)
+        if is_measured_scan(folder.path) and (kept := measured_volumes(folder.reconstructions)):
+            write_page(load_scan(folder.path), folder, kept)
     return made
 
 

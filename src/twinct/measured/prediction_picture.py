@@ -37,20 +37,19 @@ def _draw(
     chosen = [int(order[0]), int(order[len(order) // 2]), int(order[-1])]
     pictures, curves = figure.subfigures(1, 2, width_ratios=(1.9, 1.0))
     top = max(float(np.percentile(measured[chosen], 99.9)), 1e-6)
-    off = measured[chosen] - predicted[chosen]
-    limit = max(float(np.percentile(np.abs(off), SHARE_SHOWN)), 1e-6)
+    typical = np.percentile(np.abs(measured[chosen] - predicted[chosen]), SHARE_SHOWN)
+    limit = max(float(typical), 1e-6)
     grid = pictures.subplots(3, 3)
     for row, (word, k) in enumerate(zip(("best", "middling", "worst"), chosen, strict=True)):
         one = found.views[k]
-        for axes, image, title in zip(
-            grid[row],
-            (measured[k], predicted[k], measured[k] - predicted[k]),
-            (f"{word}: view {one.view}", "predicted", f"residual {100 * one.rms_rel:.2f} %"),
-            strict=True,
-        ):
-            last = axes is grid[row][2]
-            window = {"vmin": -limit, "vmax": limit} if last else {"vmin": 0, "vmax": top}
-            shown = axes.imshow(image, cmap="RdBu_r" if last else "gray", origin="lower", **window)
+        grey: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": top}
+        given, again, left = grid[row]
+        given.imshow(measured[k], origin="lower", **grey)
+        again.imshow(predicted[k], origin="lower", **grey)
+        off = measured[k] - predicted[k]
+        shown = left.imshow(off, origin="lower", cmap="RdBu_r", vmin=-limit, vmax=limit)
+        titles = f"{word}: view {one.view}", "predicted", f"residual {100 * one.rms_rel:.2f} %"
+        for axes, title in zip(grid[row], titles, strict=True):
             axes.set_title(title, fontsize=9)
             axes.set_axis_off()
         pictures.colorbar(shown, ax=grid[row].tolist(), shrink=0.8, label="p - q")

@@ -22,6 +22,7 @@ from twinct.measured.judgement import Judgement, judge_volume
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
 from twinct.report import MeasuredColumn, found_of, plain, with_found, write_measured_report
+from twinct.report.style import Picture
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.folder import as_yaml, refuse_other_keys
 from twinct.runs.log import logged_to
@@ -289,7 +290,13 @@ def write_page(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -
     shown = [(int(view), scan.transmission[view]) for view in views]
     geometry = scan.geometry("executed")
     write_measured_report(
-        folder.report, scan.scenario, as_yaml(scan.scenario), geometry, shown, columns
+        folder.report,
+        scan.scenario,
+        as_yaml(scan.scenario),
+        geometry,
+        shown,
+        columns,
+        _predictions(folder.predictions),
     )
     told = {
         one.name: {
@@ -301,3 +308,17 @@ def write_page(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -
         for one in kept.values()
     }
     write_json(folder.metrics, plain({"views": len(scan), "truth": None, "reconstructions": told}))
+
+
+def _predictions(folder: Path) -> list[tuple[str, Picture]]:
+    """Return the predictions in a folder: in words, with their pictures."""
+    found = []
+    for path in sorted(folder.glob("[!.]*/prediction.json")):
+        told = read_json(path)
+        words = (
+            f"{path.parent.name}: {told['in_words']}; residual {100 * told['residual_rel']:.2f} %"
+        )
+        picture = path.with_name("prediction.png")
+        if not no_file(picture):
+            found.append((words, Picture(picture.read_bytes(), "image/png")))
+    return found

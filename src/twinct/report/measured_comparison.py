@@ -78,6 +78,8 @@ class MeasuredComparison(Comparison):
 def _drawn(name: str, compared: tuple[Compared, ...], top: float) -> Picture:
     """Draw a plane of all volumes, and their differences from the first."""
     import matplotlib as mpl
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
     from twinct.report.figures import png
@@ -85,6 +87,7 @@ def _drawn(name: str, compared: tuple[Compared, ...], top: float) -> Picture:
     sections = [one.slices[name] for one in compared]
     first = sections[0]
     assert first is not None
+    grey = ScalarMappable(Normalize(0, top), "gray")
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 2.2 + 1.6 * WIDTH / len(compared)), layout="constrained")
         grid: Any = figure.subplots(2, len(compared), squeeze=False)
@@ -96,7 +99,7 @@ def _drawn(name: str, compared: tuple[Compared, ...], top: float) -> Picture:
                 above.text(0.5, 0.5, "outside the grid", ha="center", transform=above.transAxes)
                 continue
             show = {"origin": "lower", "extent": section.extent_mm}
-            grey = above.imshow(section.reconstruction, cmap="gray", vmin=0, vmax=top, **show)
+            above.imshow(section.reconstruction, cmap="gray", norm=grey.norm, **show)
             above.set(xlabel=f"{section.axes[0]} / mm", ylabel=f"{section.axes[1]} / mm")
             if column and _same_voxels(section, first):
                 off = section.reconstruction - first.reconstruction

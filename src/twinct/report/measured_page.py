@@ -86,6 +86,7 @@ def write_measured_report(
     geometry: ScanGeometry,
     projections: Sequence[tuple[int, NDArray[np.floating]]],
     columns: Sequence[MeasuredColumn],
+    predictions: Sequence[tuple[str, Picture]] = (),
 ) -> None:
     """Write the page of a measured scan, completely or not at all.
 
@@ -96,6 +97,7 @@ def write_measured_report(
         geometry: the views as imported.
         projections: a few views, (view, transmission (row, column)).
         columns: the reconstructions.
+        predictions: predicted views in words, and their picture.
     """
     from twinct.report import figures
 
@@ -112,6 +114,7 @@ def write_measured_report(
         slices=[(one.name, picture.data_uri) for one, picture in _slices(columns)],
         residuals=_by_view(columns).data_uri,
         convergence=figures.convergence(courses).data_uri if courses else "",
+        predictions=[(words, picture.data_uri) for words, picture in predictions],
         projections=figures.projection_strip(projections, geometry.panel).data_uri,
         path=figures.source_path(source, source, np.zeros(3)).data_uri,
         scenario_yaml=scenario_yaml,
