@@ -56,30 +56,9 @@ def _made(path: Path, facts: ImageFacts, panel: Panel, *vectors: NDArray[Any]) -
     return Views(geometry, flip_rows=flipped, told=(told,))
 
 
-class Astra(Section):
-    """ASTRA's ``cone_vec``."""
+class _Numbers(Section):
+    """Numbers of a toolkit in one file."""
 
-    kind: Literal["astra"]
-    path: Path = Field(description=".npz file with vectors and detector, as twinct export writes.")
-
-    def views(self, facts: ImageFacts) -> Views:
-        """Return the views.
-
-        Raises:
-            InputError: the file does not hold them, or they do not fit the images.
-        """
-        found = _arrays(self.path, ("vectors", "detector"))
-        vectors = found["vectors"].reshape(-1, 12)
-        source, detector, u, v = np.split(vectors, 4, axis=1)
-        rows, columns = found["detector"].astype(int).tolist()
-        pitches = (float(np.linalg.norm(axis[0])) for axis in (u, v))
-        return _made(self.path, facts, Panel(rows, columns, *pitches), source, detector, u, v)
-
-
-class Leap(Section):
-    """LEAP's modular beam."""
-
-    kind: Literal["leap"]
     path: Path = Field(description=".npz file, as twinct export writes.")
 
     def views(self, facts: ImageFacts) -> Views:
@@ -88,46 +67,60 @@ class Leap(Section):
         Raises:
             InputError: the file does not hold them, or they do not fit the images.
         """
+        return _made(self.path, facts, *self._panel_and_vectors())
+
+    def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
+        """Return the panel and S, D, u and v of all views, (views, 3)."""
+        raise NotImplementedError
+
+
+class Astra(_Numbers):
+    """ASTRA's ``cone_vec``."""
+
+    kind: Literal["astra"]
+
+    def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
+        found = _arrays(self.path, ("vectors", "detector"))
+        source, detector, u, v = np.split(found["vectors"].reshape(-1, 12), 4, axis=1)
+        rows, columns = found["detector"].astype(int).tolist()
+        pitches = (float(np.linalg.norm(axis[0])) for axis in (u, v))
+        return Panel(rows, columns, *pitches), source, detector, u, v
+
+
+class Leap(_Numbers):
+    """LEAP's modular beam."""
+
+    kind: Literal["leap"]
+
+    def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         names = "sourcePositions", "moduleCenters", "colVectors", "rowVectors"
         found = _arrays(self.path, (*names, "detector", "pixel"))
         rows, columns = found["detector"].astype(int).tolist()
         height, width = found["pixel"].tolist()
-        vectors = (found[name] for name in names)
-        return _made(self.path, facts, Panel(rows, columns, width, height), *vectors)
+        source, detector, u, v = (found[name] for name in names)
+        return Panel(rows, columns, width, height), source, detector, u, v
 
 
-class Cil(Section):
+class Cil(_Numbers):
     """CIL's ``Cone3D_Flex``, with the panel's origin at bottom left."""
 
     kind: Literal["cil"]
-    path: Path = Field(description=".npz file, as twinct export writes.")
 
-    def views(self, facts: ImageFacts) -> Views:
-        """Return the views.
-
-        Raises:
-            InputError: the file does not hold them, or they do not fit the images.
-        """
+    def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         names = "source_position_set", "detector_position_set"
         names += "detector_direction_x_set", "detector_direction_y_set"
         found = _arrays(self.path, (*names, "num_pixels", "pixel_size"))
         columns, rows = found["num_pixels"].astype(int).tolist()
-        panel = Panel(rows, columns, *found["pixel_size"].tolist())
-        return _made(self.path, facts, panel, *(found[name] for name in names))
+        source, detector, u, v = (found[name] for name in names)
+        return Panel(rows, columns, *found["pixel_size"].tolist()), source, detector, u, v
 
 
-class Tigre(Section):
+class Tigre(_Numbers):
     """TIGRE's angles and distances; ``twinct.exchange.tigre`` has the formulas."""
 
     kind: Literal["tigre"]
-    path: Path = Field(description=".npz file, as twinct export writes.")
 
-    def views(self, facts: ImageFacts) -> Views:
-        """Return the views.
-
-        Raises:
-            InputError: the file does not hold them, or they do not fit the images.
-        """
+    def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         names = "angles", "DSO", "DSD", "offOrigin", "offDetector", "rotDetector"
         found = _arrays(self.path, (*names, "nDetector", "dDetector"))
         if found["rotDetector"][..., 1:].any():
@@ -148,9 +141,7 @@ class Tigre(Section):
         v = turn.apply(np.stack([nothing, -np.sin(yaw), np.cos(yaw)], axis=1))
         rows, columns = found["nDetector"].astype(int).tolist()
         pitch_v, pitch_u = found["dDetector"].tolist()
-        return _made(
-            self.path, facts, Panel(rows, columns, pitch_u, pitch_v), source, detector, u, v
-        )
+        return Panel(rows, columns, pitch_u, pitch_v), source, detector, u, v
 
 
 class Rtk(Section):
