@@ -294,6 +294,10 @@ def test_a_further_reconstruction_becomes_a_file(with_volume: Path, to, ending) 
         (["--to", "rtk", "--volume", "volume"], "volume format rtk: unknown; choose from dicom"),
         (["--to", "dicom", "--volume", "volume", "--geometry", "executed"], "--geometry: not of"),
         (["--to", "dicom", "--volume", "volume", "--air", "0"], "--air 0: HU need --water"),
+        (
+            ["--to", "nifti", "--volume", "volume", "--values", "attenuation", "--water", "0.02"],
+            "--water 0.02: defines HU, but --values is attenuation",
+        ),
         (["--to", "nifti", "--volume", "volume", "--out", "x.mha"], "needs a name in .nii"),
         (["--to", "nifti", "--volume", "volume", "--water", "-1"], "attenuates more than air"),
     ],

@@ -216,6 +216,8 @@ def _export_volume(
     if geometry is not None or values in _SCAN_VALUES:
         name = "--geometry" if geometry is not None else f"--values {values}"
         raise InputError(f"{name}: not of a volume (--volume {volume})")
+    if water is not None and values == "attenuation":
+        raise InputError(f"--water {water:g}: defines HU, but --values is attenuation")
     if water is None and air is not None:
         raise InputError(f"--air {air:g}: HU need --water, too")
     stated = None if water is None else Water(water, air or 0.0)
