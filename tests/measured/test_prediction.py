@@ -17,7 +17,9 @@ from twinct.core.errors import ScanExistsError
 from twinct.measured import prediction, reconstruct_measured
 from twinct.measured.prediction import predict
 from twinct.measured.residuals import residuals_of
+from twinct.observers import IterationDone, Observer
 from twinct.specimen.materials import material
+from twinct.xray import Imager
 
 GRID = {"voxels": [40, 40, 24], "voxel_mm": 1.0}
 ENGINE = "xray.engine=mesh"
@@ -164,8 +166,6 @@ def test_the_right_spectrum_leaves_less_than_one_energy(scan, ball, tmp_path) ->
 
 @pytest.mark.usefixtures("undrawn")
 def test_interruptions_leave_no_half_prediction(scan, ball, monkeypatch) -> None:
-    from twinct.xray import Imager
-
     def stop(*_args) -> None:
         raise KeyboardInterrupt
 
@@ -197,3 +197,21 @@ def test_the_command_says_what_is_left(scan, ball, capfd, tmp_path) -> None:
         assert words in " ".join(capfd.readouterr().err.split())
     assert run_command(["predict", str(tmp_path)]) == 2
     assert "is not a run folder" in capfd.readouterr().err
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_an_interrupted_prediction_keeps_its_reconstruction(scan, monkeypatch) -> None:
+    def stop(*_args) -> None:
+        raise KeyboardInterrupt
+
+    folder = scan(ball_images(orbit()))
+    keys = ["reconstruction.algorithm=sart", "reconstruction.iterations=3"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Imager, "render", stop)
+        with pytest.raises(KeyboardInterrupt) as stopped:
+            predict(folder, keys)
+    assert "goes on from the last checkpoint" in stopped.value.__notes__[-1]
+    iterations = []
+    heard = Observer(iterations.append, (IterationDone,), lossless=True)
+    assert predict(folder, keys, observers=[heard]).residuals.rms_rel < 0.5
+    assert not iterations and not (folder / "checkpoints").exists()

@@ -26,7 +26,8 @@ def predict(
     The even views are reconstructed and predict the odd ones; with --mesh, the mesh predicts all
     views. Poses are those of a geometry, the beam is the scenario's. The residuals tell what
     calibration, spectrum and scatter leave: prediction.png, prediction.json, views.csv and
-    residuals.tif in DIR/predictions. The same command goes on after an interruption.
+    residuals.tif in DIR/predictions. After an interruption the same command goes on from the last
+    checkpoint, if the algorithm has any.
 
     Args:
         folder: Folder of ``twinct run --out``, or of ``twinct import`` of a measured scan.
