@@ -12,7 +12,7 @@ Told of each scan: by how much axis and roll are missed, where points of the obj
 over both image axes, after the best similarity, as imported and as found; the errors of all six
 numbers in their stated standard deviations; what is named as undetermined; processor seconds.
 ``--walnut`` (after ``tools/fetch-walnut``) calibrates the measured walnut as it is, and with its
-panel moved by 3 pixels either way: the differences are what counts, as nobody knows its axis.
+panel moved by 3 pixels: the difference is what counts, as nobody knows where its axis is.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from twinct.measured.views import ImageFacts
 ROOT = Path(__file__).parents[1]
 OBJECTS = ("foam", "trabecular", "gradients", "sheets", "wires", "board", "casting", "tissue",
            "tooth", "mixture")  # fmt: skip
-VIEWS, PIXELS, PITCH = 72, 128, 1.2
+VIEWS, PIXELS, PITCH = 48, 128, 1.2
 NOMINAL = {
     "kind": "circle",
     "sod_mm": 250.0,
@@ -155,9 +155,9 @@ def scans(first: int, number: int, photons: float) -> None:
 
 
 def walnut() -> None:
-    """Calibrate the walnut with its panel where it is, and moved by three pixels either way."""
+    """Calibrate the walnut with its panel where it is, and moved by three pixels."""
     found = {}
-    for moved in (0.0, 3.0, -3.0):
+    for moved in (0.0, 3.0):
         told = description_of(ROOT / "examples" / "walnut.yaml")
         pitch = 0.4
         geometry = told.geometry.model_copy(update={"panel_offset_mm": (moved * pitch, 0.0)})
@@ -175,7 +175,7 @@ def walnut() -> None:
             f"{time.process_time() - start:.0f} s; {[str(u) for u in one.undetermined]}",
             flush=True,
         )
-    print(f"largest difference: {np.ptp(list(found.values())):.3f} px")
+    print(f"difference: {np.ptp(list(found.values())):.3f} px")
 
 
 def main() -> None:

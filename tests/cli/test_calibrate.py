@@ -10,8 +10,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from soft_balls import circle_of
 
-from twinct.calibration import PosePrior, arm_calibration, scan_calibration
+from twinct.calibration import (
+    CircularCalibration,
+    CircularPrior,
+    PosePrior,
+    Undetermined,
+    arm_calibration,
+    circle_calibration,
+    circle_numbers,
+    scan_calibration,
+)
 from twinct.cli import run_command
 
 OPTIONS = {
@@ -116,6 +126,32 @@ def test_options_reach_the_calibration(calls) -> None:
         ("calibrate_self", (Path("out/a"), prior), moved),
         ("calibrate_balls", (Path("out/a"), prior), stuck),
     ]
+
+
+def test_a_circle_is_told_in_the_keys_of_an_import(monkeypatch, capfd) -> None:
+    executed = circle_of(sod_mm=201.0, panel_offset_mm=(4.8, 0.0), panel_roll_deg=0.4)
+    found = CircularCalibration(
+        executed,
+        np.zeros(6),
+        np.array([0.24, 1.0, 2.0, *np.radians([0.5, 0.4, 0.01])]),
+        circle_numbers(circle_of(sod_mm=201.0)),
+        circle_numbers(executed),
+        (Undetermined(("tilt", "height"), (1.0, -0.4), 0.7),),
+        (2.0, 1.0),
+    )
+    asked: list[Any] = []
+    monkeypatch.setattr(
+        circle_calibration, "calibrate_circle", lambda *told, **_: asked.append(told) or found
+    )
+    assert run_command(["calibrate", "circle", "out/a", "--sigma-px", "3"]) == 0
+    assert asked == [(Path("out/a"), CircularPrior(offset_px=3.0))]
+    told = "".join(capfd.readouterr().out.splitlines())
+    assert "axis projects -2.00 +- 0.10 px from the middle column (was +0.00)" in told
+    assert "panel_offset_mm: [4.8000, 0.0000]" in told and "panel_roll_deg: 0.4000" in told
+    assert "hardly determined (70 % of its prior spread is left): +1.0 tilt, -0.4 height" in told
+    assert "not determined by any image: sod_mm (201)" in told
+    assert run_command(["calibrate", "circle", "out/a", "--sigma-sdd", "0"]) == 2
+    assert "--sigma-sdd 0: must be more than 0" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("method", OPTIONS)

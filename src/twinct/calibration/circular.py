@@ -30,10 +30,10 @@ from twinct.recon.resolution import binned
 NUMBERS = ("axis_offset", "height", "sdd", "tilt", "slant", "roll")
 """Names of the six numbers: shifts of the panel along u, v and its normal, turns about them."""
 
-ROUNDS = ((50, 5), (100, 15), (200, 4))
-"""Pixels along the panel's diagonal, and the largest number of steps: noise makes them too short.
+ROUNDS = ((50, 5), (100, 8), (200, 10), (400, 6))
+"""Pixels along the panel's diagonal, and the largest number of steps.
 
-A panel with fewer pixels is not binned.
+A panel with fewer pixels is not binned, and has no further round then.
 """
 
 FINEST = ROUNDS[-1][0]
@@ -41,11 +41,14 @@ FINEST = ROUNDS[-1][0]
 TOLD = 100
 """Pixels along the diagonal at which standard deviations are computed."""
 
-MOST_VIEWS = 90
+MOST_VIEWS = 60
 """Largest number of views that are compared, spread over the scan."""
 
 STILL = 0.1
 """Steps end when one moves the numbers by less, in their standard deviations."""
+
+MIXED = 1e-3
+"""Smallest singular value of differences of steps that are mixed, relative to the largest."""
 
 HARDLY = 0.5
 """Share of the prior's standard deviation above which a combination counts as undetermined."""
@@ -178,10 +181,11 @@ def circular_consistent(
     change, told = np.zeros(6), np.zeros((6, 6))
     first = pairs.seen(change, FINEST).spread
     with progress.stage("circle", len(ROUNDS)) as step:
-        for across, steps in ROUNDS:
-            change, normal = pairs.agreed(change, across, steps, precision)
-            # Noise in the finest slopes would look like knowledge.
-            told = normal if across == TOLD else told
+        for number, (across, steps) in enumerate(ROUNDS):
+            if number == 0 or pairs.factor(across) < pairs.factor(ROUNDS[number - 1][0]):
+                change, normal = pairs.agreed(change, across, steps, precision)
+                # Noise in the finest slopes would look like knowledge.
+                told = normal if across <= TOLD else told
             step()
     last = pairs.seen(change, FINEST).spread
     covariance = np.linalg.inv(told + precision)
@@ -210,12 +214,13 @@ class _Pairs:
     believed: ScanGeometry
     circle: Circle
 
-    def _factor(self, across: int) -> int:
+    def factor(self, across: int) -> int:
+        """Return the number of pixels along each edge that are binned into one."""
         return max(round(float(np.hypot(*self.believed.panel.shape)) / across), 1)
 
     def seen(self, change: Floats, across: int) -> SeenPlanes:
         """Compare all pairs at a resolution."""
-        factor = self._factor(across)
+        factor = self.factor(across)
         geometry = _moved(self.believed, change).binned(factor, factor)
         coarse, counts = binned(self.p, self.mask, (factor, factor))
         return SeenPlanes.of(geometry, self.circle.centre, PlaneIntegrals(coarse, geometry, counts))
@@ -223,13 +228,27 @@ class _Pairs:
     def agreed(
         self, change: Floats, across: int, steps: int, precision: Floats
     ) -> tuple[Floats, Floats]:
-        """Move the numbers until the views agree; return them and the normal matrix."""
+        """Move the numbers until the views agree; return them and the normal matrix.
+
+        Noise in the slopes makes Gauss-Newton steps too short. They are mixed as Anderson does
+        (J. ACM 12 (1965) 547): those of the last steps tell how far a step should have gone.
+        """
         normal = np.zeros((6, 6))
+        tried: list[Floats] = []
+        ons: list[Floats] = []
         for _ in range(steps):
             normal, right = self.equations(change, across)
-            on = np.linalg.solve(normal + precision, right - precision @ change)
+            hessian = normal + precision
+            on = np.linalg.solve(hessian, right - precision @ change)
+            tried.append(change)
+            ons.append(on)
             change = change + on
-            if on @ (normal + precision) @ on < STILL**2:
+            if len(ons) > 1:
+                by_on, by_place = np.diff(ons, axis=0).T, np.diff(tried, axis=0).T
+                root = np.linalg.cholesky(hessian).T
+                share = np.linalg.lstsq(root @ by_on, root @ on, rcond=MIXED)[0]
+                change = change - (by_place + by_on) @ share
+            if on @ hessian @ on < STILL**2:
                 break
         return change, normal
 
@@ -238,7 +257,7 @@ class _Pairs:
         seen, views = self.seen(change, across), len(self.believed)
         each = np.tile(np.concatenate([np.zeros(3), change]), (views, 1))
         free = Freedom("arms", self.circle.centre)
-        tangents = tangents_of(self.believed, free, each, self._factor(across))[:, 3:]
+        tangents = tangents_of(self.believed, free, each, self.factor(across))[:, 3:]
         normal, right = seen.normal_equations(seen.weights(), tangents)
         return normal.reshape(views, 6, views, 6).sum(axis=(0, 2)), right.reshape(-1, 6).sum(axis=0)
 

@@ -286,11 +286,14 @@ def _say_circle(name: str, found: CircularCalibration) -> None:
     )
     right, up = after.panel_offset_mm
     say(
-        f"{name}, as keys of an import: sdd_mm: {after.sdd_mm:.4f} (+- {spread['sdd']:.2g}), "
-        f"panel_offset_mm: [{right:.4f}, {up:.4f}] (+- {spread['u']:.2g}, {spread['v']:.2g}), "
-        f"panel_roll_deg: {after.panel_roll_deg:.4f}, panel_tilt_deg: {after.panel_tilt_deg:.4f} "
-        f"(+- {degrees['tilt']:.2g}), panel_slant_deg: {after.panel_slant_deg:.4f} (+- "
-        f"{degrees['slant']:.2g})"
+        f"{name}, in place of an import's keys axis_ and panel_: sdd_mm: {after.sdd_mm:.4f}, "
+        f"panel_offset_mm: [{right:.4f}, {up:.4f}], panel_roll_deg: {after.panel_roll_deg:.4f}, "
+        f"panel_tilt_deg: {after.panel_tilt_deg:.4f}, panel_slant_deg: {after.panel_slant_deg:.4f}"
+    )
+    say(
+        f"noise alone leaves {spread['sdd']:.2g} mm of the SDD, {spread['u']:.2g} and "
+        f"{spread['v']:.2g} mm of the offsets, {degrees['tilt']:.2g} deg of the tilt and "
+        f"{degrees['slant']:.2g} deg of the slant"
     )
     for one in found.undetermined:
         say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
