@@ -15,6 +15,7 @@ from twinct.scenario import Cell
 from twinct.viewer.live_page import Page
 from twinct.viewer.planned import field_of_view
 from twinct.viewer.room import Room
+from twinct.viewer.scenery import see_whole_room
 from twinct.viewer.show import Show
 from twinct.viewer.surface import MOST_TRIANGLES
 
@@ -51,6 +52,8 @@ def specimen_as_it_looks(builder: SimulationBuilder) -> trimesh.Trimesh:
 def fill(page: Page, run: int, show: Show, builder: SimulationBuilder | None = None) -> Thread:
     """Put a run on the page; return a thread that ends when the page is complete."""
     room = bare_room(show)
+    if len(page.stages) == 1:
+        see_whole_room(page.server, show.scenario.cell)
     page.put(run, show)
     if room is not None:
         page.put_room(run, room)

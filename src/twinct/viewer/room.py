@@ -9,10 +9,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import trimesh
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell import BodyPlaces, CellModel, GantryModel
+
+GAMMA = 2.2
+"""Exponent from a screen's colours to the light that a browser's materials state."""
 
 LEFT_OUT = ("floor", "specimen")
 """Bodies that the page draws itself: an endless floor, and the specimen's true surface."""
@@ -45,15 +51,32 @@ class Room:
             if name not in LEFT_OUT and (geoms := self._places.seen(body))
         }
         self._indices = list(chosen)
-        self.bodies = tuple(
-            Body(self._places.names[body], merge_geoms(model.model, geoms))
-            for body, geoms in chosen.items()
-        )
+        bodies: list[Body] = []
+        for body, geoms in chosen.items():
+            name, mesh = self._places.names[body], merge_geoms(model.model, geoms)
+            if (rgba := self._places.colour(body)) is not None:
+                mesh.visual = TextureVisuals(material=_matt(rgba))
+            bodies.append(Body(name, mesh))
+        self.bodies = tuple(bodies)
 
     def at(self, joints: Floats | None) -> tuple[Floats, Floats]:
         """Return positions, (bodies, 3), m, and quaternions (w, x, y, z), (bodies, 4)."""
         positions, quats = self._places.at(joints)
         return positions[self._indices], quats[self._indices]
+
+
+def _matt(rgba: Floats) -> PBRMaterial:
+    """Return a material in one colour, which may be translucent.
+
+    Without one, a browser takes coloured corners for metal, which is dark, and ignores opacity.
+    """
+    linear = np.append(np.asarray(rgba[:3]) ** GAMMA, rgba[3])
+    return PBRMaterial(
+        baseColorFactor=np.round(255 * linear).astype(np.uint8),
+        metallicFactor=0.0,
+        roughnessFactor=0.9,
+        alphaMode="BLEND" if rgba[3] < 1 else "OPAQUE",
+    )
 
 
 class GantryPlaces:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import viser
 
+from twinct.scenario import AnyCell
+
 
 def set_lights(server: viser.ViserServer, runs: int = 1) -> None:
     """Set lights that need no download, and a camera that sees all runs."""
@@ -21,3 +23,10 @@ def set_lights(server: viser.ViserServer, runs: int = 1) -> None:
     span = 1.0 + 0.9 * (runs - 1)
     camera.position = (0.42 if runs == 1 else 0.0, -1.5 * span, 0.42 * span)
     camera.look_at = (0.0, 0.0, -0.1)
+
+
+def see_whole_room(server: viser.ViserServer, cell: AnyCell) -> None:
+    """Move the camera of an operating room so far back that it sees the walls."""
+    if cell.kind == "arms" and cell.room == "operating":
+        camera = server.initial_camera
+        camera.position, camera.look_at = (2.1, -2.9, 0.9), (0.0, 0.1, -0.2)

@@ -21,7 +21,7 @@ from twinct.scan import SimulationBuilder
 from twinct.viewer.curves import Curve, curves
 from twinct.viewer.filling import specimen_as_it_looks, whole_room
 from twinct.viewer.planned import field_of_view
-from twinct.viewer.scenery import set_lights
+from twinct.viewer.scenery import see_whole_room, set_lights
 from twinct.viewer.server import LOOPBACK, close, serve
 from twinct.viewer.show import RECONSTRUCTION, TRUTH, Show
 from twinct.viewer.stage import NOTHING, Look, Stage
@@ -45,6 +45,7 @@ def export_page(show: Show, builder: SimulationBuilder, path: Path, progress: Pr
     server = serve(LOOPBACK, 0)
     try:
         set_lights(server)
+        see_whole_room(server, show.scenario.cell)
         stage = Stage(server, "run", np.zeros(3))
         stage.set_room(show, whole_room(show, builder))
         look = first_look(show)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.geometry import Floats
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import CellModel, GantryModel
-from twinct.robots.cell.standing import COLLISION_GROUP
+from twinct.robots.cell.standing import COLLISION_GROUP, OBJECT, ZONE
 
 Indices = NDArray[np.intp]
 
@@ -31,6 +31,12 @@ class BodyPlaces:
         """Return the ids of a body's geoms that a picture shows."""
         geoms = np.flatnonzero(self._model.geom_bodyid == body)
         return [int(g) for g in geoms if self._model.geom_group[g] < COLLISION_GROUP]
+
+    def colour(self, body: int) -> Floats | None:
+        """Return red, green, blue and opacity of a zone or object; None for any other body."""
+        if not self.names[body].startswith((ZONE, OBJECT)):
+            return None
+        return self._model.geom_rgba[self.seen(body)[0]].astype(np.float64)
 
     def at(self, joints: ArrayLike | None) -> tuple[Floats, Floats]:
         """Compute the poses of all bodies.
