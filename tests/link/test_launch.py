@@ -97,3 +97,36 @@ def test_frames_are_those_of_robot_description_and_messages(rviz, links):
 def _anywhere():
     here = (0.0,) * 6 + (1.0,)
     return messages.Target(here, here)
+
+
+def test_the_launch_file_of_a_cell_starts_its_nodes_in_a_namespace(monkeypatch):
+    """With stand-ins for the packages of a system ROS, as the command line takes it apart."""
+    import runpy
+    import sys
+    from types import ModuleType, SimpleNamespace
+
+    from twinct.link.environment import ROS_ARGUMENTS, take_ros_arguments
+
+    started = []
+    fakes = {
+        "launch": {"LaunchDescription": list},
+        "launch.actions": {
+            "DeclareLaunchArgument": lambda name, **_: name,
+            "ExecuteProcess": lambda **said: started.append(SimpleNamespace(**said)),
+        },
+        "launch.substitutions": {"LaunchConfiguration": lambda name: f"<{name}>"},
+    }
+    for name, content in fakes.items():
+        module = ModuleType(name)
+        vars(module).update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    made = runpy.run_path(str(EXAMPLES / "cell.launch.py"))["generate_launch_description"]()
+    assert made[:2] == ["scenario", "cell"]
+    try:
+        for process, node in zip(started, ("robots", "xray"), strict=True):
+            command, *arguments = ["".join(part) for part in process.cmd]
+            assert command == "twinct"
+            assert take_ros_arguments(arguments) == ["node", node, "<scenario>"]
+            assert ROS_ARGUMENTS == ["-r", "__ns:=/<cell>"]
+    finally:
+        ROS_ARGUMENTS.clear()

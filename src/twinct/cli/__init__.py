@@ -67,6 +67,10 @@ def _code_of(arguments: list[str]) -> int:
         return EXIT_DONE
     try:
         limit_threads()  # before the libraries that it limits are loaded
+        if arguments[:1] in (["node"], ["drive"]):
+            from twinct.link.environment import take_ros_arguments
+
+            arguments = take_ros_arguments(arguments)
         from twinct.cli.commands import app, check_names, overview
         from twinct.cli.old_spelling import respelled
 

@@ -99,6 +99,7 @@ def _drive(
     require_ros()
     loaded, program = planned(scenario, set_, prefixes)
     from twinct.link.driving import Drive, DriveSettings, names_of
+    from twinct.link.environment import ROS_ARGUMENTS
     from twinct.link.follow import courses
     from twinct.link.participant import Station
     from twinct.link.recording.drive_file import DriveFile
@@ -107,7 +108,7 @@ def _drive(
     names = names_of(parts, program.plan.joint_names)
     with (
         closing(DriveFile(out, loaded, program.plan, names)) as file,
-        closing(Station("twinct_drive")) as station,
+        closing(Station("twinct_drive", ros_arguments=ROS_ARGUMENTS)) as station,
     ):
         say(f"sending {parts[0].duration_s:.1f} s of motion on ROS domain {station.domain_id}")
         run = Drive(station, parts, DriveSettings(*choices), file)

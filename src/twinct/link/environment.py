@@ -22,8 +22,22 @@ MIDDLEWARE = "rmw_fastrtps_cpp"
 DOMAINS = range(1, 101)
 """Candidate domains: their UDP ports stay below the kernel's ephemeral range."""
 LARGEST_DOMAIN = 232
+ROS_ARGUMENTS: list[str] = []
+"""Arguments after ``--ros-args`` of the command line: names that nodes by themselves remap."""
+
 _YOUNG_S = 1.0
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT, _LAST_PROBED = 7400, 250, 10, 50
+
+
+def take_ros_arguments(arguments: list[str]) -> list[str]:
+    """Keep what follows ``--ros-args``, up to ``--``, and return the other arguments."""
+    if "--ros-args" not in arguments:
+        return arguments
+    first = arguments.index("--ros-args")
+    rest = arguments[first + 1 :]
+    last = rest.index("--") if "--" in rest else len(rest)
+    ROS_ARGUMENTS[:] = rest[:last]
+    return arguments[:first] + rest[last + 1 :]
 
 
 def require_ros() -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import sys
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
+from twinct.link.environment import ROS_ARGUMENTS
 from twinct.link.lifeline import Lifeline
 from twinct.link.messages import ERROR, OK, WARN, diagnostic_message
 from twinct.link.participant import Station
@@ -149,6 +150,7 @@ def run_node(
     lifeline: bool,
     members: Members | None,
     largest_message: int = 0,
+    parameters: Mapping[str, str] | None = None,
 ) -> int:
     """Build a simulation, open its node, and handle messages until the node has to end.
 
@@ -162,6 +164,7 @@ def run_node(
         lifeline: end when stdin ends.
         members: the scan's members.
         largest_message: largest message that the node sends, bytes.
+        parameters: texts that others may read from a node without a scan.
 
     Returns:
         0, the exit code of a clean end.
@@ -177,7 +180,10 @@ def run_node(
     with closing(Lifeline(parent=lifeline, on_end=end)) as line, closing(build()) as simulation:
         if line.ended:
             return 0
-        station = Station(name, largest_message=largest_message)
+        alone: dict[str, Any] = {}
+        if members is None:
+            alone = {"ros_arguments": ROS_ARGUMENTS, "parameters": parameters}
+        station = Station(name, largest_message=largest_message, **alone)
         with closing(station):
             if members is not None:
                 members.enter(name, station.participant)

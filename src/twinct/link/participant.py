@@ -5,28 +5,39 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from threading import Lock
 from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, ShutdownException, TimeoutException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from twinct.core.errors import InputError
+from twinct.core.foreign_text import shortened
 from twinct.link.environment import roomy_shared_memory, settle
 from twinct.link.senders import Sender, SenderExecutor, participant, participant_of
 from twinct.link.topics import Topic
 
 _LONGEST_SLEEP_S = 0.2
 """Longest sleep of a waiting thread; Python handles signals after each."""
+
+
+_WRONG_ARGUMENTS = (
+    rclpy_implementation.RCLInvalidROSArgsError,
+    rclpy_implementation.UnknownROSArgsError,
+    rclpy_implementation.RCLError,
+)
 
 
 def _qos(depth: int, *, latched: bool) -> QoSProfile:
@@ -38,6 +49,11 @@ def _qos(depth: int, *, latched: bool) -> QoSProfile:
     )
 
 
+def _relative(name: str) -> str:
+    """Return a name that the node's namespace precedes; without one it stays what it is."""
+    return name.removeprefix("/")
+
+
 class Station:
     """A node in a separate context; all callbacks run inside ``wait``.
 
@@ -47,31 +63,53 @@ class Station:
         participant: its identifier for others.
     """
 
-    def __init__(self, name: str, domain_id: int | None = None, largest_message: int = 0) -> None:
+    def __init__(
+        self,
+        name: str,
+        domain_id: int | None = None,
+        largest_message: int = 0,
+        *,
+        ros_arguments: Sequence[str] = (),
+        parameters: Mapping[str, str] | None = None,
+    ) -> None:
         """Join a domain.
 
         Args:
             name: the node's name.
             domain_id: None for ``ROS_DOMAIN_ID``.
             largest_message: bytes; shared memory for sending holds a few such messages.
+            ros_arguments: what may follow ``--ros-args``, such as ``-r __ns:=/cell``.
+            parameters: texts that others may read, by name.
+
+        Raises:
+            InputError: the arguments are not those of ROS 2.
         """
         settle(os.environ)
         self.name = name
         self._context = Context()
         with roomy_shared_memory(4 * largest_message):
-            rclpy.init(
-                args=["--ros-args", "--disable-external-lib-logs"],
-                context=self._context,
-                domain_id=domain_id,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
+            try:
+                rclpy.init(
+                    args=["--ros-args", "--disable-external-lib-logs", *ros_arguments],
+                    context=self._context,
+                    domain_id=domain_id,
+                    signal_handler_options=SignalHandlerOptions.NO,
+                )
+            except _WRONG_ARGUMENTS as error:
+                if not ros_arguments:
+                    raise
+                told = f"--ros-args {' '.join(ros_arguments)}"
+                raise InputError(f"{told}: {shortened(str(error))}") from None
             self._node = Node(
                 name,
                 context=self._context,
                 enable_rosout=False,
-                start_parameter_services=False,
-                use_global_arguments=False,
+                start_parameter_services=bool(parameters),
+                use_global_arguments=bool(ros_arguments),
             )
+        for key, value in (parameters or {}).items():
+            read_only = ParameterDescriptor(read_only=True)
+            self._node.declare_parameter(key, value, read_only, ignore_override=True)
         self.domain_id: int = self._context.get_domain_id()
         self.participant = participant_of(next(iter(self._node.publishers)))
         self._executor = SenderExecutor(context=self._context)
@@ -82,7 +120,8 @@ class Station:
         """Return a reliable publisher; late joiners get ``depth`` messages (default: topic's)."""
         events = PublisherEventCallbacks(matched=lambda _: None)  # wakes ``wait`` up
         qos = _qos(topic.depth if depth is None else depth, latched=True)
-        return self._node.create_publisher(topic.message_class, topic, qos, event_callbacks=events)
+        kind = topic.message_class
+        return self._node.create_publisher(kind, _relative(topic), qos, event_callbacks=events)
 
     def listen(
         self,
@@ -111,7 +150,7 @@ class Station:
         if as_published and self._best_effort(topic):
             qos.reliability = ReliabilityPolicy.BEST_EFFORT
         return self._node.create_subscription(
-            topic.message_class, topic, hear, qos, event_callbacks=events, raw=raw
+            topic.message_class, _relative(topic), hear, qos, event_callbacks=events, raw=raw
         )
 
     def _best_effort(self, topic: str) -> bool:
@@ -153,7 +192,7 @@ class Station:
         return ActionServer(
             self._node,
             action,
-            name,
+            _relative(name),
             execute,
             goal_callback=lambda goal: GoalResponse.ACCEPT if take(goal) else GoalResponse.REJECT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
@@ -186,11 +225,12 @@ class Station:
 
     def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
         """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
-        self._node.create_service(kind, service, callback)
+        self._node.create_service(kind, _relative(service), callback)
 
     def name_of(self, topic: str, sender: Sender) -> str:
         """Return the name of a sender's node, as text, if the node is already discovered."""
-        for info in self._node.get_publishers_info_by_topic(topic):
+        publishers = self._node.get_publishers_info_by_topic
+        for info in (*publishers(topic), *publishers(_relative(topic))):
             known = info.node_name != "_NODE_NAME_UNKNOWN_"  # discovered before its node
             if known and participant(info.endpoint_gid) == sender.participant:
                 return f"a node {info.node_name!r}"

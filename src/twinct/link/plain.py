@@ -58,20 +58,23 @@ def reached(stamp: Stamp, got: Reached) -> Message:
 
 
 def transforms(
-    stamp: Stamp, instant: Instant, links: Mapping[str, Sequence[float]] | None = None
+    stamp: Stamp, instant: Instant | None, links: Mapping[str, Sequence[float]] | None = None
 ) -> Message:
-    """Return a ``tf2_msgs/msg/TFMessage``: frames of source, specimen, panel, camera and links.
+    """Return a ``tf2_msgs/msg/TFMessage``: frames of links, and of an instant, if one is given.
+
+    These are source, specimen, panel and camera.
 
     The camera's axes are u, -v and, from source to panel, -(u x v): half a turn about u.
     """
-    x, y, z, w = instant.detector_m[3:]
-    frames = {
-        **(links or {}),
-        "source": instant.source_m,
-        "specimen": instant.object_m,
-        "detector": instant.detector_m,
-        OPTICAL: (*instant.source_m[:3], w, z, -y, -x),
-    }
+    frames = dict(links or {})
+    if instant is not None:
+        x, y, z, w = instant.detector_m[3:]
+        frames |= {
+            "source": instant.source_m,
+            "specimen": instant.object_m,
+            "detector": instant.detector_m,
+            OPTICAL: (*instant.source_m[:3], w, z, -y, -x),
+        }
     return {
         "transforms": [
             {

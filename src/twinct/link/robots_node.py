@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
@@ -21,6 +21,7 @@ from twinct.core.errors import MotionError
 from twinct.geometry.wire import JointSample, PosePairs, Reached, Target
 from twinct.link import messages
 from twinct.link.arm_server import ArmServer
+from twinct.link.frames import Frames
 from twinct.link.joint_trajectory import PlanListener
 from twinct.link.messages import MalformedError
 from twinct.link.node import (
@@ -50,6 +51,10 @@ from twinct.link.topics import (
 from twinct.robots.motion import MotionPlan, PursuingSimulation
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
+from twinct.version import __version__
+
+if TYPE_CHECKING:
+    from twinct.robots.cell import LinkFrames
 
 KEPT = 100
 """Number of answers stored for repeated targets of a running scan."""
@@ -112,9 +117,10 @@ def spin_robots(
     turns = None if epoch is None else _turns(scenario, epoch, first_view)
     state = np.load(restore) if restore is not None else None
     description: str | None = None
+    links: LinkFrames | None = None
 
     def build_simulation() -> Robots:
-        nonlocal description
+        nonlocal description, links
         if build is not None:
             robots = build(scenario)
         else:
@@ -122,13 +128,16 @@ def spin_robots(
 
             builder = SimulationBuilder.with_specimen(scenario, specimen)
             robots = builder.robots(planned=planned)
-            description = None if scenario.cell.kind == "gantry" else builder.urdf()
+            if scenario.cell.kind != "gantry":
+                from twinct.robots.cell import LinkFrames
+
+                description, links = builder.urdf(), LinkFrames(builder.cell)
         if state is not None and not planned:
             robots.restore(state)
         return robots
 
     def open_node(station: Station, diagnostics: Diagnostics, robots: Robots) -> Callable[[], bool]:
-        node = RobotsNode(station, diagnostics, robots, turns, members, description)
+        node = RobotsNode(station, diagnostics, robots, turns, members, description, links)
         if not planned or members is None:
             return node.connected
 
@@ -142,7 +151,9 @@ def spin_robots(
         plan = PlanListener(station, diagnostics, members, take)
         return lambda: plan.taken and node.connected()
 
-    return run_node(ROBOTS, build_simulation, open_node, lifeline=lifeline, members=members)
+    told = {"scenario": scenario.resolved(), "version": __version__}
+    common: dict[str, Any] = {"lifeline": lifeline, "members": members, "parameters": told}
+    return run_node(ROBOTS, build_simulation, open_node, **common)
 
 
 def _turns(scenario: Scenario, epoch: str, first_view: int) -> Turns:
@@ -204,6 +215,7 @@ class RobotsNode:
         turns: Turns | None = None,
         members: Members | None = None,
         description: str | None = None,
+        links: LinkFrames | None = None,
     ) -> None:
         """Create the endpoints; from now on, targets are executed."""
         self._robots, self._turns, self._members = robots, turns, members
@@ -221,6 +233,7 @@ class RobotsNode:
         if description is not None:
             self._description = station.publisher(DESCRIPTION)
             self._description.publish(String(data=description))
+        self._tell_frames: Callable[[JointSample], None] | None = None
         robots.on_joints = self._on_joints
         self._targets = station.listen_to_all(TARGET, self._on_target)
         station.serve(HOME, Trigger, self._on_home)
@@ -228,6 +241,10 @@ class RobotsNode:
         if turns is None and isinstance(robots, PursuingSimulation):
             self._arms = ArmServer(station, diagnostics, robots, self._advance)
             station.serve(EXPOSE, Trigger, partial(self._on_expose, robots))
+            if links is not None:
+                self._tell_frames = partial(
+                    self._on_frames, Frames(station, links, len(robots.joints)), robots
+                )
 
     def connected(self) -> bool:
         """Return True if the scan's rig and X-ray node are connected, or there is no scan."""
@@ -318,6 +335,12 @@ class RobotsNode:
     def _on_joints(self, joints: JointSample) -> None:
         self._advance(joints.time_s)
         self._joints.publish(messages.joints_message(Stamp.at(joints.time_s), joints))
+        if self._tell_frames is not None:
+            self._tell_frames(joints)
+
+    @staticmethod
+    def _on_frames(frames: Frames, robots: PursuingSimulation, joints: JointSample) -> None:
+        frames.tell(Stamp.at(joints.time_s), joints, robots.instant)
 
     def _advance(self, time_s: float) -> None:
         """Advance the clock to a time, unless it is already there."""

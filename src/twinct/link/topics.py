@@ -17,7 +17,12 @@ SCAN, ROBOTS, XRAY = "twinct_scan", "twinct_robots", "twinct_xray"
 def message_class(kind: str) -> Any:
     """Return the class of a message type, such as ``sensor_msgs/msg/Image``."""
     package, name = kind.replace("/msg/", "/").split("/")
-    return getattr(import_module(f"{package}.msg"), name)
+    try:
+        return getattr(import_module(f"{package}.msg"), name)
+    except ModuleNotFoundError:  # no wheel brings the package
+        from twinct.link.made_types import message_type
+
+        return message_type(f"{package}/{name}")
 
 
 class Topic(str):
@@ -75,8 +80,9 @@ TOPICS = (
     *(CAMERA, IMAGE, DISPLAY_CAMERA, DISPLAY, DIAGNOSTICS),
 )
 
-TF = Topic("/tf", "tf2_msgs/TFMessage", "", 0)
-"""Frames of each view, which only recordings hold."""
+TF = Topic("/tf", "tf2_msgs/TFMessage", ROBOTS, 100)
+TF_STATIC = Topic("/tf_static", "tf2_msgs/TFMessage", ROBOTS, 1)
+"""Frames, which recordings and robots nodes without a scan tell."""
 
 KINDS = {str(topic): topic.kind for topic in (*TOPICS, TF)}
 """Type of the messages of each topic."""

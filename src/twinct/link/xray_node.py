@@ -33,6 +33,7 @@ from twinct.link.topics import (
     Topic,
 )
 from twinct.scenario import Scenario
+from twinct.version import __version__
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
@@ -115,6 +116,7 @@ def spin_xray(
         lifeline=lifeline,
         members=members,
         largest_message=image_bytes(panel),
+        parameters={"scenario": scenario.resolved(), "version": __version__},
     )
 
 

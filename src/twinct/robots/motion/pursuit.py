@@ -9,7 +9,7 @@ import numpy as np
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Floats
-from twinct.geometry.wire import Reached, Target
+from twinct.geometry.wire import Instant, Reached, Target
 from twinct.robots.motion.joint_goal import ArmLimits, JointGoal, states_of
 from twinct.robots.motion.kinematics import mujoco
 from twinct.robots.motion.refusals import readable
@@ -26,6 +26,11 @@ class PursuingSimulation(RobotSimulation):
     def timestep_s(self) -> float:
         """Simulated time of a step."""
         return float(self._model.opt.timestep)
+
+    @property
+    def instant(self) -> Instant:
+        """Present poses of source, specimen and panel."""
+        return self._instant(None)
 
     def states(self, goal: JointGoal) -> Floats:
         """Return the states of a foreign trajectory, from where the arms come to rest.

@@ -1,0 +1,63 @@
+"""``/tf`` and ``/tf_static`` of a robots node without a scan."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from twinct.geometry.wire import Instant, JointSample
+from twinct.link.made_types import message_type
+from twinct.link.participant import Station
+from twinct.link.plain import transforms
+from twinct.link.stamps import Stamp
+from twinct.link.topics import TF, TF_STATIC
+
+if TYPE_CHECKING:
+    from twinct.robots.cell import LinkFrames
+
+TURN_RAD = 0.1
+"""Turn of all joints, by which links that move are told from those that stand."""
+
+
+OF_INSTANTS = ("source", "detector", "specimen")
+"""Frames that are told with the poses of an instant."""
+
+
+class Frames:
+    """Publisher of all links of the room, in ``world``."""
+
+    def __init__(self, station: Station, links: LinkFrames, joints: int) -> None:
+        """Publish the links that stand.
+
+        Args:
+            station: participant of the robots node.
+            links: kinematics of the room.
+            joints: number of joints.
+        """
+        self._links, self._kind = links, message_type("tf2_msgs/TFMessage")
+        here, turned = links.at(np.zeros(joints)), links.at(np.full(joints, TURN_RAD))
+        self._standing = {
+            name for name, pose in here.items() if pose == turned[name] and name not in OF_INSTANTS
+        }
+        self._moving, standing = station.publisher(TF), station.publisher(TF_STATIC)
+        still = {name: here[name] for name in self._standing}
+        standing.publish(self._message(Stamp(0, 0), None, still))
+        self._static = standing
+
+    def tell(self, stamp: Stamp, sample: JointSample, instant: Instant) -> None:
+        """Publish the links that move, source, panel, camera and specimen.
+
+        Args:
+            stamp: time of the joints.
+            sample: joints.
+            instant: poses of source, specimen and panel.
+        """
+        links = self._links.at(sample.position)
+        moving = {name: pose for name, pose in links.items() if name not in self._standing}
+        self._moving.publish(self._message(stamp, instant, moving))
+
+    def _message(
+        self, stamp: Stamp, instant: Instant | None, links: dict[str, tuple[float, ...]]
+    ) -> object:
+        return self._kind(**transforms(stamp, instant, links))
