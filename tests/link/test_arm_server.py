@@ -21,7 +21,7 @@ from twinct.link.node import Diagnostics
 from twinct.link.participant import Station
 from twinct.link.robots_node import RobotsNode
 from twinct.link.stamps import Stamp
-from twinct.link.topics import CLOCK, EXPOSE, HOME, REACHED
+from twinct.link.topics import CLOCK, EXPOSE, HOME, JOINTS, REACHED
 from twinct.robots.motion import MotionPlan
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
@@ -201,3 +201,11 @@ def test_an_image_is_taken_where_the_arms_stand(planner: Planner) -> None:
     assert answer.success, answer.message
     assert planner.station.wait(lambda: bool(reached), HANG_S)
     assert str(Stamp.of(reached[0].header.stamp)) == answer.message
+
+
+def test_the_joints_are_told_before_anything_moves(planner: Planner) -> None:
+    heard: list[Any] = []
+    planner.station.listen(JOINTS, lambda m, _: heard.append(m))
+    assert planner.station.wait(lambda: bool(heard), HANG_S)
+    np.testing.assert_array_equal(heard[0].position, planner.robots.joints)
+    assert tuple(heard[0].name) == planner.robots.joint_names

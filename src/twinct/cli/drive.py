@@ -107,7 +107,7 @@ def _drive(
     parts = courses(program, actions, speed)
     names = names_of(parts, program.plan.joint_names)
     with (
-        closing(DriveFile(out, loaded, program.plan, names)) as file,
+        closing(DriveFile(out, loaded, program.plan, names, choices[0])) as file,
         closing(Station("twinct_drive", ros_arguments=ROS_ARGUMENTS)) as station,
     ):
         say(f"sending {parts[0].duration_s:.1f} s of motion on ROS domain {station.domain_id}")

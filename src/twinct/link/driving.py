@@ -32,6 +32,8 @@ from twinct.link.stamps import Stamp
 from twinct.link.topics import DESCRIPTION, JOINTS, Topic
 
 FOREVER_S = 1e9
+QUIET_S = 1.0
+"""After a silence of this length, no message of the motion is on its way."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,7 @@ class Drive:
         self._at: dict[str, float] = {}
         self._limits: dict[str, str] = {}
         self._sent_ns: dict[str, int] = {}
+        self._heard_at = 0.0
         self._start: Stamp | None = None
         self.told: list[str] = []
 
@@ -148,11 +151,15 @@ class Drive:
         return done()
 
     def _hear_out(self) -> None:
-        """Wait for all that was sent before now: what was sent later comes after it."""
+        """Wait for all that was sent before now: what was sent later comes after it, or silence."""
         now_ns, topics = time.time_ns(), self._sent_ns.keys() & {*self._settings.joint_states}
+        self._heard_at = self._clock()
         with suppress(KeyboardInterrupt):
             self._wait(
-                lambda: all(self._sent_ns[topic] > now_ns for topic in topics),
+                lambda: (
+                    self._clock() - self._heard_at > QUIET_S
+                    or all(self._sent_ns[topic] > now_ns for topic in topics)
+                ),
                 self._settings.patience_s,
             )
 
@@ -192,7 +199,7 @@ class Drive:
 
     def _hear(self, topic: Topic, raw: Raw, sender: Sender) -> None:
         self._file.write(topic, topic.kind, raw, sender)
-        self._sent_ns[topic.name] = raw.sent_ns
+        self._sent_ns[topic.name], self._heard_at = raw.sent_ns, self._clock()
         if topic in self._settings.joint_states and self._start is None:
             message = deserialize_message(raw.data, topic.message_class)
             self._at.update(zip(message.name, message.position, strict=False))

@@ -138,26 +138,28 @@ class Station:
 
         The callback receives a message, or a ``Raw`` one with ``raw``, and its ``Sender``.
         ``mismatch_told`` reports incompatible publishers on the console; turn it off if another
-        subscription covers them. ``as_published`` also takes best-effort publishers, if a topic has
-        one when this is called, and no earlier messages.
+        subscription covers them. ``as_published`` asks no more than what all present publishers of
+        the topic offer: also best effort, or no earlier messages.
         """
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(
             matched=lambda _: None,
             incompatible_qos=None if mismatch_told else lambda _: None,
         )
-        qos = _qos(max(depth, topic.depth), latched=latched and not as_published)
-        if as_published and self._best_effort(topic):
-            qos.reliability = ReliabilityPolicy.BEST_EFFORT
+        qos = _qos(max(depth, topic.depth), latched=latched)
+        if as_published:
+            self._suit(qos, topic)
         return self._node.create_subscription(
             topic.message_class, _relative(topic), hear, qos, event_callbacks=events, raw=raw
         )
 
-    def _best_effort(self, topic: str) -> bool:
-        published = self._node.get_publishers_info_by_topic(topic)
-        return any(
-            info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for info in published
-        )
+    def _suit(self, qos: QoSProfile, topic: str) -> None:
+        """Ask no more than all publishers of a topic offer."""
+        offered = [i.qos_profile for i in self._node.get_publishers_info_by_topic(topic)]
+        if any(o.reliability == ReliabilityPolicy.BEST_EFFORT for o in offered):
+            qos.reliability = ReliabilityPolicy.BEST_EFFORT
+        if any(o.durability != DurabilityPolicy.TRANSIENT_LOCAL for o in offered):
+            qos.durability = DurabilityPolicy.VOLATILE
 
     def kind_of(self, topic: str) -> str | None:
         """Return the type of a topic that somebody publishes, if it is already discovered."""

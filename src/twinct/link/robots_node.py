@@ -245,6 +245,9 @@ class RobotsNode:
                 self._tell_frames = partial(
                     self._on_frames, Frames(station, links, len(robots.joints)), robots
                 )
+            still = np.zeros(len(robots.joints))
+            rest = JointSample(robots.time_s, robots.joint_names, robots.joints, still, still)
+            self._on_joints(rest)  # who joins learns where the arms stand before they move
 
     def connected(self) -> bool:
         """Return True if the scan's rig and X-ray node are connected, or there is no scan."""

@@ -172,9 +172,11 @@ def _usable(
 
 def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
     """Read joint states, stamps of images, and what ``twinct drive`` wrote."""
+    from twinct.link.recording.drive_file import NOTE
     from twinct.link.recording.reader import Recording, Said
+    from twinct.link.topics import JOINTS
 
-    heard = _Heard()
+    heard, joint_states = _Heard(), choice.joint_states or (JOINTS.name,)
     for path in paths:
         for record in Recording(path).records():
             if not isinstance(record, Said):
@@ -182,16 +184,18 @@ def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
                     heard.files[record.name] = getattr(record, "data", b"")
                 else:
                     heard.notes[record.name] = note
+                    if record.name == NOTE and not choice.joint_states:
+                        joint_states = tuple(json.loads(note["joint_states"]))
                 continue
             heard.topics.add(record.topic)
-            if record.topic in choice.joint_states:
+            if record.topic in joint_states:
                 message = record.message
                 stamps, rows = heard.joints.setdefault(tuple(message.name), ([], []))
                 stamps.append(record.stamp_ns)
                 rows.append(message.position)
             elif record.topic == choice.image:
                 heard.images_ns.append(record.stamp_ns)
-    for what, found in ((choice.joint_states, heard.joints), ((choice.image,), heard.images_ns)):
+    for what, found in ((joint_states, heard.joints), ((choice.image,), heard.images_ns)):
         if not found:
             raise InputError(
                 f"{', '.join(map(str, paths))}: nothing on {', '.join(what)}; topics found: "

@@ -14,7 +14,8 @@ class ArmsRecording:
         scenario: Scenario of the scan, whose arms and specimen are kept (default: the one that
             twinct drive recorded).
         image: Topic of the detector's images.
-        joint_states: Topics of the drivers' joint states.
+        joint_states: Topics of the drivers' joint states (default: those of twinct drive, else
+            /joint_states).
         source_prefix: Prefix of the joint names of the source arm's driver.
         detector_prefix: Prefix of the joint names of the detector arm's driver.
         flat: Files of flat images, whose mean counts; raw images need them.
@@ -26,7 +27,7 @@ class ArmsRecording:
 
     scenario: Path | None = None
     image: str = "/xray/image"
-    joint_states: tuple[str, ...] = ("/joint_states",)
+    joint_states: tuple[str, ...] = ()
     source_prefix: str = ""
     detector_prefix: str = ""
     flat: tuple[Path, ...] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from twinct.core.errors import ScanExistsError
@@ -12,6 +12,7 @@ from twinct.core.files.writing import storage_errors
 from twinct.link.recording.bag import Bag
 from twinct.link.recording.recorder import PLAN, SCENARIO
 from twinct.link.senders import Raw, Sender
+from twinct.link.topics import JOINTS
 from twinct.robots.motion import MotionPlan, save_plan
 from twinct.scenario import Scenario
 
@@ -33,7 +34,12 @@ class DriveFile:
     """
 
     def __init__(
-        self, path: Path, scenario: Scenario, plan: MotionPlan, names: Mapping[str, str]
+        self,
+        path: Path,
+        scenario: Scenario,
+        plan: MotionPlan,
+        names: Mapping[str, str],
+        joint_states: Sequence[str] = (JOINTS.name,),
     ) -> None:
         """Create the file.
 
@@ -42,6 +48,7 @@ class DriveFile:
             scenario: scenario of the plan.
             plan: the plan.
             names: joint names of the scenario by those of the drivers.
+            joint_states: topics of the drivers' joint states.
 
         Raises:
             ScanExistsError: the file exists.
@@ -54,7 +61,9 @@ class DriveFile:
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._bag = Bag(path, CHUNK_BYTES)
-            self._bag.note(NOTE, {"format": DRIVE_FORMAT, "joints": json.dumps(dict(names))})
+            told = {"joints": dict(names), "joint_states": list(joint_states)}
+            facts = {key: json.dumps(value) for key, value in told.items()}
+            self._bag.note(NOTE, {"format": DRIVE_FORMAT, **facts})
             self._bag.attach(SCENARIO, scenario.resolved().encode())
             with tempfile.TemporaryDirectory(prefix="twinct-") as name:
                 save_plan(plan, Path(name) / PLAN)
