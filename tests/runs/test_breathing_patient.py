@@ -87,9 +87,9 @@ def test_the_truth_has_the_phase_of_the_volume(scan: Scan) -> None:
         truth_of(one, SimulationBuilder(one.scenario)).volume
         for one in (scan, replace(scan, scenario=deep))
     )
-    moving = moving_voxels(
-        SimulationBuilder(deep).specimen.motion, deep.reconstruction.volume_grid, Pose.identity()
-    )
+    motion = SimulationBuilder(deep).specimen.motion
+    assert motion is not None
+    moving = moving_voxels(motion, deep.reconstruction.volume_grid, Pose.identity())
     off = np.abs(full - at_rest)
     assert off[moving].mean() > 20 * off[~moving].mean() > 0
     assert 0.05 < moving.mean() < 0.5

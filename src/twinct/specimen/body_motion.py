@@ -92,7 +92,7 @@ class BodyMotion:
         """
         from trimesh.remesh import subdivide_to_size
 
-        points, _ = subdivide_to_size(mesh.vertices, mesh.faces, SURFACE_STEP_MM, max_iter=20)
+        points = subdivide_to_size(mesh.vertices, mesh.faces, SURFACE_STEP_MM, max_iter=20)[0]
         slip = float(self.ways_mm(points).max())
         if slip > LARGEST_SLIP_MM:
             raise SpecimenError(
@@ -173,7 +173,7 @@ def body_motion(section: scenario.Specimen) -> BodyMotion:
 
 def _read_fields(section: scenario.Fields) -> PhaseFields:
     found: list[NDArray[np.float32]] = []
-    affine: Floats | None = None
+    affine = np.eye(4)
     for i, one in enumerate(section.phases):
         where = f"specimen.motion.phases.{i}.path: {one.path}"
         values, image = read_nifti(one.path, where, SpecimenError)
@@ -191,7 +191,6 @@ def _read_fields(section: scenario.Fields) -> PhaseFields:
             raise SpecimenError(f"{where} is on another grid than the first phase")
         affine = at
         found.append(values)
-    assert affine is not None
     vectors = np.stack(found).astype(np.float64)
     if section.axes == "lps":
         vectors[..., :2] *= -1

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from twinct.evaluation import part_of
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.geometry.arrays import lock
+from twinct.specimen.aligned_means import add_aligned_means
 from twinct.specimen.grey import GreyField
 from twinct.specimen.materials import Material
 from twinct.specimen.surface import enclosed_volume
@@ -243,8 +244,6 @@ def add_means(
         world_from_field: pose of the specimen.
         out: (nz, ny, nx) float32.
     """
-    from twinct.specimen import _grey_kernels
-
     field_from_grid = (world_from_field @ of.world_from_grid).inverse() @ grid.world_from_grid
     # Index coordinates of the field: rows are the steps along x, y and z of the grid.
     steps = (field_from_grid.rotation * grid.voxel).T / of.voxel
@@ -257,7 +256,11 @@ def add_means(
     if any(side.start >= side.stop for side in box):
         return
     first = first + np.array([side.start for side in box[::-1]]) @ steps
+    if add_aligned_means(values, first, steps, counts.tolist(), out[box]):
+        return
     found = np.zeros(out[box].shape, dtype=np.float32)
+    from twinct.specimen import _grey_kernels
+
     values = np.require(values, requirements=["C", "W"])  # one type for numba
     _grey_kernels.add_means(values, first, steps, counts, found)
     out[box] += found
