@@ -9,7 +9,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector, fast, fdk, fista_tv, sart
 from twinct.recon.deformation import Deformation, inverse, require_no_fold
-from twinct.recon.moving import MovingProjector
+from twinct.recon.moving import MovingProjector, moving_bytes
 from twinct.trajectory import CircleTrajectory, commanded_views
 
 PANEL = Panel(20, 24, 6.0, 6.0)
@@ -146,3 +146,11 @@ def test_an_inverse_is_one_and_a_fold_is_refused():
     assert inverse(move, points + move(points)) == pytest.approx(points, abs=1e-4)
     with pytest.raises(InputError, match=r"a field folds at .* determinant .* must be above 0"):
         require_no_fold(swell(30.0), points, "a field")
+
+
+def test_the_memory_of_maps_is_stated(grid):
+    A = MovingProjector(views(), grid, motion(12))
+    A(np.ones(A.domain_shape, np.float32))
+    held = [m._to.shifts.nbytes for m in A._moved.values()]
+    stated = moving_bytes(grid, 12) - 8 * int(np.prod(grid.shape))
+    assert stated == pytest.approx(12 * 2 * held[0], rel=0.8)

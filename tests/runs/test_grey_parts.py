@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from twinct.report import physics_in_words
 from twinct.runs.checks import check_sight, findings
 from twinct.runs.integrals import hardening_corrected
 from twinct.runs.needs import needs
+from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
@@ -187,3 +189,27 @@ def test_memory_of_packed_and_plain_files(grey: Maker, tmp_path: Path) -> None:
     ratio = packed.stat().st_size / plain.stat().st_size
     base = by_plain - 10 * plain.stat().st_size
     assert base > 0 and by_packed - base == pytest.approx(3.6 * ratio * (by_plain - base))
+
+
+def test_a_patient_larger_than_the_table_is_named(grey: Maker) -> None:
+    """The head lies on a plate; one that is too short, or elsewhere, is told apart."""
+    told = grey().model_dump(mode="json")["specimen"]["parts"][0]
+    low, high = SimulationBuilder(grey()).specimen.bounds
+
+    def warned(size: float, drop_mm: float = 0.0) -> list[str]:
+        plate = {
+            "name": "table",
+            "shape": {"kind": "box", "size_mm": [300, size, 4]},
+            "material": {"mass_fractions": {"C": 1.0}, "density_g_cm3": 1.6},
+            "position_mm": [*((low + high) / 2)[:2].tolist(), float(low[2]) - 2 - drop_mm],
+        }
+        found = larger_than_table(
+            SimulationBuilder(grey(f"specimen.parts={json.dumps([told, plate])}"))
+        )
+        assert all("part 'patient' is larger than 'table' under it" in one for one in found)
+        return found
+
+    (one,) = warned(float(high[1] - low[1]) - 20)
+    assert "10 mm at -y, 10 mm at +y beyond it" in one
+    assert warned(300) == []
+    assert warned(10, drop_mm=60) == []

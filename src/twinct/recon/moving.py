@@ -94,7 +94,7 @@ def map_of(
     deformation: Deforming, grid: VolumeGrid, direction: Direction, step: int | None = None
 ) -> Map:
     """Return the map of a deformation on a grid; ``step``: voxels between its nodes."""
-    step = step or max(1, min(MAP_VOXELS, int(COARSEST_MM / grid.voxel.max())))
+    step = step or _step(grid)
     counts = [max(2, -(-(n - 1) // step) + 1) for n in grid.shape]
     nodes = np.indices(counts).reshape(3, -1)[::-1].T
     index = (step * nodes).astype(np.float64)
@@ -104,6 +104,17 @@ def map_of(
     back = np.linalg.inv(affine[:3, :3]).astype(np.float64)
     shifts = ((places - points) @ back.T).astype(np.float32)
     return Map(shifts.reshape(*counts, 3), step)
+
+
+def _step(grid: VolumeGrid) -> int:
+    """Return the number of voxels between the nodes of a map."""
+    return max(1, min(MAP_VOXELS, int(COARSEST_MM / grid.voxel.max())))
+
+
+def moving_bytes(grid: VolumeGrid, views: int) -> int:
+    """Return the bytes that a moving projector holds: two volumes, and both maps of each view."""
+    voxels = math.prod(grid.shape)
+    return int(4 * MovingProjector.own_volumes * voxels + 24 * views * voxels / _step(grid) ** 3)
 
 
 class MovingProjector(Projector):

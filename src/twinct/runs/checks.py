@@ -21,6 +21,7 @@ from twinct.evaluation import sight
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
 from twinct.runs.metal_reduction import check_metal
+from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario, stage_digests
@@ -71,6 +72,7 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
         warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")
     warnings += _size(builder).warnings
     warnings += _cut(builder)
+    warnings += larger_than_table(builder)
     if not seen.in_region:
         warnings.append(
             f"{where} lies outside the voxels that every view sees: the image figures will "

@@ -125,6 +125,16 @@ def projector_of(scan: Scan, poses: ScanGeometry, grid: VolumeGrid) -> Projector
     return MovingProjector(poses, grid, states)
 
 
+def motion_bytes(scenario: Scenario, views: int) -> int:
+    """Return the bytes that a compensated motion needs beside an algorithm; 0 without one."""
+    known, grid = scenario.reconstruction.motion, scenario.reconstruction.volume_grid
+    if known is None or not known.compensate:
+        return 0
+    from twinct.recon.moving import moving_bytes
+
+    return moving_bytes(grid, views)
+
+
 def deformations(
     motion: BodyMotion, known: KnownMotion, times_s: Floats, world_from_specimen: Pose
 ) -> list[Deformation | Between]:

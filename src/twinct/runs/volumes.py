@@ -42,7 +42,7 @@ from twinct.recon.surroundings import (
 from twinct.recon.volume import Volume
 from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
-from twinct.runs.known_motion import gated_scan, projector_of, views_that_count
+from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
 from twinct.scan import Scan, line_integrals
 from twinct.scenario import (
@@ -365,9 +365,9 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     if isinstance(section.metal, KnownImplants):
         # Plus measured and corrected line integrals, and path lengths in the dense material.
         stages["implants"] = held + 12 * pixels + implant_bytes(voxels, pixels)
-    stages[algorithm.name] = held + peak_bytes(
-        algorithm, voxels, pixels, algorithm.extra_volumes(section)
-    )
+    held += motion_bytes(scenario, len(views))
+    own = peak_bytes(algorithm, voxels, pixels, algorithm.extra_volumes(section))
+    stages[algorithm.name] = held + own
     return stages
 
 
