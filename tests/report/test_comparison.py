@@ -158,9 +158,38 @@ def test_the_page_is_whole_and_says_differences(report):
     assert f"SSIM {image['ssim']:.3f} {image['ssim'] + 0.1:.3f} (+0.100)" in words
     assert f"PSNR {image['psnr_db']:.1f} – dB" in words
     assert "X-ray projections 80.2 s 90.2 s (+10.0 s)" in words
-    assert "None: the scenarios are identical." in words
+    assert "No scenario key differs." in words
     error = report.metrics["pose_error"]["source"]["position_mm"]["max"]
     assert f"source, position, max {error:.3f} {error:.3f} (=)" in words
+
+
+def test_the_page_shows_figures_and_slices_first_and_folds_many_keys(report, monkeypatch):
+    monkeypatch.setattr("twinct.report.comparison._pictures", lambda _: [])
+    few = compared(report, "b", scenario=with_keys(report.scenario, iterations=7))
+    gantry = report.scenario.with_({"cell.kind": "gantry", "uncertainty.seed": 5})
+    pages = [
+        Comparison((compared(report, "a"), one))
+        for one in (few, compared(report, "c", scenario=gantry))
+    ]
+    assert len(pages[1].keys) > 12
+    for page in pages:
+        html = page.render()
+        order = ["Image figures", "Slices", "Pose errors", "Time", "Scenario keys that differ"]
+        places = [html.index(f">{title}") for title in order]
+        assert places == sorted(places)
+    assert "<details open>" in pages[0].render()
+    assert "<details>" in pages[1].render()
+
+
+def test_a_gantry_has_no_keys_of_motion(report):
+    gantry, other = (
+        report.scenario.with_({"cell.kind": "gantry", "motion.scheme": scheme})
+        for scheme in ("planned", "reactive")
+    )
+    found = Comparison(
+        (compared(report, "a", scenario=gantry), compared(report, "b", scenario=other))
+    )
+    assert found.keys == {}
 
 
 def test_pictures_share_extent_and_windows(report):

@@ -196,7 +196,7 @@ def test_what_varies_along_with_an_axis_makes_no_lines():
         ("tool_speed_mm_s.source.max", "tool speed, source, largest / mm/s", ""),
         ("views", "views", ""),
         ("image.edge_width_mm", "edge width / mm", "lower"),
-        ("image.zero.ssim", "SSIM, all zero", ""),
+        ("image.zero.ssim", "SSIM, empty volume", ""),
         ("image.rmse_rel_by_depth.5_to_10_mm", "RMSE, 5 to 10 mm deep / %", "lower"),
         ("image.contrasts.a_against_b.cnr", "contrast to noise, a against b", "higher"),
         (

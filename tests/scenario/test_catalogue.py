@@ -23,7 +23,8 @@ def test_every_scenario_of_the_repository_has_a_name() -> None:
 def test_a_scenario_extends_a_built_in_one(tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_text("extends: demo\ntrajectory: {views: 7}\n")
-    assert load_scenario(mine) == load_scenario("demo", {"trajectory.views": 7})
+    own = {"trajectory.views": 7, "description": ""}
+    assert load_scenario(mine) == load_scenario("demo", own)
     assert load_scenario({"extends": "demo"}) == load_scenario("demo")
     mine.write_text("extends: dmeo\n")
     with pytest.raises(ScenarioError, match=r"mine.yaml:1: extends: 'dmeo' .* did you mean 'demo'"):

@@ -74,7 +74,8 @@ def test_a_key_that_does_not_apply_is_logged_once_and_only_if_somebody_chose_it(
 
 def test_a_mapping_extends_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = {"extends": str(DEMO), "trajectory": {"views": 12}}
-    assert load_scenario(mine) == load_scenario(DEMO, ["trajectory.views=12"])
+    own = {"trajectory.views": 12, "description": ""}  # DEMO's describes DEMO
+    assert load_scenario(mine) == load_scenario(DEMO, own)
     assert load_scenario({**mine, "extends": DEMO}) == load_scenario(mine)
     monkeypatch.chdir(DEMO.parent)
     assert load_scenario({**mine, "extends": "demo.yaml"}) == load_scenario(mine)

@@ -226,7 +226,7 @@ def circle(
     """Calibrate a circular scan from its projections alone: axis offset, roll, tilt, slant, SDD.
 
     Args:
-        folder: Folder of ``twinct import --out`` or ``twinct run --out``.
+        folder: Folder of twinct import --out or twinct run --out.
         sigma_px: Expected error of the axis, and of the panel's height, px.
         sigma_deg: Expected error of roll, tilt and slant, degrees.
         sigma_sdd: Expected error of the distance from source to panel, as a share of it.

@@ -30,7 +30,7 @@ def predict(
     checkpoint, if the algorithm has any.
 
     Args:
-        folder: Folder of ``twinct run --out``, or of ``twinct import`` of a measured scan.
+        folder: Folder of twinct run --out, or of twinct import of a measured scan.
         geometry: believed (default), executed, commanded, or one made by twinct calibrate.
         mesh: Mesh of the object in mm, in the world; --set specimen.position_mm=... moves it.
         material: Material of the mesh; or of the voxels, if a spectrum is stated. Water by default.

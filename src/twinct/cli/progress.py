@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from twinct.observers import Audience, Event, Observer
 
 NOTICED = "twinct.recon"
-"""Logger whose warnings are shown, such as about kernels that are compiled for a minute."""
+"""Logger whose warnings are shown, and its notices, such as of kernels that are compiled."""
 
 _LINE_EVERY_S = 30.0
 _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False}
@@ -51,14 +51,14 @@ def _while_read(hear: Callable[[Event], None]) -> Callable[[Event], None]:
 
 
 class _Notices(logging.Handler):
-    """Handler that shows the warnings of twinct's own libraries."""
+    """Handler that shows the warnings and notices of twinct's own libraries."""
 
     def __init__(self, audience: Audience) -> None:
         super().__init__(logging.WARNING)
         self._audience = audience
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._audience.say(record.getMessage(), warning=True)
+        self._audience.say(record.getMessage(), warning=not getattr(record, "notice", False))
 
 
 def say(text: str, *, warning: bool = False) -> None:

@@ -15,6 +15,7 @@ from twinct.report.measured import nested, reasons
 from twinct.report.page import stage_title
 from twinct.report.template import duration, fixed, rendered
 from twinct.scenario import Scenario
+from twinct.scenario.digests import OF_ARMS
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ class Comparison:
     @property
     def keys(self) -> dict[str, tuple[Any, ...]]:
         """Scenario keys that differ, with each reconstruction's value, or None without the key."""
-        told = [flat(one.scenario.model_dump(mode="json")) for one in self.compared]
+        told = [_told(one.scenario) for one in self.compared]
         names = dict.fromkeys(name for values in told for name in values)
         rows = {name: tuple(values.get(name) for values in told) for name in names}
         return {name: row for name, row in rows.items() if any(v != row[0] for v in row)}
@@ -121,7 +122,7 @@ class Comparison:
         "its own voxels, above its error against its own truth. Where a volume's own plane lies up "
         "to half a voxel away, its position is given; a grid that is turned against the first one "
         "shows its nearest voxels. The outline bounds the region that every view sees; the figures "
-        "below are computed in it."
+        "above are computed in it."
     )
 
     def tables(self) -> dict[str, list[Row]]:
@@ -135,6 +136,15 @@ class Comparison:
     def pictures(self) -> list[tuple[str, str]]:
         """Return a title and the address of an image for each plane."""
         return _pictures(self.compared)
+
+
+def _told(scenario: Scenario) -> dict[str, Any]:
+    """Return all keys that count for a scenario: a gantry has no motion."""
+    keys = flat(scenario.model_dump(mode="json"))
+    if scenario.cell.kind != "gantry":
+        return keys
+    left_out = tuple(f"{section}." for section in OF_ARMS)
+    return {key: value for key, value in keys.items() if not f"{key}.".startswith(left_out)}
 
 
 def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:

@@ -37,7 +37,7 @@ def figure_words(name: str, reference: str = "bone") -> Figure:
     if parts[0] == "believed_minus_executed":
         of, parts, comparable = "believed minus executed", ["image", *parts[1:]], False
     if parts[:2] == ["image", "zero"]:
-        of, parts, comparable = "all zero", ["image", *parts[2:]], False
+        of, parts, comparable = "empty volume", ["image", *parts[2:]], False
     shown = (_of_image(parts[1:]) if parts[0] == "image" else None) or _of_run(parts)
     shown = shown.relative_to(reference)
     title = f"{shown.title}, {of}" if of else shown.title

@@ -133,10 +133,10 @@ def _columns(report: ReportData) -> dict[str, Any]:
 
 
 def _beside(report: ReportData) -> dict[str, Any]:
-    """Return further columns: the cost of the poses' errors, and the figures of a zero volume."""
+    """Return further columns: the cost of the poses' errors, and the figures of an empty volume."""
     found = {
         "believed − executed": report.metrics.get("believed_minus_executed"),
-        "all zero": report.metrics["image"].get("zero"),
+        "empty volume": report.metrics["image"].get("zero"),
     }
     return {title: told for title, told in found.items() if told}
 

@@ -79,7 +79,7 @@ def rig_factory(
 
     require_ros()
     with closing(Domain()) as domain:
-        audience.say(f"ROS 2: domain {domain.id} (ROS_DOMAIN_ID)")
+        audience.say(f"ROS 2: other nodes join with ROS_DOMAIN_ID={domain.id}")
         yield ros_rigs(logs, domain, hear)
 
 

@@ -52,7 +52,7 @@ COUNT_FOR_NONE = (
 )
 """Keys and sections that affect neither scan nor truth nor volume."""
 
-_OF_ARMS = ("motion", "cell.floor_z_mm")
+OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
 
 _BEFORE: dict[str, object] = {
@@ -122,7 +122,7 @@ def _sections_of(annotation: Any) -> list[type[BaseModel]]:
 
 def _reads(scenario: Scenario, stage: StageName, key: str, readers: frozenset[str]) -> bool:
     arms = scenario.cell.kind == DEFAULT_KIND  # older scenarios have no cell.kind
-    if any(f"{key}.".startswith(f"{one}.") for one in (("cell.kind",) if arms else _OF_ARMS)):
+    if any(f"{key}.".startswith(f"{one}.") for one in (("cell.kind",) if arms else OF_ARMS)):
         return False
     if key == "source.exposure_ms" and stage == "executed":
         # A plan of the arms respects the exposure in any case.

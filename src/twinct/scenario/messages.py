@@ -108,6 +108,15 @@ _PLAIN = {
 }
 """Texts for users, by pydantic's type of error."""
 
+PATTERNS = {
+    r"^[A-Za-z0-9_-]+$": "must consist of letters, digits, - and _, without spaces",
+    r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$": "must consist of letters, digits, ., - and _, begin with "
+    "a letter or a digit, and have at most 64 characters",
+    r"^#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})$": "must be a colour such as '#c8d0d8', or '#c8d0d880' "
+    "with opacity",
+}
+"""Patterns of names, in words."""
+
 
 class _Place(NamedTuple):
     """Place of a problem in the models: the section there, and the sections that could be there."""
@@ -134,8 +143,8 @@ def _sentence(
         side = "at least" if kind == "too_short" else "at most"
         has = len(given) if is_list(given) else detail["ctx"]["actual_length"]
         return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
-    if kind in _PLAIN:
-        return f"{_PLAIN[kind]}, but is {'empty' if given is None else shown(given)}"
+    if words := PATTERNS.get(detail.get("ctx", {}).get("pattern")) or _PLAIN.get(kind):
+        return f"{words}, but is {'empty' if given is None else shown(given)}"
     message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     return message if kind == "value_error" else f"{message}, but is {shown(given)}"
 

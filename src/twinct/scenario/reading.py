@@ -202,6 +202,8 @@ def _extended(own: Draft, folder: Path, chain: tuple[Path, ...]) -> Draft:
         told = f"no file at {name}{same_name(file)}" if why == ABSENT else f"{name} {why}"
         raise ScenarioError(place + told)
     base = _read(file, chain)
+    if own.data and base.data.pop("description", None) is not None:  # it describes another one
+        base.forget(("description",))
     _merge(base, own.data, own.origins, ())
     return base
 

@@ -196,7 +196,8 @@ def _unknown(wanted: str, origin: str) -> str:
     known = {_key(name): name for name in material_names()}
     near = [known[k] for k in difflib.get_close_matches(_key(wanted), known, n=3, cutoff=0.5)]
     near += [name for k, name in known.items() if _key(wanted) in k and name not in near][:3]
-    hint = f"nearest: {', '.join(near)}" if near else f"built in: {', '.join(BUILT_IN)}"
+    named = (*BUILT_IN, *METALS)
+    hint = f"nearest: {', '.join(near)}" if near else f"built in: {', '.join(named)}"
     return (
         f"{origin}: unknown material {quoted(wanted)}; {hint}. Element symbols also work, and any "
         "other material can be given as {formula: H2O, density_g_cm3: 1.0} or "

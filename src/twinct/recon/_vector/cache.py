@@ -89,10 +89,11 @@ def _digest() -> str:
 
 def _compiled(draft: Path, folder: Path) -> Path:
     """Compile into a draft folder, and rename it."""
-    # A warning, because the terminal is silent meanwhile.
+    # At this level, because the terminal is silent meanwhile; nothing is wrong.
     log.warning(
-        "compiling the reconstruction kernels into %s; this happens once and takes half a minute",
+        "first run: compiling the reconstruction kernels, which takes half a minute (into %s)",
         folder,
+        extra={"notice": True},
     )
     try:
         result = subprocess.run(
