@@ -32,7 +32,7 @@ endef
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs pictures lock clean
+.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs pictures lock clean bare
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
@@ -95,6 +95,9 @@ docs: setup ## Build the documentation site into build/site; its tutorials run m
 
 pictures: setup ## Draw the pictures of X-ray effects in docs/images anew
 	@$(VENV)/python tools/gallery.py
+
+bare: setup ## Try the wheel on a bare Debian: apt, pip, twinct demo, with the seconds of each (root, debootstrap)
+	@tools/bare-machine
 
 lock: ## Refresh constraints.txt; LOCK_ARGS=--upgrade takes the newest versions
 	@tools/lock $(LOCK_ARGS)
