@@ -48,7 +48,7 @@ STAGES: dict[StageName, _Stage] = {
 
 COUNT_FOR_NONE = (
     *("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset"),
-    "task",
+    *("task", "cell.objects.name", "cell.objects.colour"),
 )
 """Keys and sections that affect neither scan nor truth nor volume."""
 
