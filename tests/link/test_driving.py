@@ -207,7 +207,7 @@ def test_a_controller_that_is_not_there_is_named(arms, run) -> None:
     now = [0.0]
 
     def clock() -> float:
-        now[0] += 0.5
+        now[0] += 4.0
         return now[0]
 
     with pytest.raises(ControllerError, match=f"no controller answers at .*{ACTIONS[1]}"):
@@ -222,6 +222,7 @@ def test_the_names_of_the_joints_are_in_the_file(arms, run, plan) -> None:
     assert list(json.loads(notes["twinct drive"]["joints"]).values()) == list(plan.joint_names)
 
 
+@pytest.mark.tutorial
 def test_the_command_drives_one_controller_of_both_arms(arms, program, tmp_path, capfd) -> None:
     (tmp_path / "s.yaml").write_text(json.dumps(SCENARIO))
     names = [*program.names[0], *program.names[1]]

@@ -32,7 +32,7 @@ from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scan.encoder_model import poses_of_joints
 from twinct.scenario import Scenario, load_scenario
 
-pytestmark = pytest.mark.process
+pytestmark = [pytest.mark.process, pytest.mark.tutorial]
 
 SCENARIO = {
     "trajectory": {"kind": "arc", "views": 24, "longitude_range_deg": 40},
