@@ -19,6 +19,7 @@ from stand_in import LAG_S, StandIn
 
 from twinct.cli import run_command
 from twinct.core.errors import InputError
+from twinct.geometry import Pose
 from twinct.link.driving import Drive, DriveSettings, names_of
 from twinct.link.environment import Domain
 from twinct.link.follow import courses
@@ -26,6 +27,8 @@ from twinct.link.participant import Station
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.link.recording.drive_file import DriveFile
 from twinct.measured import import_driven
+from twinct.robots.calibrated_arms import CalibratedArms, Change
+from twinct.robots.cell import nominal_chains
 from twinct.robots.programs import Program, program_of
 from twinct.runs import Folder
 from twinct.scan import ScanStore, SimulationBuilder
@@ -158,6 +161,27 @@ def test_latency_of_the_images(driven: Driven, choice: ArmsRecording, tmp_path: 
     assert found.latency_ms == pytest.approx(1000 * LATENCY_S, abs=0.5)
     scan = ScanStore(Folder(tmp_path / "out").scan).read()
     assert off_mm(scan.executed, driven.poses) < 0.05
+
+
+def test_poses_are_those_of_calibrated_arms(
+    driven: Driven, choice: ArmsRecording, tmp_path: Path
+) -> None:
+    cell, panel = driven.scenario.cell, driven.scenario.detector.panel
+    chains = nominal_chains(cell, panel)
+    none = [Change(np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((6, 2))) for _ in range(2)]
+    tool = none[0]._replace(tool=np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
+    arms = CalibratedArms(chains, (tool, none[1]), 1, Pose.identity(), {})
+    arms.write(tmp_path / "arms.json")
+    calibrated = {**SCENARIO, "uncertainty": {"calibration": str(tmp_path / "arms.json")}}
+    (tmp_path / "s.yaml").write_text(json.dumps(calibrated))
+    mine = replace(choice, scenario=tmp_path / "s.yaml")
+    import_driven([driven.path], tmp_path / "out", mine)
+    scan = ScanStore(Folder(tmp_path / "out").scan).read()
+    for found, nominal in zip(scan.executed.source, driven.poses.source, strict=True):
+        off = np.linalg.norm(found.position - nominal.position)
+        assert off == pytest.approx(2.0, abs=0.05)
+    detector = zip(scan.executed.detector, driven.poses.detector, strict=True)
+    assert max(np.linalg.norm(a.position - b.position) for a, b in detector) < 0.05
 
 
 def test_raw_images_need_flat_ones(driven: Driven, tmp_path: Path) -> None:
