@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from twinct.core.errors import InputError
-from twinct.measured.joint_track import Readings, track_of
+from twinct.measured.driven import _usable
+from twinct.measured.joint_track import JointTrack, Readings, track_of
 
 NAMES = {"left_a": "source_a", "left_b": "source_b", "right_a": "detector_a"}
 MS = 1_000_000
@@ -64,3 +65,16 @@ def test_positions_that_are_not_finite_are_refused() -> None:
     heard = {("left_a", "left_b"): told([1, 2], [0, np.nan], [0, 0])}
     with pytest.raises(InputError, match="not finite"):
         track_of(heard, NAMES, tuple(NAMES.values()), 0)
+
+
+def test_images_whose_stamps_run_backwards_are_named_and_left_out() -> None:
+    ticks = np.arange(0, 2, 0.002)
+    track = JointTrack(("a", "b"), (Readings(("a", "b"), ticks, path(ticks)),))
+    kept, told = _usable(track, np.array([0.5, 0.7, 0.6, 0.9, 5.0]), 0.01)
+    assert kept.tolist() == [0, 1, 3]
+    assert told == (
+        "images 2 have stamps that run backwards: left out",
+        "images 4 have no joint states about their time: left out",
+    )
+    with pytest.raises(InputError, match=r"one clock\? The first of 1 comes 9.000 s after"):
+        _usable(track, np.array([9.0]), 0.0)
