@@ -30,7 +30,7 @@ from twinct.recon.resolution import binned
 NUMBERS = ("axis_offset", "height", "sdd", "tilt", "slant", "roll")
 """Names of the six numbers: shifts of the panel along u, v and its normal, turns about them."""
 
-ROUNDS = ((50, 5), (100, 8), (200, 10), (400, 6))
+ROUNDS = ((50, 5), (100, 12), (200, 25), (400, 10))
 """Pixels along the panel's diagonal, and the largest number of steps.
 
 A panel with fewer pixels is not binned, and has no further round then.
