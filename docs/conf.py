@@ -51,7 +51,6 @@ sphinx_gallery_conf = {
     "gallery_dirs": ["tutorials", "gallery"],
     "filename_pattern": "",  # each program is executed
     "within_subsection_order": "FileNameSortKey",
-    "abort_on_example_error": True,
     "capture_repr": ("_repr_html_",),
     "image_scrapers": ("matplotlib", "gallery_folder.pictures"),
     "remove_config_comments": True,

@@ -2,10 +2,22 @@
 A circle without arms
 =====================
 
-``scenarios/circle_gantry.yaml``: source and panel are exactly where the trajectory says.
+``scenarios/circle_gantry.yaml``. Source and panel are exactly where the trajectory says, all the
+way round. For those who study reconstruction; no robots package is needed.
 """
 
-from twinct import load_scenario, simulate
+from twinct import load_scenario, reconstruct, simulate
 
-scan = simulate(load_scenario("scenarios/circle_gantry.yaml", {"trajectory.views": 8}))
-scan.show("circle.png")
+scenario = load_scenario("scenarios/circle_gantry.yaml", {"trajectory.views": 45})
+scan = simulate(scenario)
+scan.show("circle_gantry_scan.png")
+
+# %%
+# The volume
+# ----------
+
+volume = reconstruct(scan)
+volume.show("circle_gantry_volume.png")
+
+# %%
+# Any trajectory can be had on a gantry: ``helix``, ``saddle``, ``uniform`` or a file of poses.

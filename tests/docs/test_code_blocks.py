@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -9,16 +10,26 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from code_blocks import Block, blocks, check, twinct  # noqa: E402
+from code_blocks import ROOT, Block, blocks, check, twinct  # noqa: E402
 
 from twinct.core.errors import ScenarioError  # noqa: E402
 
 BLOCKS = blocks()
+PROGRAMS = sorted((ROOT / "examples").glob("[tg]*/*.py"))
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
 def test_a_block_of_code_holds(block: Block, tmp_path: Path) -> None:
     check(block, tmp_path)
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
+def test_a_program_of_the_gallery_calls_what_is_there(program: Path, tmp_path: Path) -> None:
+    """They run when the site is built; this finds a renamed function at once."""
+    text = program.read_text(encoding="utf-8")
+    check(Block(program, 0, "python", text), tmp_path)
+    for name in re.findall(r"scenarios/\w+\.yaml", text):
+        assert (ROOT / name).exists(), name
 
 
 @pytest.mark.parametrize(

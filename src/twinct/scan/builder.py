@@ -279,7 +279,7 @@ class SimulationBuilder:
         """Motion plan that the arms follow; None if they solve each target as it comes."""
         return None if self.scenario.motion.scheme == "reactive" else self.plan
 
-    def draw(self, path: Path, view: int, width: int = 1600, height: int = 1000) -> None:
+    def draw(self, path: str | Path, view: int, width: int = 1600, height: int = 1000) -> None:
         """Write a picture (PNG) of the room at one view; width and height in pixels.
 
         Raises:
@@ -294,10 +294,10 @@ class SimulationBuilder:
             specimen, panel = self.specimen, self.scenario.detector.panel
             place, poses = specimen.world_from_specimen, self.commanded_poses[view]
             room = build_gantry(cell, specimen.surface(), place, panel, *poses)
-            render_cell(room, path, None, width, height)
+            render_cell(room, Path(path), None, width, height)
         else:
             assert self.plan is not None
-            render_cell(self.room, path, self.plan.joints[view], width, height)
+            render_cell(self.room, Path(path), self.plan.joints[view], width, height)
 
     @cached_property
     def true_cell(self) -> TrueCell | None:

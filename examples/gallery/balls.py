@@ -1,0 +1,20 @@
+"""
+A phantom for calibration
+=========================
+
+``scenarios/balls.yaml``. 64 steel balls of 3 mm on a helix, along the paper's path. Their shadows
+tell where source and panel were.
+"""
+
+from twinct import load_scenario, simulate
+
+scenario = load_scenario(
+    "scenarios/balls.yaml",
+    {"trajectory.views": 8, "detector": {"columns": 320, "rows": 240, "pixel_pitch_mm": 1.0}},
+)
+scan = simulate(scenario)
+scan.show("balls_scan.png")
+
+# %%
+# Run it with the machine and path of your own scan, then ``twinct calibrate beads out/balls --to
+# out/mine``.

@@ -1,0 +1,31 @@
+"""
+The paper's experiment, small
+=============================
+
+``scenarios/demo.yaml``. Two UR10e on a sine of 210 degrees around a skull, 100 views, SART from
+noisy poses. It takes a minute or two; here it has 24 views.
+"""
+
+from twinct import load_scenario, reconstruct, simulate
+from twinct.scan import SimulationBuilder
+
+scenario = load_scenario("scenarios/demo.yaml", {"trajectory.views": 24})
+SimulationBuilder(scenario).draw("demo_room.png", view=12, width=1000, height=560)
+
+# %%
+# Projections
+# -----------
+
+scan = simulate(scenario)
+scan.show("demo_scan.png")
+
+# %%
+# The volume
+# ----------
+
+volume = reconstruct(scan, algorithm="fast")
+volume.show("demo_volume.png")
+
+# %%
+# Start here, and change one key at a time: ``twinct run scenarios/demo.yaml --out out/mine --set
+# trajectory.views=50``. ``scenarios/paper.yaml`` is the same at full size.

@@ -1,0 +1,24 @@
+"""
+A head with two metal screws
+============================
+
+``scenarios/head_screws.yaml``. Two titanium screws of 4 x 40 mm in bone, a tube of 120 kV, and
+photon noise.
+"""
+
+from twinct import load_scenario, simulate
+from twinct.scan import SimulationBuilder
+
+scenario = load_scenario("scenarios/head_screws.yaml", {"trajectory.views": 12})
+SimulationBuilder(scenario).draw("head_screws_room.png", view=6, width=1000, height=560)
+
+# %%
+# Projections
+# -----------
+
+scan = simulate(scenario)
+scan.show("head_screws_scan.png")
+
+# %%
+# Compare with and without ``reconstruction.metal={method: nmar, metal: titanium}``, or plan views
+# that avoid the metal.

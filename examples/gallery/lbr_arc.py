@@ -1,0 +1,23 @@
+"""
+Two small arms on an arc
+========================
+
+``scenarios/lbr_arc.yaml``. Two KUKA LBR iiwa 14 with seven joints each, on the longest arc that
+they reach at 300 mm: 160 degrees.
+"""
+
+from twinct import load_scenario, simulate
+from twinct.scan import SimulationBuilder
+
+scenario = load_scenario("scenarios/lbr_arc.yaml", {"trajectory.views": 12})
+SimulationBuilder(scenario).draw("lbr_arc_room.png", view=6, width=1000, height=560)
+
+# %%
+# Projections
+# -----------
+
+scan = simulate(scenario)
+scan.show("lbr_arc_scan.png")
+
+# %%
+# Another arm is one key: ``cell.source_arm.model``. ``twinct place`` finds where it should stand.

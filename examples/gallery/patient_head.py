@@ -1,0 +1,31 @@
+"""
+A patient's head on a table
+===========================
+
+``scenarios/patient_head.yaml``. A phantom with grey values, supine on a carbon plate that the
+beam sees. The arms stand beside the table and scan in the plane across it.
+"""
+
+from twinct import load_scenario, simulate
+from twinct.scan import SimulationBuilder
+
+scenario = load_scenario(
+    "scenarios/patient_head.yaml",
+    {
+        "trajectory.views": 12,
+        "detector": {"columns": 160, "rows": 120, "pixel_pitch_mm": 2.0},
+        "specimen.parts.0.shape.voxel_mm": 2,
+    },
+)
+SimulationBuilder(scenario).draw("patient_head_room.png", view=6, width=1000, height=560)
+
+# %%
+# Projections
+# -----------
+
+scan = simulate(scenario)
+scan.show("patient_head_scan.png")
+
+# %%
+# Replace ``phantom: head`` by the path of a CT of your own. ``scenarios/patient_spine.yaml`` is
+# the same for a spine.
