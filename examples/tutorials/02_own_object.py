@@ -6,6 +6,8 @@ A part comes as an STL file. How wide is the hole in it, and how well can a scan
 make a scenario of the file, scan it on a gantry, and measure the hole in the volume.
 """
 
+# sphinx_gallery_thumbnail_number = 2
+
 # %%
 # The file
 # --------

@@ -7,6 +7,8 @@ scintillator, see what each does to image and volume, and find how the noise dep
 load.
 """
 
+# sphinx_gallery_thumbnail_number = 2
+
 # %%
 # An ideal scan
 # -------------

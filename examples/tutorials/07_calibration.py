@@ -6,6 +6,8 @@ Real arms are not where they believe to be. You will give a machine realistic er
 they do to the volume, and find the true poses with a phantom of steel balls.
 """
 
+# sphinx_gallery_thumbnail_number = 2
+
 # %%
 # A machine with errors
 # ---------------------
