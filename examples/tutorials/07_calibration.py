@@ -28,7 +28,7 @@ machine = {
     "uncertainty": {"preset": "c_arm_uncalibrated"},
     "detector": {"columns": 320, "rows": 240, "pixel_pitch_mm": 1.0},
 }
-grid = {"reconstruction.grid": {"voxels": 96, "voxel_mm": 1.65}, "reconstruction.algorithm": "fast"}
+grid = {"reconstruction.grid": {"voxels": 96, "voxel_mm": 1.65}, "reconstruction.iterations": 2}
 skull = run(load_scenario("scenarios/demo.yaml", machine | grid), "skull", link="local")
 scan = load_scan("skull")
 believed, executed = (scan.geometry(name) for name in ("believed", "executed"))
@@ -60,7 +60,10 @@ run_command("calibrate beads balls --to skull".split())
 # ---------------------------------
 
 scan = load_scan("skull")
-volumes = {name: reconstruct(scan, geometry=name) for name in ("believed", "beads", "executed")}
+volumes = {
+    name: reconstruct(scan, algorithm="fast", geometry=name)
+    for name in ("believed", "beads", "executed")
+}
 figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
 for axis, (name, volume) in zip(axes, volumes.items(), strict=True):
     axis.imshow(volume[volume.shape[0] // 2], cmap="gray", vmin=0, vmax=0.06, origin="lower")
