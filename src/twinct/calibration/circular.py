@@ -239,7 +239,7 @@ class _Pairs:
         for _ in range(steps):
             normal, right = self.equations(change, across)
             hessian = normal + precision
-            on = np.linalg.solve(hessian, right - precision @ change)
+            on = np.asarray(np.linalg.solve(hessian, right - precision @ change), np.float64)
             tried.append(change)
             ons.append(on)
             change = change + on
@@ -304,7 +304,12 @@ def circle_numbers(geometry: ScanGeometry, circle: Circle | None = None) -> Circ
     across, along, above = to_panel.mean(axis=0)
     column, row = geometry.project(circle.centre)[:, 0].mean(axis=0) - geometry.panel.middle
     return CircleNumbers(
-        *(float(x) for x in (column, row, circle.radius, along)),
-        (float(across), float(above)),
-        *(float(x) for x in (roll, -back, slant)),
+        axis_px=float(column),
+        height_px=float(row),
+        sod_mm=circle.radius,
+        sdd_mm=float(along),
+        panel_offset_mm=(float(across), float(above)),
+        panel_roll_deg=float(roll),
+        panel_tilt_deg=-float(back),
+        panel_slant_deg=float(slant),
     )
