@@ -5,8 +5,8 @@
 Both heads have the same skull in the same place. The grey one has gradients, texture, vessels and
 lesions; the other one has three densities, as regularised algorithms like it. Both are scanned on a
 circle by a gantry with quantum noise, another phantom and noise for each seed. Printed: root mean
-square error in HU over the voxels of each label, mean over the seeds with its range. All voxels that
-a mesh touches belong to its part, those of a label by half at least: compare algorithms, not heads.
+square error in HU over the voxels of each label, mean over the seeds with its range. All voxels
+that a mesh touches belong to its part, those of a label by half: compare algorithms, not heads.
 """
 
 from __future__ import annotations
