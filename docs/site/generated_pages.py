@@ -6,6 +6,7 @@ import argparse
 import re
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import tyro
@@ -16,6 +17,9 @@ from twinct.cli.commands import app
 from twinct.evaluation import IMAGE_FIGURES, figure_kinds
 from twinct.evaluation.figure import Figure
 
+ROOT = Path(__file__).resolve().parents[2]
+OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)?[A-Z_]+\.md[^)]*\)")
+"""Link to a page of the repository that is not in the site; its words stay."""
 MARKER = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
 
 
@@ -114,11 +118,19 @@ def _cell(text: str) -> str:
     return " ".join(_text(text).split()).replace("|", r"\|")
 
 
-PAGES: dict[str, Callable[[], str]] = {"commands": commands, "figures": figures}
+def changes() -> str:
+    """Return the change log without its title; its links start where the site's pages do."""
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").partition("\n")[2]
+    return text.replace("](docs/", "](/")
+
+
+PAGES: dict[str, Callable[[], str]] = {"commands": commands, "figures": figures, "changes": changes}
 
 
 def _fill(app: Any, name: str, source: list[str]) -> None:
-    source[0] = MARKER.sub(lambda found: PAGES[found[1]](), source[0])
+    text = MARKER.sub(lambda found: PAGES[found[1]](), source[0])
+    text = text.replace("](../CHANGELOG.md", "](/reference/changelog.md")
+    source[0] = OUTSIDE.sub(r"\1", text)
 
 
 def _escape_bars(app: Any, what: str, name: str, one: Any, options: Any, lines: list[str]) -> None:
