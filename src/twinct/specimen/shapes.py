@@ -57,7 +57,8 @@ def _of_another_package(shape: Shape, name: str) -> trimesh.Trimesh:
 
 
 def _sphere(shape: scenario.Sphere, name: str) -> trimesh.Trimesh:
-    return _ball((shape.radius_mm,) * 3, shape.mesh_resolution_mm)
+    radius = shape.radius_mm
+    return _ball((radius, radius, radius), shape.mesh_resolution_mm)
 
 
 def _ellipsoid(shape: scenario.Ellipsoid, name: str) -> trimesh.Trimesh:
