@@ -35,6 +35,7 @@ class Parts:
 
     parts: tuple[Part, ...]
     greys: tuple[()] = ()
+    motion: None = None
 
     @property
     def solids(self) -> tuple[Part, ...]:
