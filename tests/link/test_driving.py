@@ -15,7 +15,7 @@ pytest.importorskip("mcap")
 
 from mcap.reader import make_reader
 from stand_in import StandIn
-from waiting import until
+from waiting import HANG_S, until
 
 from twinct.cli import run_command
 from twinct.core.errors import InputError
@@ -87,7 +87,8 @@ class Run:
         names = names_of(parts, self._program.plan.joint_names)
         file = DriveFile(self.path, self._scenario, self._program.plan, names)
         further = {} if clock is None else {"clock": clock}
-        drive = Drive(self.station, parts, DriveSettings(**choices), file, **further)
+        choices = {"patience_s": HANG_S} | choices
+        drive = self.drive = Drive(self.station, parts, DriveSettings(**choices), file, **further)
         try:
             drive.run()
         finally:
@@ -162,8 +163,8 @@ def test_a_controller_that_stops_half_way_is_named(arms, run) -> None:
     now = [0.0]
 
     def clock() -> float:
-        # Time passes only once the motion has begun.
-        now[0] += 10.0 if left.goals and hasattr(left, "true_at") else 0.0
+        # Time passes only once both have accepted the plan.
+        now[0] += HANG_S if all(part.result for part in run.drive._parts) else 0.0
         return now[0]
 
     with pytest.raises(ControllerError, match=rf"{ACTIONS[0]} stopped half-way: it has no result"):
@@ -187,7 +188,8 @@ def test_unknown_joints_are_named(arms, run, program) -> None:
     now = [0.0]
 
     def clock() -> float:
-        now[0] += 0.2
+        # Time passes only once all joints are heard of.
+        now[0] += HANG_S if len(run.drive._at) == 12 else 0.0
         return now[0]
 
     with pytest.raises(InputError, match="nobody tells where left_shoulder_pan_joint, .* heard of"):
@@ -207,7 +209,7 @@ def test_a_controller_that_is_not_there_is_named(arms, run) -> None:
     now = [0.0]
 
     def clock() -> float:
-        now[0] += 4.0
+        now[0] += HANG_S / 4
         return now[0]
 
     with pytest.raises(ControllerError, match=f"no controller answers at .*{ACTIONS[1]}"):
