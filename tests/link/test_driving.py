@@ -238,6 +238,7 @@ def test_the_command_drives_one_controller_of_both_arms(arms, program, tmp_path,
     assert "both arms have a joint elbow_joint" in capfd.readouterr().err
     assert not out.exists()
     command += ["--source-prefix", "left_", "--detector-prefix", "right_"]
+    command += ["--patience-s", str(HANG_S)]
     assert run_command(command) == 0
     assert "the controllers followed the plan" in capfd.readouterr().out
     assert len(cell.goals) == 1

@@ -16,6 +16,7 @@ pytest.importorskip("mcap")
 
 from PIL import Image as Picture
 from stand_in import LAG_S, StandIn
+from waiting import HANG_S
 
 from twinct.cli import run_command
 from twinct.core.errors import InputError
@@ -110,7 +111,7 @@ class Driven:
         )
         station = Station("twinct_drive", domain)
         try:
-            Drive(station, parts, DriveSettings(record=(IMAGE,)), file).run()
+            Drive(station, parts, DriveSettings(record=(IMAGE,), patience_s=HANG_S), file).run()
         finally:
             file.close()
             station.close()

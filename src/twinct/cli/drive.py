@@ -29,6 +29,7 @@ def drive(
     detector_prefix: str = "",
     speed: float = 1.0,
     start_tolerance_deg: float = 0.5,
+    patience_s: float = 10.0,
     joint_states: Names = ("/joint_states",),
     descriptions: Names = ("/robot_description",),
     record: Names = (),
@@ -49,6 +50,7 @@ def drive(
         detector_prefix: Prefix of the joint names of the detector arm's driver.
         speed: Share of the plan's speed, above 0 and at most 1.
         start_tolerance_deg: Largest distance of a joint from the start of the plan.
+        patience_s: Time without an answer after which a controller counts as silent.
         joint_states: Topics of the drivers' joint states.
         descriptions: Topics of the drivers' descriptions, whose limits the plan must keep.
         record: Further topics to record, such as those of the detector.
@@ -56,7 +58,9 @@ def drive(
     actions = _actions(source, detector, both, speed)
     prefixes = source_prefix, detector_prefix
     topics = joint_states, descriptions, record
-    _drive(scenario, set_, prefixes, out, actions, speed, (*topics, start_tolerance_deg))
+    _drive(
+        scenario, set_, prefixes, out, actions, speed, (*topics, start_tolerance_deg, patience_s)
+    )
 
 
 def _actions(

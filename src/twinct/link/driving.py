@@ -45,16 +45,16 @@ class DriveSettings:
         descriptions: topics of the drivers' robot descriptions, for their limits.
         record: further topics to record, such as those of the detector.
         start_tolerance_deg: largest distance of a joint from the start of the plan.
-        delay_s: time from sending to the common start of two controllers.
         patience_s: time without an answer after which a controller counts as silent.
+        delay_s: time from sending to the common start of two controllers.
     """
 
     joint_states: tuple[str, ...] = (JOINTS.name,)
     descriptions: tuple[str, ...] = (DESCRIPTION.name,)
     record: tuple[str, ...] = ()
     start_tolerance_deg: float = 0.5
-    delay_s: float = 2.0
     patience_s: float = 10.0
+    delay_s: float = 2.0
 
 
 @dataclass(eq=False)
