@@ -39,6 +39,7 @@ def compile_rest() -> None:
     os.environ["TWINCT_ENGINE"] = "plain"
     _reconstruct("plain")
     _voxelise()
+    _move()
     _paint()
     _cast_shadows()
     _cross()
@@ -91,14 +92,24 @@ def _voxelise() -> None:
         faces.setflags(write=writable)
         volume_fractions(mesh.vertices, faces, grid, Pose.identity())
     shaded(specimen, 0.0, 0.0, pixel_mm=5.0)
-    field = np.ones((3, 3, 3), np.float32)
-    add_means(
-        field,
-        VolumeGrid((3, 3, 3), 9.0),
-        grid,
-        Pose.identity(),
-        np.zeros_like(field, shape=(4, 5, 6)),
-    )
+    field, means = np.ones((3, 3, 3), np.float32), np.zeros((4, 5, 6), np.float32)
+    for pose in (Pose.identity(), Pose.from_euler((0, 0, 0), (10, 20, 30))):
+        add_means(field, VolumeGrid((3, 3, 3), 9.0), grid, pose, means)
+
+
+def _move() -> None:
+    from twinct.geometry import Pose, VolumeGrid
+    from twinct.recon.deformation import Deformation
+    from twinct.recon.moving import map_of
+    from twinct.specimen import _moved_voxels
+
+    still, grid = Deformation(np.zeros_like, Pose.identity()), VolumeGrid((4, 5, 6), 10.0)
+    places = map_of(still, grid, "to_reference", 2)
+    amounts, labels = np.zeros((*grid.shape, 1), np.float32), np.zeros(grid.shape, np.uint16)
+    for fixed in (amounts, labels):
+        fixed.setflags(write=False)
+    _moved_voxels.pull_amounts(amounts, *places, np.empty_like(amounts))
+    _moved_voxels.pull_labels(labels, *places, np.empty_like(labels))
 
 
 def _paint() -> None:

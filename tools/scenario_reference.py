@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 import typing
 from pathlib import Path
@@ -189,13 +190,17 @@ def _stages() -> str:
     return "\n".join(rows) + "\n"
 
 
+def _about(model: type[BaseModel]) -> str:
+    return inspect.cleandoc(model.__doc__ or "").replace("``", "`")
+
+
 def _write(
     model: type[BaseModel], title: str, sections: list[str], seen: set[type[BaseModel]]
 ) -> None:
     if model in seen:
         return
     seen.add(model)
-    rows = [f"## {title}\n", f"{(model.__doc__ or '').strip()}\n"]
+    rows = [f"## {title}\n", f"{_about(model)}\n"]
     rows += ["| key | value | unit | default | meaning | source |", "|---|---|---|---|---|---|"]
     inner: list[tuple[type[BaseModel], str]] = []
     own = list(model.model_fields)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from twinct.calibration.circular import CircularCalibration, CircularPrior, circular_consistent
 from twinct.calibration.scan_calibration import keep, refuse_own
+from twinct.core.errors import CalibrationError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Observers, audience_of
@@ -34,7 +35,8 @@ def calibrate_circle(
     Raises:
         InputError: a reserved name, no scan, or no circle; nothing is written.
         ScanExistsError: another geometry has this name; nothing is written.
-        CalibrationError: no view shares an informative plane with another one.
+        CalibrationError: no view shares an informative plane with another one, or the geometry that
+            was found explains the views no better than the believed one; nothing is written.
     """
     refuse_own(name)
     folder, prior = Folder(Path(path)), prior or CircularPrior()
@@ -47,6 +49,13 @@ def calibrate_circle(
             mask=None if scan.bad_pixels is None else ~scan.bad_pixels,
             progress=audience,
         )
+        first, last = found.residuals
+        if last >= first:
+            raise CalibrationError(
+                f"the views agree no better in the geometry that was found (spread {last:.4g}) "
+                f"than in the believed one ({first:.4g}), which is kept; nothing is written. The "
+                "object should lie within the panel in all views, and have fine structure"
+            )
         made_by = {"model": "circle", "believed": scan.reported.digest, **asdict(prior)}
         geometry = NamedGeometry(name, PosePairs.from_geometry(found.geometry), made_by)
         keep([geometry], [(folder, scan)])

@@ -132,7 +132,7 @@ class CircularCalibration:
         deviation: standard deviation of each, the prior included, (6,), mm and rad.
         before: numbers of the believed geometry.
         after: numbers of the found one.
-        undetermined: combinations that keep their believed values.
+        undetermined: combinations that the views hardly determine.
         residuals: spread of the differences between paired views, at the last resolution, in the
             believed geometry and in the found one.
     """

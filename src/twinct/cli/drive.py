@@ -93,10 +93,12 @@ def _drive(
 ) -> None:
     """Plan, send, and say what was recorded; ``choices`` are the fields of ``DriveSettings``."""
     from twinct.cli.progress import say
-    from twinct.core.errors import ScanExistsError
+    from twinct.core.errors import InputError, ScanExistsError
     from twinct.core.extras import require
     from twinct.link import require_ros
 
+    if out.suffix.lower() != ".mcap":
+        raise InputError(f"--out {out}: a recording is an MCAP file; its name must end in .mcap")
     if out.exists():
         raise ScanExistsError(f"{out} exists already: choose another --out")
     require("robots", "record")
@@ -114,9 +116,14 @@ def _drive(
         closing(DriveFile(out, loaded, program.plan, names, choices[0])) as file,
         closing(Station("twinct_drive", ros_arguments=ROS_ARGUMENTS)) as station,
     ):
-        say(f"sending {parts[0].duration_s:.1f} s of motion on ROS domain {station.domain_id}")
+        say(f"{parts[0].duration_s:.1f} s of motion; controllers of ROS domain {station.domain_id}")
         run = Drive(station, parts, DriveSettings(*choices), file)
-        run.run()
+        try:
+            run.run()
+        except BaseException:
+            if not run.sent:  # nothing moved, so the recording tells nothing
+                out.unlink(missing_ok=True)
+            raise
     for sentence in run.told:
         say(sentence, warning=True)
     heard = ", ".join(f"{count} of {topic}" for topic, count in file.heard.items())

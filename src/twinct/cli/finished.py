@@ -295,8 +295,10 @@ def compare(
     from twinct.measured import compare_measured, is_measured_scan
     from twinct.measured.comparing import scan_folder
     from twinct.runs import compare
+    from twinct.runs.folder import refuse_result
 
     check_page(out)
+    refuse_result(out)
     measured = any(is_measured_scan(scan_folder(folder)) for folder in folders)
     with answering(as_json) as answer:
         with on_terminal() as audience:

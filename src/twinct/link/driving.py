@@ -138,6 +138,11 @@ class Drive:
             raise
         self._finish("all controllers succeeded")
 
+    @property
+    def sent(self) -> bool:
+        """True once a goal was sent."""
+        return self._start is not None
+
     def _finish(self, ended: str) -> None:
         self._hear_out()
         longest_s = max(part.course.duration_s for part in self._parts)
@@ -172,9 +177,10 @@ class Drive:
         patience = self._settings.patience_s
         if not self._wait(lambda: all(p.client.server_is_ready() for p in self._parts), patience):
             absent = [p.course.action for p in self._parts if not p.client.server_is_ready()]
-            there = ", ".join(self._station.actions()) or "none"
+            mine = {part.course.action for part in self._parts}  # clients make the name known
+            there = ", ".join(a for a in self._station.actions() if a not in mine) or "none"
             raise ControllerError(
-                f"no controller answers at {', '.join(absent)}; actions on ROS domain "
+                f"no controller answers at {', '.join(absent)}; other actions on ROS domain "
                 f"{self._station.domain_id}: {there}"
             )
         wanted = (*self._settings.joint_states, *self._settings.record)

@@ -109,7 +109,7 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
     """
     folder = Folder(out)
     folder.refuse_others()
-    folder.refuse_if_taken()
+    folder.refuse_if_taken(resumes=False)
     heard = _heard(paths, choice)
     scenario = _scenario(heard, choice)
     fields = _Fields.of(choice)

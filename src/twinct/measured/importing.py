@@ -73,7 +73,7 @@ def import_measured(
     told = source if isinstance(source, Measured) else read_description(source)
     folder = Folder(Path(out))
     folder.refuse_others()
-    folder.refuse_if_taken()
+    folder.refuse_if_taken(resumes=False)
     images = corrections(told.images)
     placement, views = _placed(told, images)
     geometry = placement.geometry[:: told.images.every]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.files.boundary import no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import (
     passing_folder,
@@ -183,12 +184,17 @@ def _scenario(
     scenario = folder.scenario_of_run(told, planned=ScanStore(folder.scan).plan is not None)
     parts = scenario.specimen.model_dump(mode="json")["parts"]
     if mesh is not None:
+        if why := no_file(Path(mesh)):
+            raise InputError(f"--mesh {mesh} {why}")
         shape = {"kind": "mesh", "path": str(Path(mesh).absolute())}
         parts = [{"name": Path(mesh).stem, "shape": shape, "material": material or "water"}]
     elif not any(one.startswith("specimen.parts") for one in told):
         parts = []
     keys = {"detector.noise": None, "detector.readout": None, "detector.bad_pixels": None}
     keys |= {"detector.lag": 0.0, "detector.keep": [], "specimen.parts": parts}
+    keys |= {"specimen.reference": "", "specimen.motion": None}
+    if getattr(scenario.reconstruction, "motion", None) is not None:
+        keys["reconstruction.motion"] = None
     return scenario.with_({**keys, "specimen.unknown": not parts, "evaluation": None})
 
 

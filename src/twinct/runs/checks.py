@@ -41,6 +41,7 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
         TrajectoryError: no view sees the specimen, it reaches behind a panel, or no voxel is seen
             by every view, so that the volume could not be judged.
         InputError: see ``check_places``.
+        SpecimenError: an object of the room has an unknown material or an unusable mesh.
     """
     place = builder.specimen.world_from_specimen
     grid = builder.scenario.reconstruction.volume_grid
@@ -67,6 +68,7 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
     if problems:
         raise TrajectoryError(problems)
     check_places(builder)
+    _ = builder.beam_objects  # names unknown materials before anything moves
     warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")

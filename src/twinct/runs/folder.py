@@ -134,16 +134,32 @@ class Folder:
         # The store makes a draft of its own, also while an import makes it under a draft's name.
         stores = [f"{self.scan.name}.new", f"{draft_of(self.scan).name}.new"]
         recorded = (path.name for path in recordings(self.path))
-        check_folder(self.path, {*own, *drafts, *stores, *recorded})
+        exports = (path.name for path in self.path.glob("export-*"))
+        check_folder(self.path, {*own, *drafts, *stores, *recorded, *exports})
 
-    def refuse_if_taken(self) -> None:
-        """Raise if the folder already holds results or recordings of a run."""
+    def refuse_if_taken(self, *, resumes: bool = True) -> None:
+        """Raise if the folder already holds results or recordings of a run.
+
+        Args:
+            resumes: True if the command has ``--resume``, for the message.
+        """
         there = (*self.results, *recordings(self.path))
         if taken := [p.name for p in there if p.exists()]:
             raise ScanExistsError(
-                f"{self.path} already holds {', '.join(taken)}: "
-                "choose another --out, or continue with --resume"
+                f"{self.path} already holds {', '.join(taken)}: choose another --out"
+                f"{', or continue with --resume' if resumes else ''}"
             )
+
+
+def refuse_result(path: Path) -> None:
+    """Raise if a path is a result of a run, which another command must not replace.
+
+    Raises:
+        ScanExistsError: the path lies in the folder of a run and has the name of a result.
+    """
+    folder = Folder(path.parent)
+    if path.name in names_below(Folder) and path.exists() and folder.scenario.is_file():
+        raise ScanExistsError(f"--out {path} is a result of the run there: choose another name")
 
 
 def refuse_other_keys(overrides: Iterable[str], section: str) -> None:

@@ -37,7 +37,7 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
 
     folder = Folder(Path(out))
     folder.refuse_others()
-    folder.refuse_if_taken()
+    folder.refuse_if_taken(resumes=False)
     recorded = read_recordings([Path(path) for path in paths], folder.path)
     with storage_errors(folder.path):
         folder.path.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from twinct.core.files.writing import require_space
 from twinct.core.foreign_text import quoted
 from twinct.observers import Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.runs.folder import Folder
+from twinct.runs.folder import Folder, refuse_result
 from twinct.runs.reconstruction import load_scan
 from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import Scenario
@@ -105,6 +105,7 @@ def _free_path(folder: Folder, volume: str, to: str, out: str | Path | None) -> 
     form = volume_format_named(to)
     ending = form.endings[0] or f"-{form.name}"
     path = folder.path / f"export-{volume}{ending}" if out is None else Path(out)
+    refuse_result(path)
     if path.is_dir():
         raise ScanExistsError(f"{path} exists already: choose another --out")
     if not any(path.name.lower().endswith(end) for end in form.endings):

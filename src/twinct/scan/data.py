@@ -234,9 +234,8 @@ class Scan:
         if which in (*OWN, RELATIVE):
             return cast(PosePairs, getattr(self, which))
         if which not in self.derived:
-            raise InputError(
-                f"unknown geometry {quoted(which)}; choose from {', '.join((*OWN, *self.derived))}"
-            )
+            known = ", ".join(dict.fromkeys((*OWN, *self.derived)))
+            raise InputError(f"unknown geometry {quoted(which)}; choose from {known}")
         return self.derived[which].poses
 
     def geometry(self, which: str = "believed") -> ScanGeometry:
