@@ -14,6 +14,7 @@ from twinct.geometry import Pose
 from twinct.robots.cell import BodyPlaces, CellModel, Clearance, apart, build_cell, overlaps
 from twinct.robots.motion.collision_check import CollisionCheck
 from twinct.robots.motion.feasible import Feasible
+from twinct.runs.checks import check_sight
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Detector, Scenario, load_scenario, stage_digests
 
@@ -171,6 +172,11 @@ def test_bad_input_is_named(tmp_path: Path) -> None:
 
 def built(*objects: dict[str, object]) -> SimulationBuilder:
     return SimulationBuilder(scenario_with(*objects))
+
+
+def test_check_names_an_unknown_material() -> None:
+    with pytest.raises(InputError, match=r"cell\.objects\.0\.material.*carbn"):
+        check_sight(built(box("plate", material="carbn", position_mm=[0, 900, 0])))
 
 
 def test_an_unknown_material_and_a_mesh_in_metres_are_named(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +14,13 @@ from ball_scan import BALL, MU, RADIUS, SDD, SOD, VIEWS, ball_images, orbit
 from scipy.optimize import brentq
 
 from twinct.cli import run_command
-from twinct.core.errors import ScanExistsError
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.measured import prediction, reconstruct_measured
 from twinct.measured.prediction import predict
 from twinct.measured.residuals import residuals_of
 from twinct.observers import IterationDone, Observer
+from twinct.runs.folder import Folder
+from twinct.scenario import load_scenario
 from twinct.specimen.materials import material
 from twinct.xray import Imager
 
@@ -215,3 +218,17 @@ def test_an_interrupted_prediction_keeps_its_reconstruction(scan, monkeypatch) -
     heard = Observer(iterations.append, (IterationDone,), lossless=True)
     assert predict(folder, keys, observers=[heard]).residuals.rms_rel < 0.5
     assert not iterations and not (folder / "checkpoints").exists()
+
+
+def test_the_scan_of_a_breathing_patient_is_predicted_by_its_own_volume(
+    monkeypatch, tmp_path
+) -> None:
+    folder = Folder(tmp_path)
+    folder.write_scenario(load_scenario("patient_breathing"))
+    monkeypatch.setattr(prediction, "ScanStore", lambda _: SimpleNamespace(plan=None))
+    made = prediction._scenario(folder, (), None, None)
+    assert made.specimen.unknown
+    assert (made.specimen.reference, made.specimen.motion) == ("", None)
+    assert made.reconstruction.motion is None
+    with pytest.raises(InputError, match=r"^--mesh .*nope\.stl does not exist"):
+        prediction._scenario(folder, (), tmp_path / "nope.stl", None)
