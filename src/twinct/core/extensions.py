@@ -7,6 +7,8 @@ from collections.abc import Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
+from twinct.core.errors import InputError
+
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
@@ -23,6 +25,17 @@ class Offers(dict[str, T]):
         """Start with the choices of this package."""
         super().__init__(built_in)
         self.broken: dict[str, str] = {}
+
+    def named(self, name: str, asked_by: str) -> T:
+        """Return the choice of a name; messages start with ``asked_by``, such as an option.
+
+        Raises:
+            InputError: there is no such choice, or the package that offers it is broken.
+        """
+        if name not in self:
+            unknown = f"unknown; choose from {', '.join(self)}"
+            raise InputError(f"{asked_by} {name}: {self.broken.get(name, unknown)}")
+        return self[name]
 
 
 def offers(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.core.errors import InputError
 from twinct.core.extensions import Offers, offers
 from twinct.exchange.astra import ASTRA
 from twinct.exchange.cil import CIL
@@ -32,8 +31,4 @@ def format_named(name: FormatName) -> Format:
     Raises:
         InputError: no format has this name, or the package that offers it is broken.
     """
-    known = formats()
-    if name not in known:
-        unknown = f"unknown; choose from {', '.join(known)}"
-        raise InputError(f"--to {name}: {known.broken.get(name, unknown)}")
-    return known[name]
+    return formats().named(name, "--to")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.core.errors import InputError
 from twinct.core.extensions import Offers, offers
 from twinct.recon.volume_formats.dicom_volume import DICOM
 from twinct.recon.volume_formats.metaimage_volume import METAIMAGE
@@ -28,8 +27,4 @@ def volume_format_named(name: str) -> VolumeFormat:
     Raises:
         InputError: no format has this name, or the package that offers it is broken.
     """
-    known = volume_formats()
-    if name not in known:
-        unknown = f"unknown; choose from {', '.join(known)}"
-        raise InputError(f"volume format {name}: {known.broken.get(name, unknown)}")
-    return known[name]
+    return volume_formats().named(name, "volume format")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.core.errors import InputError
 from twinct.core.extensions import Offers, offers
 from twinct.robots.programs.joint_table import JOINT_TABLE
 from twinct.robots.programs.language import Language
@@ -26,8 +25,4 @@ def language_named(name: str) -> Language:
     Raises:
         InputError: no format has this name, or the package that offers it is broken.
     """
-    known = languages()
-    if name not in known:
-        unknown = f"unknown; choose from {', '.join(known)}"
-        raise InputError(f"--to {name}: {known.broken.get(name, unknown)}")
-    return known[name]
+    return languages().named(name, "--to")
