@@ -211,7 +211,9 @@ def test_an_engine_that_is_none_is_refused_before_any_work(monkeypatch):
     views = commanded_views(scenario.trajectory, scenario.detector.panel)
     require_feasible(scenario, views)
     monkeypatch.setenv("TWINCT_ENGINE", "fast")
-    with pytest.raises(InputError, match="TWINCT_ENGINE is 'fast'; it must be vector or plain"):
+    with pytest.raises(
+        InputError, match="TWINCT_ENGINE is 'fast'; it must be vector, plain or cuda"
+    ):
         require_feasible(scenario, views)
 
 

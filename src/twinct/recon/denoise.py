@@ -64,16 +64,18 @@ def lower_variation(
         last = min(first + planes, len(x))
         slab = np.concatenate([below, x[first : min(last + around, len(x))]])
         lowered = np.empty_like(slab)
-        weight = np.ones_like(slab)
-        dual = np.zeros((3, *slab.shape), np.float32)
+        held, lowering = kernels.hold(slab), kernels.hold(lowered)
+        weight = kernels.hold(np.ones_like(slab))
+        dual = kernels.hold(np.zeros((3, *slab.shape), np.float32))
         for _ in range(STEPS):
-            kernels.primal(slab, weight, dual, inverse, np.float32(floor), lowered)
-            kernels.ascend(lowered, weight, inverse, strength, STEP, dual)
-        kernels.primal(slab, weight, dual, inverse, np.float32(floor), lowered)
+            kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)
+            kernels.ascend(lowering, weight, inverse, strength, STEP, dual)
+        kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)
+        kernels.bring(lowering, lowered)
         own = slice(len(below), len(below) + last - first)
         below = slab[max(own.stop - around, 0) : own.stop].copy()
         x[first:last] = lowered[own]
-        del slab, lowered, weight, dual  # free memory for the next slab
+        del slab, lowered, held, lowering, weight, dual  # free memory for the next slab
 
 
 def noise(x: Singles) -> float | None:

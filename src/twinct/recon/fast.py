@@ -42,6 +42,7 @@ from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
+from twinct.recon.working import WorkingVolume
 
 log = logging.getLogger(__name__)
 
@@ -169,13 +170,17 @@ def fast(
         falls = number if stop and factor == 1 else 1
         shares = np.tile(np.geomspace(relaxation, last, number * len(A) // falls), falls)
         views = np.tile(spread_order(len(A)), number)
+        work = WorkingVolume(level.A.kernels, x)
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
-            square, rays = level.update(x, int(view), float(share), floor, listener.wanted)
-            if factor == 1 and used % len(A) == 0 and best.is_over(x):
+            square, rays = level.update(work, int(view), float(share), floor, listener.wanted)
+            ended = best.watches and factor == 1 and used % len(A) == 0
+            if ended and best.is_over(work.array):
                 break
-            if listener(0, done, square, rays, x):
-                return Volume(interpolated(x, grid, A.grid), A.grid, best.told)
+            if listener(0, done, square, rays, work):
+                return Volume(interpolated(work.array, grid, A.grid), A.grid, best.told)
             done += 1
+        x = work.array
+        del work  # frees the card
         if factor == 2:
             outside = _outside(A, level, x)
     told: dict[str, Any] = best.told
@@ -273,7 +278,7 @@ class _Level:
     outside: _Outside | None
 
     def update(
-        self, x: Singles, view: int, relaxation: float, floor: float, wanted: bool
+        self, work: WorkingVolume, view: int, relaxation: float, floor: float, wanted: bool
     ) -> tuple[float, int]:
         """Apply SART's update in place; return the previous sum of squared residuals, and the rays.
 
@@ -283,8 +288,9 @@ class _Level:
         if self.outside is not None:
             measured = measured - self.outside.at(view, measured.shape)
         estimate, counts = self.A.update(
-            x, view, measured, relaxation=relaxation, mask=mask, floor=floor
+            work.held, view, measured, relaxation=relaxation, mask=mask, floor=floor
         )
+        work.changed()
         if not wanted:
             return 0.0, 0
         return residual_of(measured, estimate, counts)
