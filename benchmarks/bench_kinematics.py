@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from twinct.calibration import Seen, Shadows, calibrated_arms, resected
+from twinct.calibration import PhantomViews, Shadows, calibrated_arms, resected
 from twinct.calibration.arm_calibration import arm_prior, calibrate_kinematics, view_covariance
 from twinct.calibration.scan_calibration import phantom_of
 from twinct.calibration.shadows import overlapping, shadow_radius_px
@@ -112,7 +112,9 @@ def seen_in(executed, joints, phantom, uncertainty, rng):
         kept.append(view)
     own = view_covariance(uncertainty)
     covariance = np.stack([one.covariance + own for one in known])
-    return Seen(joints[kept], ScanGeometry.joined([one.geometry for one in known]), covariance)
+    return PhantomViews(
+        joints[kept], ScanGeometry.joined([one.geometry for one in known]), covariance
+    )
 
 
 def off_mm(executed, source, detector):

@@ -17,7 +17,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
 from twinct.recon.volume import Volume
-from twinct.runs import reconstruct_again, report_again
+from twinct.runs import reconstruct_run, rewrite_report
 from twinct.scan import reported
 from twinct.scenario import load_scenario
 
@@ -60,7 +60,7 @@ def test_its_volume_is_what_it_was(folder: Path) -> None:
 @pytest.mark.parametrize("folder", ["ros2", "local"], indirect=True)
 def test_it_is_reported_reconstructed_once_more_and_exported(folder: Path) -> None:
     then = json.loads((folder / "metrics.json").read_text())
-    assert reconstruct_again(folder, ["reconstruction.algorithm=sirt"]).path.is_dir()
+    assert reconstruct_run(folder, ["reconstruction.algorithm=sirt"]).path.is_dir()
     now = json.loads((folder / "metrics.json").read_text())
     for figure in ("rmse_rel", "ssim", "mean_bone_rel"):
         assert now["image"][figure] == pytest.approx(then["image"][figure], rel=1e-4)
@@ -74,7 +74,7 @@ def test_a_volume_of_other_settings_is_no_result_of_it(folder: Path) -> None:
     file = folder / "scenario.yaml"
     file.write_text(file.read_text().replace("iterations: 2", "iterations: 3"))
     with pytest.raises(InputError, match="made with settings other than those"):
-        report_again(folder)
+        rewrite_report(folder)
 
 
 def test_ten_seeds_of_one_scan_are_ten_scans_of_then() -> None:

@@ -10,7 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from twinct.calibration import CalibratedArms, KinematicCalibration, Seen, calibrated_arms, moved
+from twinct.calibration import (
+    CalibratedArms,
+    KinematicCalibration,
+    PhantomViews,
+    calibrated_arms,
+    moved,
+)
 from twinct.calibration.arm_calibration import arm_prior
 from twinct.calibration.kinematics import ArmPrior, minimal_from_full
 from twinct.core.errors import CalibrationError, InputError
@@ -72,7 +78,7 @@ def true(
     return found[0], found[1]
 
 
-def seen(arms: Arms, views: slice, rng: np.random.Generator | None = None) -> Seen:
+def seen(arms: Arms, views: slice, rng: np.random.Generator | None = None) -> PhantomViews:
     """What the views tell, each number off by its spread where there is a generator."""
     source, panel = (tools[views] for tools in arms.true)
     geometry = ScanGeometry(
@@ -83,7 +89,9 @@ def seen(arms: Arms, views: slice, rng: np.random.Generator | None = None) -> Se
         geometry = ScanGeometry.joined(
             [moved(view, change) for view, change in zip(geometry, off, strict=True)]
         )
-    return Seen(arms.joints[views], geometry, np.broadcast_to(COVARIANCE, (len(source), 9, 9)))
+    return PhantomViews(
+        arms.joints[views], geometry, np.broadcast_to(COVARIANCE, (len(source), 9, 9))
+    )
 
 
 def off_mm(arms: Arms, found: tuple[Floats, Floats], views: slice) -> list[float]:
@@ -162,19 +170,19 @@ def test_unseen_poses_are_predicted_and_the_spread_of_parameters_is_told(arms: A
 
 
 def names_of(found: KinematicCalibration, arm: str) -> frozenset[str]:
-    return frozenset(part for one in found.untold if one.arm == arm for part in one.parts)
+    return frozenset(part for one in found.undetermined if one.arm == arm for part in one.parts)
 
 
 def test_combinations_that_no_view_can_tell_are_named(arms: Arms) -> None:
     """A vertical hinge carries nothing; what turns a point on its own axis moves nothing."""
     found = calibrated_arms(arms.chains, seen(arms, FITTED), arms.priors)
     for arm in ("source", "detector"):
-        assert f"{arm} arm: +1.0 joint 1 compliance" in map(str, found.untold)
+        assert f"{arm} arm: +1.0 joint 1 compliance" in map(str, found.undetermined)
         assert "joint 2 compliance" not in names_of(found, arm)
     for part in ("cos", "sin"):
-        assert f"source arm: +1.0 joint 6 gear {part}" in map(str, found.untold)
+        assert f"source arm: +1.0 joint 6 gear {part}" in map(str, found.undetermined)
     assert not {"joint 6 gear cos", "joint 6 gear sin"} & names_of(found, "detector")
-    assert all(0.7 < one.left <= 1 for one in found.untold)
+    assert all(0.7 < one.left <= 1 for one in found.undetermined)
 
 
 def test_views_along_one_arc_leave_what_does_not_move_untold(arms: Arms) -> None:
@@ -186,7 +194,9 @@ def test_views_along_one_arc_leave_what_does_not_move_untold(arms: Arms) -> None
     found = calibrated_arms(arms.chains, seen(along, slice(None)), arms.priors)
     everywhere = calibrated_arms(arms.chains, seen(arms, FITTED), arms.priors)
     for arm in ("source", "detector"):
-        more, few = ([one for one in of.untold if one.arm == arm] for of in (found, everywhere))
+        more, few = (
+            [one for one in of.undetermined if one.arm == arm] for of in (found, everywhere)
+        )
         assert len(more) > len(few) + 10
         assert {"joint 3 compliance", "joint 4 about x"} <= names_of(found, arm)
         unseen = [set(one.parts) for one in more if one.left > 0.999]
@@ -224,7 +234,7 @@ def test_too_few_views_are_refused(arms: Arms) -> None:
     with pytest.raises(CalibrationError, match=r"8 views show the arms, but at least 9 are needed"):
         calibrated_arms(arms.chains, seen(arms, slice(0, 8)), arms.priors)
     found = calibrated_arms(arms.chains, seen(arms, slice(0, 9)), arms.priors)
-    assert len(found.untold) > 20
+    assert len(found.undetermined) > 20
 
 
 def test_arms_are_kept_in_a_file_of_their_cell(arms: Arms, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Target
 from twinct.robots.cell import CellModel, Clearance
-from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
+from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
 from twinct.robots.motion.refusals import sample_of
 from twinct.scenario import Detector, Motion
 from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views
@@ -50,7 +50,7 @@ def checked(
     shares = np.linspace(0, 1, 80)[:, None]
     dense = [a + shares * (b - a) for a, b in zip(way.joints[:-1], way.joints[1:], strict=True)]
     # SHORTFALL_MM of a straight path.
-    assert Clearance(cell).over(np.vstack(dense)).distance_mm >= kept_mm(motion) - 0.1
+    assert Clearance(cell).over(np.vstack(dense)).distance_mm >= required_gap_mm(motion) - 0.1
     return way
 
 

@@ -12,8 +12,8 @@ from twinct.calibration import (
     ArmPrior,
     CalibratedArms,
     KinematicCalibration,
+    PhantomViews,
     Resection,
-    Seen,
     calibrated_arms,
     frames_of,
     require_same_arms,
@@ -122,7 +122,7 @@ def calibrate_kinematics(
         views = balls_of(scan, audience).views
         found = calibrated_arms(
             chains,
-            seen_by(scan, views),
+            phantom_views(scan, views),
             (priors[0], priors[1]),
             gear_periods=scenario.uncertainty.arms.gear_periods,
         )
@@ -155,11 +155,11 @@ def apply_kinematics(
     return found
 
 
-def seen_by(scan: Scan, views: tuple[Resection | None, ...]) -> Seen:
+def phantom_views(scan: Scan, views: tuple[Resection | None, ...]) -> PhantomViews:
     """Return encoder readings, geometry and covariance of the views that could be calibrated."""
     told = [(index, view) for index, view in enumerate(views) if view is not None]
     own = view_covariance(scan.scenario.uncertainty)
-    return Seen(
+    return PhantomViews(
         encoders_of(scan.scenario, scan.joints)[[index for index, _ in told]],
         ScanGeometry.joined([view.geometry for _, view in told]),
         np.stack([view.covariance + own for _, view in told]),

@@ -108,11 +108,11 @@ def epipolar_consistent(
     diagonal = float(np.hypot(*believed.panel.shape))
     residuals: list[float] = []
 
-    def look(pixels_across: int) -> tuple[SeenPlanes, int]:
+    def look(pixels_across: int) -> tuple[PlaneDerivatives, int]:
         factor = max(round(diagonal / pixels_across), 1)
         geometry = free.all(believed, change).binned(factor, factor)
         coarse, counts = binned(p, pixels, (factor, factor))
-        seen = SeenPlanes.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
+        seen = PlaneDerivatives.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
         residuals.append(seen.spread)
         return seen, factor
 
@@ -167,7 +167,7 @@ def tangents_of(believed: ScanGeometry, free: Freedom, change: Floats, factor: i
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPlanes:
+class PlaneDerivatives:
     """Derivatives of plane integrals in both views of each pair.
 
     Attributes:
@@ -189,7 +189,9 @@ class SeenPlanes:
     complete: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals) -> SeenPlanes:
+    def of(
+        cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals
+    ) -> PlaneDerivatives:
         """Compare all pairs of views.
 
         Raises:

@@ -211,7 +211,7 @@ def kinematics(
         f"fifth view, predicted from the others; residuals {found.misfit:.1f} times their noise; "
         f"stored in {Folder(folder).arms}"
     )
-    for one in found.untold:
+    for one in found.undetermined:
         say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
 
 

@@ -29,7 +29,7 @@ from twinct.robots.reach import (
     shown,
 )
 from twinct.robots.reach.results import draw_room, draw_sphere, shares, write_tables
-from twinct.robots.reach.sphere import check_asked
+from twinct.robots.reach.sphere import check_reach_request
 from twinct.runs.longest_arc import longest_arc
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_scenario
@@ -71,7 +71,7 @@ def _orbit(builder: SimulationBuilder) -> tuple[float, float, np.ndarray]:
         sod, sdd = float(section.sod_at(0.5)), float(section.sdd_at(0.5))
         return sod, sdd - sod, np.array(section.isocentre_mm)
     centre = builder.scenario.specimen.world_from_specimen.position
-    views = builder.asked
+    views = builder.requested
     far = [
         np.linalg.norm(points - centre, axis=1).mean() for points in (views.source, views.detector)
     ]
@@ -88,7 +88,7 @@ def reach_command(
     connected: bool,
 ) -> list[dict[str, Any]]:
     """Compute the reach, print and return the shares, and write tables and pictures if asked."""
-    check_asked(directions, radii or (1.0,), 1.0 if odd is None else odd)
+    check_reach_request(directions, radii or (1.0,), 1.0 if odd is None else odd)
     loaded = load_scenario(scenario, set_)
     arms_of(loaded)
     if out is not None:
@@ -207,7 +207,7 @@ def _views_to_serve(
 
 
 def _asked(builder: SimulationBuilder) -> Poses:
-    return Poses.of(builder.asked.source_poses(), builder.asked.detector_poses())
+    return Poses.of(builder.requested.source_poses(), builder.requested.detector_poses())
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, complete, storage_errors, write_text
 from twinct.core.progress import Progress
 from twinct.report.errors import errors_picture
-from twinct.runs.propagating import errors_of, figures, summary, told_errors
+from twinct.runs.propagating import errors_of, figures, propagation_data, summary
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, named_places
 from twinct.uncertainty.propagation import Propagation
@@ -44,7 +44,7 @@ def uncertainty_command(
         with named_places(scenario, set_), explained(builder, picture):
             found = errors_of(builder, draws)
         rows = _of_poses(found, f"{loaded.name}: executed minus believed, {draws} draws")
-        told = told_errors(found, builder)
+        told = propagation_data(found, builder)
         drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed minus believed")
     if loaded.task is not None:
         with (

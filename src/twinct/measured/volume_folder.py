@@ -21,7 +21,13 @@ from twinct.core.files.writing import passing_folder, remove_folder, storage_err
 from twinct.measured.judgement import Judgement, judge_volume
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.report import MeasuredColumn, found_of, plain, with_found, write_measured_report
+from twinct.report import (
+    MeasuredColumn,
+    algorithm_results,
+    plain,
+    with_results,
+    write_measured_report,
+)
 from twinct.report.style import Picture
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.folder import as_yaml, refuse_other_keys
@@ -246,7 +252,7 @@ def _made(
         step()
     made = MeasuredVolume(
         name=name,
-        in_words=with_found(section.in_words, found_of(volume.extras)),
+        in_words=with_results(section.in_words, algorithm_results(volume.extras)),
         geometry=which,
         settings=json.loads(section.model_dump_json()),
         judgement=judged,

@@ -5,16 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-FOUND = ("implants", "passes", "metal_voxels", "metal_density_rel", "prior", "denoising")
+ALGORITHM_RESULTS = (
+    "implants",
+    "passes",
+    "metal_voxels",
+    "metal_density_rel",
+    "prior",
+    "denoising",
+)
 """Extras of a volume that ``metrics.json`` and the report list."""
 
 
-def found_of(told: Mapping[str, Any]) -> dict[str, Any]:
+def algorithm_results(told: Mapping[str, Any]) -> dict[str, Any]:
     """Return the results among extras or figures, as far as there are any."""
-    return {key: told[key] for key in FOUND if key in told}
+    return {key: told[key] for key in ALGORITHM_RESULTS if key in told}
 
 
-def with_found(in_words: str, told: Mapping[str, Any]) -> str:
+def with_results(in_words: str, told: Mapping[str, Any]) -> str:
     """Add results to the description of a volume, in one line; implants have a table instead."""
     words: list[str] = []
     if "passes" in told:

@@ -41,7 +41,7 @@ def longest_arc(builder: SimulationBuilder, lost: Iterable[int]) -> str | None:
         arc = _arc(kept, stretch, count)
         try:
             _ = SimulationBuilder(
-                builder.scenario.with_({"trajectory": arc}), kept_specimen=builder.specimen
+                builder.scenario.with_({"trajectory": arc}), given_specimen=builder.specimen
             ).plan
         except TrajectoryError as error:
             stretches.remove(stretch)

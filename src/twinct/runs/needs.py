@@ -78,7 +78,7 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
 
     views = SimulationBuilder(
         scenario
-    ).asked  # choices of the plan, such as an order, need no memory
+    ).requested  # choices of the plan, such as an order, need no memory
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
@@ -110,7 +110,7 @@ def require_memory(scenario: Scenario) -> None:
         MemoryShortageError: one sentence for each object that is too large, with its keys.
     """
     available, limit = available_bytes()
-    panel, views = scenario.detector.panel, len(SimulationBuilder(scenario).asked)
+    panel, views = scenario.detector.panel, len(SimulationBuilder(scenario).requested)
     pixels, grid = math.prod(panel.shape), scenario.reconstruction.volume_grid
     zoomed = scenario.reconstruction.zoom is not None
     told = {

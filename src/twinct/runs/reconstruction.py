@@ -17,16 +17,16 @@ from twinct.core.foreign_text import quoted
 from twinct.core.interruption import keeping
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.report import cross_sections, found_of
+from twinct.report import algorithm_results, cross_sections
 from twinct.runs.checks import check_corrections
 from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
-from twinct.runs.job import Run, finished_run, report_again
+from twinct.runs.job import Run, finished_run, rewrite_report
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction_folder import (
     Reconstruction,
     free_name,
-    kept_reconstructions,
     reconstruction_base,
+    stored_reconstructions,
 )
 from twinct.runs.reporting import judge
 from twinct.runs.truth import truth_of
@@ -99,7 +99,7 @@ def derive_geometry(
     return found
 
 
-def reconstruct_again(
+def reconstruct_run(
     path: str | Path,
     overrides: Iterable[str] = (),
     *,
@@ -135,7 +135,7 @@ def reconstruct_again(
         stack.enter_context(sole_owner(folder.lock))
         scan = Run(_with_geometry(scenario, which), folder).scan
         scan.poses(which)
-        kept = kept_reconstructions(folder.reconstructions)
+        kept = stored_reconstructions(folder.reconstructions)
         of_geometry = scan.derived[which].digest if which in scan.derived else ""
         digest = stage_digests(scan.scenario)["volume"] + of_geometry
         digest = hashlib.sha256(digest.encode()).hexdigest()
@@ -154,7 +154,7 @@ def reconstruct_again(
             there.keep(volume)
             remove_folder(folder.checkpoints)
     with keeping(lambda: f"{there.path} is kept; the same command completes the report"):
-        report_again(folder.path, observers)
+        rewrite_report(folder.path, observers)
     return there
 
 
@@ -196,7 +196,7 @@ def _made(
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
         path=folder.reconstructions / name,
-        found=found_of(volume.extras),
+        found=algorithm_results(volume.extras),
     )
     return found, volume
 

@@ -18,7 +18,7 @@ from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import passing_folder, write_json
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
-from twinct.report import CrossSection, plain, with_found
+from twinct.report import CrossSection, plain, with_results
 from twinct.scan import checked_name
 from twinct.scenario import Scenario
 
@@ -46,7 +46,7 @@ class Reconstruction:
         seconds: duration of the reconstruction.
         slices: cross-sections, see ``twinct.report.cross_sections``.
         path: its folder; the voxels are in ``volume.nii`` there.
-        found: further results of the algorithm, see ``twinct.report.FOUND``.
+        found: further results of the algorithm, see ``twinct.report.ALGORITHM_RESULTS``.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Reconstruction:
     @property
     def told(self) -> str:
         """Algorithm, settings and further results in one line."""
-        return with_found(self.in_words, self.found)
+        return with_results(self.in_words, self.found)
 
     @property
     def volume(self) -> Volume:
@@ -188,7 +188,7 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def kept_reconstructions(folder: Path) -> dict[str, Reconstruction]:
+def stored_reconstructions(folder: Path) -> dict[str, Reconstruction]:
     """Read all reconstructions in a folder, by name; an absent folder has none.
 
     Raises:

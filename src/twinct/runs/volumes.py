@@ -40,7 +40,7 @@ from twinct.recon.surroundings import (
     without_surroundings,
 )
 from twinct.recon.volume import Volume
-from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
+from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, without_implants_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
@@ -216,15 +216,15 @@ def _corrected(
     algorithm: Algorithm[Any],
     pixels: NDArray[np.bool_] | None,
     audience: Audience,
-) -> tuple[NDArray[np.float32], WithoutMetal | TakenOut | None]:
+) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None]:
     """Return the line integrals as the scenario corrects them, and the metal that is put back."""
     scenario, section = scan.scenario, scan.scenario.reconstruction
     integrals = line_integrals(scan.transmission)
-    metal: WithoutMetal | TakenOut | None = None
+    metal: WithoutMetal | WithoutImplants | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
             known = scenario, section.metal, integrals, A, pixels
-            metal = implants_taken_out(*known, lambda _: tick())
+            metal = without_implants_of(*known, lambda _: tick())
         integrals = metal.line_integrals
     else:
         integrals = hardening_corrected(scenario, integrals, A, pixels)

@@ -89,7 +89,7 @@ def unknown_files(path: Path) -> list[str]:
     return sorted(file for file in files if file not in known and not expected(file))
 
 
-def make_way(path: Path, found: Iterable[Damage]) -> None:
+def clear_paths(path: Path, found: Iterable[Damage]) -> None:
     """Remove links and other irregular files from paths that will be rewritten.
 
     Raises:

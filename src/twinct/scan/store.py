@@ -22,9 +22,9 @@ from twinct.core.foreign_text import quoted
 from twinct.core.interruption import postponed
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs
-from twinct.scan.damage import frame_damage, make_way, view_damage
+from twinct.scan.damage import clear_paths, frame_damage, view_damage
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
-from twinct.scan.layout import FORMAT, READABLE, columns_of, kept_digests, write_frame
+from twinct.scan.layout import FORMAT, READABLE, columns_of, image_digests, write_frame
 from twinct.scan.manifest import (
     FOLDER,
     FRAME_FILE,
@@ -165,7 +165,7 @@ class ScanStore:
         if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in found}:
             told = "no view fits the metadata, which are damaged and cannot be reconstructed"
             raise DamagedError([f"{path}: {told}; nothing has been changed"], found)
-        make_way(path, found)
+        clear_paths(path, found)
         for damage in found:
             log.warning("%s: %s; its view will be taken again", path, damage)
         with storage_errors(path):
@@ -180,7 +180,7 @@ class ScanStore:
         Raises:
             ScanExistsError: the store holds the scan of another scenario.
         """
-        own, other = self.digests, kept_digests(scenario)
+        own, other = self.digests, image_digests(scenario)
         differ = [
             f"{name}: {own.get(name, 'none')[:12]} there, {digest[:12]} here"
             for name, digest in other.items()
@@ -267,7 +267,7 @@ class ScanStore:
         poses and their digest.
         """
         if self._format == 1:
-            return kept_digests(self.scenario)
+            return image_digests(self.scenario)
         return cast("dict[str, str]", self._group.attrs["digests"])
 
     @property

@@ -27,7 +27,7 @@ from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
 from twinct.study.rows import Rows
 from twinct.study.search import Tried, asked, choice_of
-from twinct.study.timings import Book
+from twinct.study.timings import TrialTimings
 from twinct.workers import LocalPool, Pool
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _concluded(driver: Driver) -> Iterator[None]:
         driver.pool.close(clear=True)
     finally:
         _conclude(driver.design, driver.folder, rows, driver.total, time.monotonic() - began)
-    driver.book_around(time.monotonic() - began)
+    driver.record_overhead(time.monotonic() - began)
 
 
 def dry_run(
@@ -192,7 +192,7 @@ def dry_run(
     there = Rows(folder, design.study) if folder else None
     open_ = [one for one in trials if there is None or there.wanted(one.key, retry=retry)]
     workers = jobs or _workers(design.study.threads)
-    found = estimate(design.study, open_, workers, Book.open())
+    found = estimate(design.study, open_, workers, TrialTimings.open())
     search = design.study.search
     total = search.trials * len(design.seeds) if search else len(trials)
     return DryRun([one.trial for one in open_], len(trials) - len(open_), total, found)
@@ -294,13 +294,13 @@ def _conclude(
         return
     write_results(folder.path, found)
     write_page(folder, design, found, total, wall_seconds)
-    book = Book.open()
-    book.add("row bytes", folder.journal.stat().st_size / len(found))
+    timings = TrialTimings.open()
+    timings.add("row bytes", folder.journal.stat().st_size / len(found))
     table = folder.results.stat().st_size - BYTES_IN_TABLE * len(found)
-    book.add("table bytes", max(table, 0))
+    timings.add("table bytes", max(table, 0))
     parts = page_parts(len({repr(row.axes) for row in found}))
-    book.add(page_kind(design.study), folder.page.stat().st_size / parts)
-    book.write()
+    timings.add(page_kind(design.study), folder.page.stat().st_size / parts)
+    timings.write()
 
 
 @contextmanager

@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass
-class Book:
+class TrialTimings:
     """Mean seconds and bytes by kind of work, over all studies of this user on this machine.
 
     Attributes:
@@ -26,7 +26,7 @@ class Book:
     entries: dict[str, tuple[int, float]]
 
     @classmethod
-    def open(cls) -> Book:
+    def open(cls) -> TrialTimings:
         """Read the statistics; return empty ones if the file is absent or unreadable."""
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         path = Path(base) / "twinct" / "study.json"

@@ -45,8 +45,8 @@ from twinct.study.cache import Cache
 from twinct.study.estimate import bytes_below
 from twinct.study.sections import packed_sections
 from twinct.study.trial_figures import flat_figures
-from twinct.workers import Made, Place
-from twinct.workers.artifact import Here, remove
+from twinct.workers import Place, WithArtifacts
+from twinct.workers.artifact import LocalArtifact, remove
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
@@ -108,7 +108,7 @@ class _Seconds:
         self.stages[name] = time.perf_counter() - start
 
 
-def take_scan(spec: TrialSpec, place: Place) -> Made:
+def take_scan(spec: TrialSpec, place: Place) -> WithArtifacts:
     """Acquire a scan that several trials share.
 
     Returns:
@@ -124,10 +124,10 @@ def take_scan(spec: TrialSpec, place: Place) -> Made:
     builder = SimulationBuilder(scenario, _plan(scenario, specimen, cache, seconds), specimen)
     with seconds.stage("scan"):
         folder = cache.path("scans", spec.scan, lambda draft: _acquire(spec, builder, draft))
-    return Made(seconds.stages, {"scan": folder / "scan.zarr"})
+    return WithArtifacts(seconds.stages, {"scan": folder / "scan.zarr"})
 
 
-def try_trial(spec: TrialSpec, place: Place) -> Made:
+def try_trial(spec: TrialSpec, place: Place) -> WithArtifacts:
     """Acquire, reconstruct and judge one trial.
 
     Returns:
@@ -151,7 +151,7 @@ def try_trial(spec: TrialSpec, place: Place) -> Made:
         else:
             found, artifacts = _figures(spec, scenario, kept, folder, cache, seconds)
     seconds.stages["total"] = time.perf_counter() - began
-    return Made({**found, "seconds": seconds.stages}, artifacts)
+    return WithArtifacts({**found, "seconds": seconds.stages}, artifacts)
 
 
 START = "start"
@@ -263,7 +263,7 @@ def _whole_run(
     seconds: _Seconds,
 ) -> tuple[dict[str, Any], dict[str, Path]]:
     if kept is not None and not (folder / "scan.zarr").exists():
-        Here(kept).save(folder / "scan.zarr")
+        LocalArtifact(kept).save(folder / "scan.zarr")
     cache = Cache(place.folder)
     specimen = _specimen(scenario, cache, seconds)
     plan = None if kept else _plan(scenario, specimen, cache, seconds)

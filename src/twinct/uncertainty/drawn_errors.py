@@ -40,7 +40,7 @@ class Draws:
     believed: Floats
 
 
-Told = Callable[[int, Floats], Floats]
+ToolModel = Callable[[int, Floats], Floats]
 """Pose of a tool that the controllers believe, ``world_from_tool``, from side and encoders."""
 
 
@@ -50,7 +50,7 @@ def draw(
     draws: int,
     seed: int,
     arms_seed: int,
-    told_by: Told | None = None,
+    tool_model: ToolModel | None = None,
 ) -> Iterator[tuple[slice, Draws]]:
     """Draw a scenario's errors in chunks of views.
 
@@ -62,7 +62,7 @@ def draw(
         draws: number of scans.
         seed: seed of errors that change from view to view.
         arms_seed: seed of errors that are constant over a scan.
-        told_by: calibrated model of the pair of arms with this seed, which then makes all scans.
+        tool_model: calibrated model of the pair of arms with this seed, which then makes all scans.
             None: each scan has other arms, which the controllers believe to be nominal.
 
     Yields:
@@ -70,7 +70,7 @@ def draw(
     """
     views = len(scan.time_s)
     deviations = [
-        drawn(section.arms, chain, arms_seed, side, 1 if told_by else draws)
+        drawn(section.arms, chain, arms_seed, side, 1 if tool_model else draws)
         for chain, side in zip(scan.chains, SIDES, strict=bool(scan.chains))
     ]
     towards = directions(arms_seed, draws)
@@ -93,7 +93,7 @@ def draw(
             here = scan.poses[side][None, part]
             known = here
             if deviations:
-                known = _encoded(section, scan, side, part, encoders, draws, told_by)
+                known = _encoded(section, scan, side, part, encoders, draws, tool_model)
                 here = _true(section, scan, side, part, deviations[side], late_s[:, part])
             here = here @ exp_matrices(own[side][:, part].astype(float))
             noise = told[side][:, part].astype(float)
@@ -140,15 +140,15 @@ def _encoded(
     part: slice,
     rng: np.random.Generator,
     draws: int,
-    told_by: Told | None,
+    tool_model: ToolModel | None,
 ) -> Floats:
     """Return the poses that a model computes from encoders with random errors within a step."""
     joints = scan.moments[side].joints[part][None]
     if step := np.radians(section.encoder_step_deg):
         joints = joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape[1:]))
-    elif told_by is None:
+    elif tool_model is None:
         return scan.poses[side][None, part]
-    return scan.chains[side].tools(joints) if told_by is None else told_by(side, joints)
+    return scan.chains[side].tools(joints) if tool_model is None else tool_model(side, joints)
 
 
 def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | None:

@@ -20,7 +20,7 @@ from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.interruption import postponed
 from twinct.core.memory import available_bytes
 from twinct.core.threads import SETTING
-from twinct.workers.artifact import Here
+from twinct.workers.artifact import LocalArtifact
 from twinct.workers.call import Outcome, event, sent
 from twinct.workers.work import Died, Event, Pool, Work
 
@@ -254,5 +254,5 @@ class LocalPool(Pool):
             return [] if task is None else [Died(task.key, f"its worker {how}")]
         assert task is not None
         worker.task = None
-        artifacts = {name: Here(path) for name, path in outcome.artifacts.items()}
+        artifacts = {name: LocalArtifact(path) for name, path in outcome.artifacts.items()}
         return [event(task.key, outcome, artifacts)]
