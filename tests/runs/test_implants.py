@@ -9,7 +9,7 @@ from twinct.geometry.wire import PosePairs
 from twinct.recon.known_components import FoundImplant
 from twinct.recon.shadow import Rays
 from twinct.runs import reconstruct, require_feasible
-from twinct.runs.implants import TakenOut, check_implants, known_implants
+from twinct.runs.implants import WithoutImplants, check_implants, known_implants
 from twinct.runs.volumes import memory_needed
 from twinct.scan import Scan
 from twinct.scenario import parse_scenario
@@ -105,7 +105,7 @@ def test_standard_deviations_of_positions_are_along_the_specimens_axes():
     found = FoundImplant(known[0].implant.world_from_implant, own, 1.0, np.zeros((2, 3)))
     stands = Pose.from_euler((1, 2, 3), (0, 0, 90))
     for of, expected in ((Pose.identity(), [0.2, 0.1, 0.3]), (stands, [0.1, 0.2, 0.3])):
-        (told,) = TakenOut(np.empty(0, np.float32), known, [found], of, 80.0).told()
+        (told,) = WithoutImplants(np.empty(0, np.float32), known, [found], of, 80.0).told()
         np.testing.assert_allclose(told["position_sigma_mm"], expected, atol=1e-12)
         np.testing.assert_allclose(np.radians(told["rotation_sigma_deg"]), [0.01, 0.02, 0.03])
 

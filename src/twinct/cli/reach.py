@@ -201,12 +201,12 @@ def _views_to_serve(
             for count in (SEARCHED_DIRECTIONS, JUDGED_DIRECTIONS)
         )
         return (True, True), searched, judged
-    poses = _asked(builder)
+    poses = _requested(builder)
     some = np.unique(np.linspace(0, len(poses) - 1, SEARCHED_VIEWS).astype(int))
     return builder.roll_free, poses[some], poses
 
 
-def _asked(builder: SimulationBuilder) -> Poses:
+def _requested(builder: SimulationBuilder) -> Poses:
     return Poses.of(builder.requested.source_poses(), builder.requested.detector_poses())
 
 
@@ -226,7 +226,7 @@ def explained(builder: SimulationBuilder, picture: Path) -> Iterator[None]:
         scenario = builder.scenario
         if not isinstance(scenario.cell, Cell) or scenario.motion.plan is not None:
             raise  # no search was made for a plan from a file
-        poses, free = _asked(builder), builder.roll_free
+        poses, free = _requested(builder), builder.roll_free
         first, *others = list[str](error.problems)
         more = f", and {len(others)} more" if others else ""
         say(f"{first}{more}; looking for a remedy (Ctrl-C skips this)", warning=True)
@@ -269,7 +269,7 @@ def draw_anyway(
     except TrajectoryError as error:
         if not isinstance(builder.scenario.cell, Cell):
             raise
-        one = shown(_holder(builder), _asked(builder), view)
+        one = shown(_holder(builder), _requested(builder), view)
         render_cell(builder.room, path, one.joints, width, height, one.marks)
         return list(one.words or error.problems)
 
@@ -279,7 +279,7 @@ def _pictured(builder: SimulationBuilder, picture: Path, view: int) -> list[str]
     from twinct.robots.cell import render_cell
 
     check_picture(picture)
-    one = shown(_holder(builder), _asked(builder), view)
+    one = shown(_holder(builder), _requested(builder), view)
     with storage_errors(picture):
         picture.parent.mkdir(parents=True, exist_ok=True)
         width, height = PICTURE_PX

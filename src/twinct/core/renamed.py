@@ -160,6 +160,17 @@ def old_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
     return found
 
 
+def old_attribute(old: str, new: str) -> Any:
+    """Return a property that gives an attribute with another name now, with a warning."""
+
+    def found(self: object) -> Any:
+        owner = type(self).__name__
+        warnings.warn(f"{owner}.{old} is now {owner}.{new}", DeprecationWarning, stacklevel=2)
+        return getattr(self, new)
+
+    return property(found)
+
+
 def install(package: str) -> None:
     """Let the old names import from now on."""
     sys.meta_path.insert(0, _OldNames())

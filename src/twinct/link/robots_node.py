@@ -151,8 +151,8 @@ def spin_robots(
         plan = PlanListener(station, diagnostics, members, take)
         return lambda: plan.taken and node.connected()
 
-    told = {"scenario": scenario.resolved(), "version": __version__}
-    common: dict[str, Any] = {"lifeline": lifeline, "members": members, "parameters": told}
+    data = {"scenario": scenario.resolved(), "version": __version__}
+    common: dict[str, Any] = {"lifeline": lifeline, "members": members, "parameters": data}
     return run_node(ROBOTS, build_simulation, open_node, **common)
 
 

@@ -110,8 +110,8 @@ def sart(
             over = update + 1 == len(views) and best.is_over(x)
             square, rays = residual_of(measured, estimate, counts) if listener.wanted else (0.0, 0)
             if over or listener(iteration, update, square, rays, x):
-                return Volume(x, A.grid, best.told)
-    return Volume(x, A.grid, best.told)
+                return Volume(x, A.grid, best.extras)
+    return Volume(x, A.grid, best.extras)
 
 
 SART = Algorithm(

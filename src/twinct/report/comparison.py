@@ -147,10 +147,10 @@ def _told(scenario: Scenario) -> dict[str, Any]:
     return {key: value for key, value in keys.items() if not f"{key}.".startswith(left_out)}
 
 
-def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:
+def flat(data: Mapping[str, Any], key: str = "") -> dict[str, Any]:
     """Flatten nested keys to dotted ones. Lists of sections get indices; other lists stay lists."""
     found: dict[str, Any] = {}
-    for name, value in told.items():
+    for name, value in data.items():
         inner = f"{key}{name}"
         if isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
             value = {str(index): item for index, item in enumerate(value)}
@@ -242,11 +242,11 @@ def time_rows(compared: Sequence[Compared]) -> list[Row]:
     return [*rows, row_of("simulated time", "", simulated, duration)]
 
 
-def _found(told: Any, *keys: str) -> float | None:
+def _found(data: Any, *keys: str) -> float | None:
     """Return a nested value; None if it is missing, as in figures of older versions."""
     for key in keys:
-        told = told.get(key) if isinstance(told, Mapping) else None
-    return told
+        data = data.get(key) if isinstance(data, Mapping) else None
+    return data
 
 
 def _pictures(compared: Sequence[Compared]) -> list[tuple[str, str]]:

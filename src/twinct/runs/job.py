@@ -246,8 +246,8 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
             # Only the first volume is stored: the others cannot be measured again.
-            told = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
-            figures.setdefault(which, ImageFigures.of(told))
+            data = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
+            figures.setdefault(which, ImageFigures.of(data))
         if asked_anew:
             _judge_others(now, builder, audience)
         volume = replace(made.volume, extras={**made.volume.extras, **algorithm_results(before)})

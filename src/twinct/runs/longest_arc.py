@@ -49,8 +49,8 @@ def longest_arc(builder: SimulationBuilder, lost: Iterable[int]) -> str | None:
             continue
         except InputError:
             return None
-        told = ", ".join(f"{key}: {arc[key]}" for key in _TOLD)
-        return f"the longest arc that works, planned: trajectory: {{kind: arc, {told}}}"
+        text = ", ".join(f"{key}: {arc[key]}" for key in _TOLD)
+        return f"the longest arc that works, planned: trajectory: {{kind: arc, {text}}}"
     return None
 
 

@@ -173,7 +173,7 @@ def _of_scan(scan: Scan) -> dict[str, Any]:
         "pose_errors": pose_errors(scan.commanded, scan.executed),
         "clearance_mm": scan.clearance_mm,
         "simulated_seconds": float(scan.simulated_s[-1]),
-        "told_error": pose_errors(scan.commanded, scan.told).summary()
+        "told_error": pose_errors(scan.commanded, scan.nominal).summary()
         if scan.scenario.uncertainty.moves
         else {},
         "tool_speed_mm_s": tool_speeds(scan.executed, scan.simulated_s) if moved else {},

@@ -15,6 +15,7 @@ import numpy as np
 
 from twinct.core.errors import InputError
 from twinct.core.kept import once
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
 from twinct.geometry.wire import PosePairs, Target
 from twinct.robots.gantry import Gantry
@@ -83,6 +84,8 @@ class SimulationBuilder:
     def requested(self) -> ScanGeometry:
         """Views that the trajectory requests, in its order."""
         return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+
+    asked = old_attribute("asked", "requested")
 
     @cached_property
     def commanded(self) -> ScanGeometry:

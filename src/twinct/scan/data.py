@@ -15,6 +15,7 @@ from twinct.core.errors import InputError
 from twinct.core.extras import optional
 from twinct.core.files.pictures import show
 from twinct.core.foreign_text import quoted
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
 from twinct.scan.encoder_model import evidence_of, seen_from
@@ -129,7 +130,7 @@ class Scan:
         return reported(self.scenario, self.joint_names, self.joints, self.executed, self.commanded)
 
     @cached_property
-    def told(self) -> PosePairs:
+    def nominal(self) -> PosePairs:
         """Source and panel poses that the controllers compute from encoders and nominal model.
 
         Equal to ``executed`` if the controllers' model has no errors.
@@ -137,7 +138,9 @@ class Scan:
         found = evidence_of(
             self.scenario, self.commanded, self.executed, self.joint_names, self.joints
         )
-        return found.told
+        return found.nominal
+
+    told = old_attribute("told", "nominal")
 
     @property
     def stands(self) -> Pose:
@@ -375,8 +378,8 @@ def reported(
 
 def _told_of(uncertainty: Uncertainty) -> dict[str, Any]:
     """Return the settings behind the reported poses, without newer keys at their default."""
-    told = uncertainty.model_dump(mode="json", exclude_defaults=True)
+    data = uncertainty.model_dump(mode="json", exclude_defaults=True)
     for side in ("source", "detector"):
         always = getattr(uncertainty, side).model_dump(include={"sigma_mm", "cutoff_mm"})
-        told[side] = always | told.get(side, {})
-    return told
+        data[side] = always | data.get(side, {})
+    return data

@@ -36,8 +36,8 @@ def evidence_of(
         return Evidence(scenario.cell, joint_names, joints, executed)
     if not isinstance(scenario.cell, Cell):
         taken = slice(len(executed))
-        told = PosePairs(commanded.source[taken], commanded.detector[taken])
-        return Evidence(scenario.cell, joint_names, joints, told)
+        nominal = PosePairs(commanded.source[taken], commanded.detector[taken])
+        return Evidence(scenario.cell, joint_names, joints, nominal)
     joints = encoders_of(scenario, joints)
     return Evidence(scenario.cell, joint_names, joints, poses_of_joints(scenario, joints))
 

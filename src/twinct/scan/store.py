@@ -297,13 +297,13 @@ class ScanStore:
             group = self._group["plan"]
             if not isinstance(group, zarr.Group):
                 raise InputError(f"{self.path}/plan: found an array, expected a group")
-            told = dict(group.arrays())
-            if (total := sum(array.nbytes for array in told.values())) > LARGEST_PLAN_BYTES:
+            data = dict(group.arrays())
+            if (total := sum(array.nbytes for array in data.values())) > LARGEST_PLAN_BYTES:
                 raise InputError(
                     f"{self.path}/plan: its arrays claim {total:.3g} bytes; at most "
                     f"{LARGEST_PLAN_BYTES:.3g} are read"
                 )
-            arrays = {name: np.asarray(array[:]) for name, array in told.items()}
+            arrays = {name: np.asarray(array[:]) for name, array in data.items()}
             return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
 
     @property

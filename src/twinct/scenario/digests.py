@@ -166,7 +166,7 @@ def _told(
 
     The kind of a section is always included.
     """
-    told: dict[str, Any] = {}
+    data: dict[str, Any] = {}
     for name, info in type(section).model_fields.items():
         value = getattr(section, name)
         inner, stages = f"{key}.{name}" if key else name, readers | read_by(info)
@@ -177,15 +177,15 @@ def _told(
         if sections := sections_in(value):
             parts = [_told(item, inner, stages, reads, content) for item in sections]
             if reads(inner, stages) or any(parts):
-                told[name] = parts
+                data[name] = parts
         elif isinstance(value, Section):
             part = _told(value, inner, stages, reads, content)
             if part or reads(inner, stages) and not isinstance(info.default, Section):
-                told[name] = part
+                data[name] = part
         elif reads(inner, stages):
             is_file = name in FILE_KEYS and value is not None
-            told[name] = content(Path(str(value)), name) if is_file else to_jsonable_python(value)
-    return told
+            data[name] = content(Path(str(value)), name) if is_file else to_jsonable_python(value)
+    return data
 
 
 def content_digest(path: Path, key: str) -> str:

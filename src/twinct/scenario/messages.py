@@ -161,11 +161,11 @@ def _unknown_key(key: Key, model: type[BaseModel] | None, others: list[type[Base
     return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
 
 
-def _unknown_kind(told: Any, key: Key) -> str:
-    if "tag" not in told:
-        by = told["discriminator"]
+def _unknown_kind(data: Any, key: Key) -> str:
+    if "tag" not in data:
+        by = data["discriminator"]
         return f"this section needs the key {'method' if 'method' in by else 'kind'!r}"
-    given, allowed = told["tag"], told["expected_tags"]
+    given, allowed = data["tag"], data["expected_tags"]
     if given in (broken := _BROKEN.get(key, {})):
         return broken[given]
     hint = _nearest(given, allowed.replace("'", "").split(", "), 0.6)

@@ -44,9 +44,9 @@ class Trial:
 
     def __str__(self) -> str:
         """Return its name in messages."""
-        told = [f"{label} = {value}" for label, value in self.axes.items() if value is not None]
-        told += [] if self.seed is None else [f"seed {self.seed}"]
-        return f"trial {self.number}" + (f" ({', '.join(told)})" if told else "")
+        lines = [f"{label} = {value}" for label, value in self.axes.items() if value is not None]
+        lines += [] if self.seed is None else [f"seed {self.seed}"]
+        return f"trial {self.number}" + (f" ({', '.join(lines)})" if lines else "")
 
 
 @dataclass(frozen=True)
@@ -240,9 +240,9 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
     for index, axis in enumerate(study.axes):
         numbers = {part.name: len(list(_values(part))) for part in axis.paired or ()}
         if len(set(numbers.values())) > 1:
-            told = ", ".join(f"{name} has {number}" for name, number in numbers.items())
+            text = ", ".join(f"{name} has {number}" for name, number in numbers.items())
             place = draft.origin(("axes", index, "paired"))
-            yield f"{place + ': ' if place else ''}axes.{index}.paired: {told}; they must be equal"
+            yield f"{place + ': ' if place else ''}axes.{index}.paired: {text}; they must be equal"
     for label in dict.fromkeys(design.labels):
         other = "another axis" if design.labels.count(label) > 1 else "a column of the results"
         own = label in OWN_COLUMNS or label.startswith("seconds.")

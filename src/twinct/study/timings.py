@@ -31,8 +31,8 @@ class TrialTimings:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         path = Path(base) / "twinct" / "study.json"
         try:
-            told = read_json(path)
-            entries = {str(kind): (int(n), float(mean)) for kind, (n, mean) in told.items()}
+            data = read_json(path)
+            entries = {str(kind): (int(n), float(mean)) for kind, (n, mean) in data.items()}
         except (OSError, ValueError, TypeError, AttributeError, OverflowError):
             entries = {}
         return cls(path, entries)
@@ -49,9 +49,9 @@ class TrialTimings:
 
     def write(self) -> None:
         """Write the statistics; only log a failure, as no study should fail for its estimates."""
-        told = {kind: list(entry) for kind, entry in self.entries.items()}
+        data = {kind: list(entry) for kind, entry in self.entries.items()}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_json(self.path, told)
+            write_json(self.path, data)
         except OSError as error:
             log.info("%s: cannot store the durations for estimates: %s", self.path, error)

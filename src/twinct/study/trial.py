@@ -364,8 +364,8 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
     return once("truth", f"{of_truth} {of_region}", both)
 
 
-def _digest(told: Any) -> str:
-    text = json.dumps(told, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
+def _digest(data: Any) -> str:
+    text = json.dumps(data, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

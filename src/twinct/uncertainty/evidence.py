@@ -17,10 +17,10 @@ class Evidence:
         cell: section of the cell, as the controllers know it.
         joint_names: source arm first; none with a gantry.
         encoders: encoder readings, (views, joints), rad.
-        told: poses that the controllers compute from them with their nominal model.
+        nominal: poses that the controllers compute from them with their nominal model.
     """
 
     cell: AnyCell
     joint_names: tuple[str, ...]
     encoders: Floats
-    told: PosePairs
+    nominal: PosePairs

@@ -55,7 +55,7 @@ class TrueCell:
 
     def at(
         self,
-        told: Instant,
+        nominal: Instant,
         view: int | None,
         time_s: float,
         joints: Floats | None = None,
@@ -64,13 +64,13 @@ class TrueCell:
         """Return the executed poses at an instant.
 
         Args:
-            told: poses that the controllers believe.
+            nominal: poses that the controllers believe.
             view: exposed view; None outside a scan, without the random errors of a view.
             time_s: simulated time.
             joints: joint positions of both arms, source first, rad; None with a gantry.
             speeds: joint speeds, rad/s.
         """
-        source, detector = told.source_m, told.detector_m
+        source, detector = nominal.source_m, nominal.detector_m
         if self._arms is not None and joints is not None and speeds is not None:
             poses = self._true_poses(joints, speeds, view, time_s)
             source, detector = map(to_seven, poses)
@@ -82,9 +82,9 @@ class TrueCell:
                     (source, detector), view_sigmas(views), SIDES, strict=True
                 )
             )
-        stands = told.object_m
+        stands = nominal.object_m
         if any((patient := self._section.patient).sizes):
-            stands = to_seven(world_from_moved(patient, self._arms_seed, time_s) @ told.object)
+            stands = to_seven(world_from_moved(patient, self._arms_seed, time_s) @ nominal.object)
         return Instant(source, stands, detector)
 
     def _normals(self, side: str, view: int) -> Floats:

@@ -10,6 +10,8 @@ from twinct.uncertainty.repeatability import believed_poses
 
 def reported_poses(evidence: Evidence, uncertainty: Uncertainty, seed: int) -> PosePairs:
     """Return the controllers' poses with the noise of each view; each seed is another report."""
-    told = evidence.told
-    pairs = [believed_poses(*told[view], uncertainty, seed, view) for view in range(len(told))]
+    nominal = evidence.nominal
+    pairs = [
+        believed_poses(*nominal[view], uncertainty, seed, view) for view in range(len(nominal))
+    ]
     return PosePairs(tuple(source for source, _ in pairs), tuple(panel for _, panel in pairs))

@@ -210,15 +210,15 @@ def _chosen(
         )
     chosen, path = sorted(found.chosen), range(len(within), len(together))
     assert journal.within_reach is not None
-    told: dict[str, Any] = {"chosen": journal.within_reach[chosen].tolist()}
+    data: dict[str, Any] = {"chosen": journal.within_reach[chosen].tolist()}
     figures, mas = _figures(goals, chosen, even, path), None
     if task.exposure is not None:
         shared = share_exposure(task.exposure, goals, chosen)
         mas = shared.exposures * builder.scenario.source.mas
-        told["exposure"] = {"mas": mas.tolist(), "at_equal_mas": shared.equal}
+        data["exposure"] = {"mas": mas.tolist(), "at_equal_mas": shared.equal}
         for name, value in shared.figures.items():
             figures[name]["planned"] = value
-    return _Choice(within[chosen], goals, figures, found.worth, told, mas=mas)
+    return _Choice(within[chosen], goals, figures, found.worth, data, mas=mas)
 
 
 def _tuned(
@@ -238,13 +238,13 @@ def _tuned(
     even, planned, path = (range(k * count, (k + 1) * count) for k in range(3))
     goals = goals_of(builder, together, count, even, SILENT)
     figures = _figures(goals, planned, even, path)
-    told: dict[str, Any] = {"parameters": dict(found.parameters)}
+    data: dict[str, Any] = {"parameters": dict(found.parameters)}
     if task.trying is not None:
         sets = {"planned": found.views, "spread_evenly": reference, "own_path": own}
         error = "error in the region"
         figures[error] = {n: error_of(builder, views) for n, views in sets.items()}
-        told["trying"] = figures[error]
-    return _Choice(found.views, goals, figures, found.worth, told, found.section)
+        data["trying"] = figures[error]
+    return _Choice(found.views, goals, figures, found.worth, data, found.section)
 
 
 def _figures(

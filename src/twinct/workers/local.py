@@ -128,8 +128,8 @@ class LocalPool(Pool):
             InputError: fewer than one worker, thread or byte.
         """
         most = available_bytes()[0] if memory_bytes is None else memory_bytes
-        told = {"workers": workers, "threads": threads, "memory_bytes": most}
-        if problems := [f"{k}={v}: must be at least 1" for k, v in told.items() if v < 1]:
+        data = {"workers": workers, "threads": threads, "memory_bytes": most}
+        if problems := [f"{k}={v}: must be at least 1" for k, v in data.items() if v < 1]:
             raise InputError(problems)
         self.folder = Path(folder).absolute()
         self._slots, self._threads, self._memory = workers, threads, int(min(most, 2**62))

@@ -136,13 +136,13 @@ def _told(cell: CellModel, body: int) -> Fixed:
     if name.startswith(OBJECT):
         key, one = next(of for of in cell.cell.keyed_objects if f"{OBJECT}{of[1].name}" == name)
         return Fixed("object", f"objects: {one.group}", f"object {quoted(one.name)}", key, name)
-    told = {
+    data = {
         "specimen": ("specimen", "specimen", "the specimen", "specimen.position_mm"),
         "table": ("table", "table", "the table", "cell.table"),
         "holder": ("holder", "table", "the specimen's holder", "cell.table"),
         "floor": ("floor", "floor", "the floor", "cell.floor_z_mm"),
     }
-    return Fixed(*told[name], name)
+    return Fixed(*data[name], name)
 
 
 def _named(model: mujoco.MjModel, body: int) -> str:
