@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from drawn_arms import deviations, still, true_tools
 
 from twinct.calibration import (
     CalibratedArms,
@@ -23,8 +24,8 @@ from twinct.core.errors import CalibrationError, InputError
 from twinct.geometry import Chain, Floats, Misfit, Panel, Pose, ScanGeometry
 from twinct.robots.cell import CellModel, chains_of
 from twinct.scenario import Uncertainty
-from twinct.uncertainty.arms import Moment, drawn, true_tools
 
+SIDES = ("source", "detector")
 PANEL = Panel(240, 320, 1.0, 1.0)
 SECTION = Uncertainty.model_validate({"preset": "collaborative", "arms": {"drift_mm": 0}})
 COVARIANCE = np.diag([0.02, 0.02, 0.1] * 2 + [2e-4, 2e-4, 2e-5]) ** 2
@@ -52,7 +53,11 @@ def arms(cell: CellModel) -> Arms:
 def priors(
     chains: tuple[Chain, Chain], section: Uncertainty = SECTION
 ) -> tuple[ArmPrior, ArmPrior]:
-    return arm_prior(section, chains[0]), arm_prior(section, chains[1])
+    source, panel = (
+        arm_prior(section, still(chain, side, np.zeros((1, len(chain)))))
+        for chain, side in zip(chains, SIDES, strict=True)
+    )
+    return source, panel
 
 
 def facing(chains: tuple[Chain, Chain], joints: Floats) -> np.ndarray:
@@ -67,15 +72,11 @@ def true(
     chains: tuple[Chain, Chain], joints: Floats, section: Uncertainty = SECTION
 ) -> tuple[Floats, Floats]:
     """Tools of true arms at rest, without repeatability."""
-    found = []
-    for side, chain, own in zip(
-        ("source", "detector"), chains, np.split(joints, 2, axis=1), strict=True
-    ):
-        moment = Moment(own, np.zeros_like(own), np.zeros(len(own)))
-        late = np.zeros((1, len(own)))
-        deviation = drawn(section.arms, chain, 5, side)
-        found.append(true_tools(section.arms, chain, deviation, moment, late)[0])
-    return found[0], found[1]
+    source, panel = (
+        true_tools(section, chain, 5, side, own)
+        for side, chain, own in zip(SIDES, chains, np.split(joints, 2, axis=1), strict=True)
+    )
+    return source, panel
 
 
 def seen(arms: Arms, views: slice, rng: np.random.Generator | None = None) -> PhantomViews:
@@ -157,11 +158,10 @@ def test_unseen_poses_are_predicted_and_the_spread_of_parameters_is_told(arms: A
     found = calibrated_arms(arms.chains, seen(arms, FITTED, np.random.default_rng(1)), arms.priors)
     assert max(off_mm(arms, found.arms.tools(arms.joints), UNSEEN)) < 0.12
     assert 0.85 < found.misfit < 1.15
-    deviations = [
-        drawn(SECTION.arms, chain, 5, side)
-        for chain, side in zip(arms.chains, ("source", "detector"), strict=True)
+    drawn = [
+        deviations(SECTION, chain, 5, side) for chain, side in zip(arms.chains, SIDES, strict=True)
     ]
-    behind = [np.concatenate([one.compliance[0], one.gear[0].ravel()]) for one in deviations]
+    behind = [np.concatenate([one.compliance[0], one.gear[0].ravel()]) for one in drawn]
     where = [i for i, name in enumerate(found.names) if "compliance" in name or "gear" in name]
     sigma = np.sqrt(np.diag(found.covariance)[where])
     apart = (found.parameters[where] - np.concatenate(behind)) / sigma
@@ -260,4 +260,4 @@ def test_arms_are_kept_in_a_file_of_their_cell(arms: Arms, tmp_path: Path) -> No
 
 def test_arms_that_are_not_off_are_nothing_to_calibrate(arms: Arms) -> None:
     with pytest.raises(InputError, match="nothing to calibrate"):
-        arm_prior(Uncertainty(), arms.chains[0])
+        priors(arms.chains, Uncertainty())

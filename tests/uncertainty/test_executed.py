@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drawn_arms import deviations
 
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Instant, PosePairs, to_seven
@@ -13,7 +14,6 @@ from twinct.robots.cell import CellModel, chains_of
 from twinct.scan.encoder_model import seen_from
 from twinct.scenario import ArmErrors, Uncertainty
 from twinct.uncertainty import TrueCell
-from twinct.uncertainty.arms import drawn
 
 STANDS = Pose.from_euler((5, -3, 2), (0, 0, 40))
 SEED, ARMS_SEED = 4, 9
@@ -95,8 +95,9 @@ def test_an_image_comes_late_by_the_way_of_the_arms(cell: CellModel, joints: Flo
 
 def test_a_gear_goes_round_and_arms_warm_up(cell: CellModel, joints: Floats) -> None:
     chain = chains_of(cell)[0]
+    section = Uncertainty(arms=ArmErrors(gear_deg=0.02))
     gear = true_cell(cell, arms={"gear_deg": 0.02, "gear_periods": 2})
-    phases = drawn(ArmErrors(gear_deg=0.02), chain, ARMS_SEED, "source").gear[0]
+    phases = deviations(section, chain, ARMS_SEED, "source").gear[0]
     assert np.hypot(*phases.T) == pytest.approx(np.radians(0.02))
     turned = joints[0].copy()
     own = joints[0, : len(chain)]
@@ -146,10 +147,10 @@ def test_a_patient_nods_and_jerks_and_is_followed() -> None:
 
 
 def test_more_arms_begin_with_the_one_of_the_scan(cell: CellModel) -> None:
-    section = Uncertainty.model_validate({"preset": "collaborative"}).arms
+    section = Uncertainty.model_validate({"preset": "collaborative"})
     chain = chains_of(cell)[0]
-    one, many = (drawn(section, chain, 7, "source", draws) for draws in (1, 5))
-    np.testing.assert_array_equal(one.misfit.links[0], many.misfit.links[0])
+    one, many = (deviations(section, chain, 7, "source", draws) for draws in (1, 5))
+    np.testing.assert_array_equal(one.links[0], many.links[0])
     np.testing.assert_array_equal(one.gear[0], many.gear[0])
-    other = drawn(section, chain, 7, "detector")
-    assert not np.array_equal(one.misfit.tool, other.misfit.tool)
+    other = deviations(section, chain, 7, "detector")
+    assert not np.array_equal(one.tool, other.tool)

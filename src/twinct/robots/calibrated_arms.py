@@ -10,16 +10,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from twinct.core.error_terms import Shift
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import read_text
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.core.foreign_text import quoted, shortened
-from twinct.geometry import Chain, Floats, Misfit, Pose
+from twinct.geometry import Chain, Floats, Pose
 from twinct.geometry.wire import PosePairs
+from twinct.uncertainty.arm_model import shifted_tools
+from twinct.uncertainty.nominal_scan import SIDES
+from twinct.uncertainty.terms.gear import waves
+from twinct.uncertainty.terms.windup import deflections
 
 FORMAT = "twinct arms 1"
-
-SIDES = ("source", "detector")
 
 LARGEST_BYTES = 16 * 2**20
 
@@ -57,13 +60,15 @@ def changed_tools(chain: Chain, change: Change, periods: int, joints: Floats) ->
     Returns:
         (..., views, 4, 4), mm.
     """
-    gear = change.gear[..., None, :, :]
-    behind = change.compliance[..., None, :] * chain.gravity_torques(joints)
-    behind = behind + gear[..., 0] * np.cos(periods * joints)
-    behind = behind + gear[..., 1] * np.sin(periods * joints)
-    links, tool = change.links[..., None, :, :], change.tool[..., None, :]
-    misfit = Misfit(base=np.zeros(6), links=links, tool=tool)
-    return chain.tools(joints + behind, misfit)
+    shift = Shift(
+        links=change.links[..., None, :, :],
+        tool=change.tool[..., None, :],
+        joints=(
+            deflections(change.compliance, chain, joints),
+            *waves(change.gear, periods, joints),
+        ),
+    )
+    return shifted_tools(chain, joints, [shift])
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
 from twinct.scenario.specimen import PART_KINDS
 from twinct.scenario.task import BROKEN_OBJECTIVES
+from twinct.scenario.uncertainty import BROKEN_TERMS
 from twinct.scenario.version_0_1 import advice
 from twinct.trajectory.families import families
 
@@ -27,6 +28,7 @@ _BROKEN: dict[Key, dict[str, str]] = {
     ("specimen", "parts"): PART_KINDS.broken,
     ("task",): BROKEN_OBJECTIVES,
     ("evaluation",): BROKEN_KINDS,
+    ("uncertainty",): BROKEN_TERMS,
 }
 """Reasons why extensions cannot be used, by their names, at the keys that name or have them."""
 
