@@ -60,8 +60,8 @@ made from them.
 EXTENSIONS = """## Extensions of your own
 
 A package of yours can add algorithms, trajectories, objectives of a plan, figures, error terms,
-X-ray engines and export formats. It names them as entry points. Where it is installed (`pip install .` in its
-folder), the command line, the ROS 2 nodes and Python know them alike:
+X-ray engines and export formats. It names them as entry points. Where it is installed
+(`pip install .` in its folder), the command line, the ROS 2 nodes and Python know them alike:
 
 ```toml
 [project.entry-points."twinct.algorithms"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
@@ -99,8 +100,17 @@ class ConflictError(ValueError):
         self.conflicts = conflicts
 
 
-FILE_KEYS = ("path", "file", "plan")
-"""Keys of input files: paths are made absolute, files must exist, and their content counts."""
+FILE_KEYS = ("path", "file", "plan", "calibration")
+"""Names of the keys of input files: in plain data, their paths are made absolute."""
+
+
+def is_file(info: FieldInfo) -> bool:
+    """Return True for the key of an input file: it must exist, and its content counts."""
+    return _names_a_path(info.annotation)
+
+
+def _names_a_path(annotation: Any) -> bool:
+    return annotation is Path or any(map(_names_a_path, typing.get_args(annotation)))
 
 
 class Section(BaseModel):

@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from twinct.core.errors import ScenarioError
-from twinct.core.settings import FILE_KEYS, Section, read_by
+from twinct.core.settings import Section, is_file, read_by
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
@@ -45,12 +45,6 @@ STAGES: dict[StageName, _Stage] = {
     "believed": _Stage(1, on=("executed",)),
     "volume": _Stage(1, on=("images", "believed")),
 }
-
-COUNT_FOR_NONE = (
-    *("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset"),
-    *("task", "cell.objects.name", "cell.objects.colour"),
-)
-"""Keys and sections that affect neither scan nor truth nor volume."""
 
 OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
@@ -183,8 +177,8 @@ def _told(
             if part or reads(inner, stages) and not isinstance(info.default, Section):
                 data[name] = part
         elif reads(inner, stages):
-            is_file = name in FILE_KEYS and value is not None
-            data[name] = content(Path(str(value)), name) if is_file else to_jsonable_python(value)
+            file = is_file(info) and value is not None
+            data[name] = content(Path(str(value)), name) if file else to_jsonable_python(value)
     return data
 
 
