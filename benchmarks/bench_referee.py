@@ -22,7 +22,7 @@ from referee import Referee
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.robots.cell import CellModel
 from twinct.robots.motion import JointPath, find_joint_path
 from twinct.robots.motion.path_search import required_gap_mm
@@ -53,7 +53,7 @@ def drawn(index: int, within_deg: tuple[float, float]) -> Target:
         sdd_mm=sod + rng.uniform(250, 350),
     )
     source = on_sphere(np.array([longitude]), np.array([latitude]), sod)
-    return PosePairs.from_geometry(orbit_views(section, PANEL, source)).targets()[0]
+    return targets_of(orbit_views(section, PANEL, source))[0]
 
 
 def right(cell: CellModel, way: JointPath, referee: Referee) -> bool:

@@ -80,12 +80,11 @@ def test_a_volume_of_other_settings_is_no_result_of_it(folder: Path) -> None:
 def test_ten_seeds_of_one_scan_are_ten_scans_of_then() -> None:
     kept, demo = np.load(KEPT / "believed.npz"), load_scenario(DEMO)
     executed = PosePairs(*(poses(rows) for rows in kept["executed"].swapaxes(0, 1)))
-    names = tuple(kept["joint_names"].tolist())
     assert len(executed) == 100 and len(kept["believed_mm"]) == 10
     for seed, then in enumerate(kept["believed_mm"]):
         section = demo.uncertainty.model_copy(update={"seed": seed})
         scenario = demo.model_copy(update={"uncertainty": section})
-        now = reported(scenario, names, kept["joints"], executed, executed).poses
+        now = reported(scenario, kept["joints"], executed, executed).poses
         for view, pair in enumerate(then):
             for pose, position, moved in zip(now[view], pair, executed[view], strict=True):
                 assert (pose.position == position).all() and (pose.quat == moved.quat).all()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from twinct.study.search import Tried, asked, choice_of
+from twinct.study.search import Tried, asked, trial_of
 from twinct.study.settings import Search
 
 
@@ -66,9 +66,9 @@ def test_values_are_of_their_kind_and_within_their_ends() -> None:
     assert {v["b"] for v in values} == {1, 2, 3, 4}
     assert all(type(v["b"]) is int for v in values)
     assert {str(v["c"]) for v in values} == {"fdk", "3", "True"}
-    choice = choice_of(what, values[0])
+    choice = trial_of(what, values[0])
     assert set(choice.changes) == {"a", "b", "c", "d", "e"}
-    assert choice.changes["d"] == choice.changes["e"] == choice.labels["d, e"]
+    assert choice.changes["d"] == choice.changes["e"] == choice.axes["d, e"]
 
 
 @pytest.mark.parametrize(("direction", "sign"), [("minimize", 1), ("maximize", -1)])

@@ -87,9 +87,7 @@ def derive_geometry(
         audience.stage(f"geometry {name}", 1) as step,
     ):
         scan = Run(scenario, folder).scan
-        found = reported(
-            scenario, scan.joint_names, scan.joints, scan.executed, scan.commanded, name
-        )
+        found = reported(scenario, scan.joints, scan.executed, scan.commanded, name)
         if name in scan.derived and scan.derived[name].digest != found.digest:
             raise ScanExistsError(
                 f"{folder.geometries / name}.json holds another geometry; choose another --as"

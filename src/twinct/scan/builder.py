@@ -17,7 +17,7 @@ from twinct.core.errors import InputError
 from twinct.core.kept import once
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import PosePairs, Target, targets_of
 from twinct.robots.gantry import Gantry
 from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
 from twinct.specimen import BuiltPart, BuiltSpecimen, build_specimen
@@ -101,7 +101,7 @@ class SimulationBuilder:
         if mas is None or not self.plan_chooses:
             return mas
         # If the plan chose the order, positions identify the views.
-        places = _places(PosePairs.from_geometry(self.requested).targets())
+        places = _places(targets_of(self.requested))
         order: list[int] = []
         for place in _places(self.targets):
             far = np.abs(places - place).max(axis=1)
@@ -142,7 +142,7 @@ class SimulationBuilder:
     def targets(self) -> list[Target]:
         """Commanded poses of each view, in wire form."""
         plan = self.plan if self.plan_chooses else None
-        return self.commanded_poses.targets() if plan is None else list(plan.targets)
+        return targets_of(self.requested) if plan is None else list(plan.targets)
 
     @cached_property
     def cell(self) -> CellModel:
@@ -256,7 +256,7 @@ class SimulationBuilder:
         from twinct.robots.motion import RequestedViews, checked_plan, load_plan, plan_motion
 
         scenario = self.scenario
-        targets = PosePairs.from_geometry(self.requested).targets()
+        targets = targets_of(self.requested)
         if file := scenario.motion.plan:
             requested = RequestedViews(
                 targets, self.roll_free, scenario.motion.order != "given", self.shutter

@@ -18,7 +18,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
-from twinct.scan.encoder_model import evidence_of, seen_from
+from twinct.scan.encoder_model import nominal_poses, seen_from
 from twinct.scan.integrals import line_integrals
 from twinct.scan.named_geometries import OWN, RELATIVE, NamedGeometry, poses_digest
 from twinct.scenario import Scenario, Uncertainty
@@ -127,7 +127,7 @@ class Scan:
     @cached_property
     def reported(self) -> NamedGeometry:
         """Believed poses, with their model and settings."""
-        return reported(self.scenario, self.joint_names, self.joints, self.executed, self.commanded)
+        return reported(self.scenario, self.joints, self.executed, self.commanded)
 
     @cached_property
     def nominal(self) -> PosePairs:
@@ -135,10 +135,7 @@ class Scan:
 
         Equal to ``executed`` if the controllers' model has no errors.
         """
-        found = evidence_of(
-            self.scenario, self.commanded, self.executed, self.joint_names, self.joints
-        )
-        return found.nominal
+        return nominal_poses(self.scenario, self.commanded, self.executed, self.joints)
 
     told = old_attribute("told", "nominal")
 
@@ -360,20 +357,19 @@ def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:
 
 def reported(
     scenario: Scenario,
-    joint_names: tuple[str, ...],
     joints: NDArray[np.float64],
     executed: PosePairs,
     commanded: PosePairs,
     name: str = "believed",
 ) -> NamedGeometry:
     """Return the poses that the robots report, given the scenario's uncertainty."""
-    evidence = evidence_of(scenario, commanded, executed, joint_names, joints)
+    nominal = nominal_poses(scenario, commanded, executed, joints)
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
     model = "nominal kinematics" if uncertainty.moves else "repeatability"
     model = "calibrated kinematics" if uncertainty.calibration else model
     made_by = {"model": model, **_told_of(uncertainty), "seed": seed}
     made_by["executed"] = poses_digest(executed)
-    return NamedGeometry(name, reported_poses(evidence, uncertainty, seed), made_by)
+    return NamedGeometry(name, reported_poses(nominal, uncertainty, seed), made_by)
 
 
 def _told_of(uncertainty: Uncertainty) -> dict[str, Any]:

@@ -461,7 +461,7 @@ class ScanStore:
         """Believed poses of the views on disk, with the model and settings behind them."""
         joints = self._read("joints", slice(self.acquired))
         executed, commanded = self.poses("executed"), self.poses("commanded")
-        return reported(self.scenario, self.joint_names, joints, executed, commanded)
+        return reported(self.scenario, joints, executed, commanded)
 
     def _poses(self, name: str, views: slice) -> tuple[Pose, ...]:
         with readable(self.path, name):

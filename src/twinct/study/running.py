@@ -26,7 +26,7 @@ from twinct.study.folder import StudyFolder
 from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
 from twinct.study.rows import Rows
-from twinct.study.search import Tried, asked, choice_of
+from twinct.study.search import Tried, asked, trial_of
 from twinct.study.timings import TrialTimings
 from twinct.workers import LocalPool, Pool
 
@@ -258,7 +258,7 @@ def _repeated(design: Design, values: Sequence[Mapping[str, Any]], first: int) -
     search, seeds = design.study.search, len(design.seeds)
     assert search is not None
     for number, chosen in enumerate(values, first):
-        yield from design.repeated(number * seeds, choice_of(search, chosen))
+        yield from design.repeated(number * seeds, trial_of(search, chosen))
 
 
 def _pool(

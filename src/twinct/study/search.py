@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twinct.core.extras import require
-from twinct.study.design import Choice
+from twinct.study.design import Trial
 from twinct.study.settings import Dimension, Search
 
 Tried = tuple[Mapping[str, Any], float | None]
@@ -52,10 +52,10 @@ def asked(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
     return [study.ask(ranges).params for _ in range(max(number, 0))]
 
 
-def choice_of(search: Search, values: Mapping[str, Any]) -> Choice:
-    """Return the changes that a set of values makes to the scenario."""
+def trial_of(search: Search, values: Mapping[str, Any]) -> Trial:
+    """Return a set of values as a trial, which has no number yet."""
     changes = {key: values[d.name] for d in search.keys for key in d.keys}
-    return Choice(changes, dict(values))
+    return Trial(0, dict(values), changes)
 
 
 def _distribution(dimension: Dimension) -> Any:
