@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.robots.calibrated_arms import CalibratedArms
 from twinct.scenario import Cell, Scenario
 
 
@@ -61,6 +60,8 @@ def poses_of_joints(scenario: Scenario, joints: Floats) -> PosePairs:
             f"its detector arm {counts[1]}"
         )
     if calibration := scenario.uncertainty.calibration:
+        from twinct.robots.calibrated_arms import CalibratedArms
+
         return CalibratedArms.read(calibration, chains).poses(joints)
     source, detector = np.split(joints, counts[:1], axis=1)
     sides = (

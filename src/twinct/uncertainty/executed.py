@@ -9,10 +9,8 @@ from twinct.geometry import Chain, Floats, Pose
 from twinct.geometry.wire import Instant, from_seven, to_seven
 from twinct.scenario import Uncertainty
 from twinct.uncertainty.correlation import view_normals
-from twinct.uncertainty.drawn_tool import DrawnTool
 from twinct.uncertainty.nominal_scan import SIDES
 from twinct.uncertainty.patient import world_from_moved
-from twinct.uncertainty.terms.registry import terms_of
 
 
 class TrueCell:
@@ -39,7 +37,12 @@ class TrueCell:
         """
         self._seed, self._arms_seed = seed, arms_seed
         self._patient = uncertainty.patient if any(uncertainty.patient.sizes) else None
-        self._tools, first = [], 0
+        # Imported here because few scenarios have errors of executed poses.
+        from twinct.uncertainty.drawn_tool import DrawnTool
+        from twinct.uncertainty.terms.registry import terms_of
+
+        self._tools: list[tuple[DrawnTool, Chain | None, slice]] = []
+        first = 0
         for side, chain in zip(SIDES, chains or (None, None), strict=True):
             own = slice(first, first := first + len(chain or ()))
             tool = DrawnTool(terms_of(uncertainty), side, chain, arms_seed)
