@@ -269,7 +269,7 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
             **{"_joints_until": Stamp(0, 0), "_asked": None, "_ready": {ROBOTS, XRAY}},
             **{"_refusal": None, "_conflict": None, "_ended": [], "_closing": False},
             **{"_tell_joints": lambda joints: require_finite(joints.position, joints.time_s)},
-            **{"_station": station, "members_in": members, "_me": MEMBERS[SCAN] * 12},
+            **{"_station": station, "_members": members, "_me": MEMBERS[SCAN] * 12},
             "_diagnostics": Diagnostics(station, lambda _: None),  # type: ignore[arg-type]
         }
         for name, value in own.items():
