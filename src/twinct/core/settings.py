@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import typing
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, create_model
 from pydantic.fields import FieldInfo
 
 from twinct.core.foreign_text import quoted
+
+log = logging.getLogger(__name__)
 
 
 def _sane(least: float, most: float) -> AfterValidator:
@@ -122,3 +126,26 @@ class Section(BaseModel):
 def kind_of(settings: type[Section]) -> str:
     """Return the value of the key ``kind`` of a settings class, a Literal."""
     return str(typing.get_args(settings.model_fields["kind"].annotation)[0])
+
+
+def extended(
+    base: type[Section], name: str, keys: Mapping[str, Callable[[], Any]]
+) -> tuple[Any, dict[str, str]]:
+    """Return a section with the keys of extensions, and the problem of each unusable key.
+
+    Args:
+        base: the section without them, of the module that will have the new class.
+        name: name of the new class in this module.
+        keys: pydantic's definition of each key, made when it is added: any package may raise there.
+    """
+    section, broken = base, dict[str, str]()
+    about: Any = {"__module__": base.__module__, "__doc__": base.__doc__}
+    for key, define in keys.items():
+        try:
+            if hasattr(base, key):
+                raise ValueError("this name is reserved")
+            section = create_model(name, __base__=section, **{key: define()}, **about)
+        except Exception as error:  # settings may come from any package
+            broken[key] = f"the settings of {quoted(key)} cannot be used: {error}"
+            log.warning(broken[key])
+    return create_model(name, __base__=section, **about), broken

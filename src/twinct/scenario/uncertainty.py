@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from pydantic import (
     SerializerFunctionWrapHandler,
-    create_model,
     model_serializer,
     model_validator,
 )
 
 from twinct.core.error_terms import ErrorSettings, ErrorTerm, size
 from twinct.core.extensions import offers
-from twinct.core.foreign_text import quoted
 from twinct.core.settings import (
     Conflict,
     ConflictError,
@@ -27,10 +25,9 @@ from twinct.core.settings import (
     Positive,
     Section,
     Vector,
+    extended,
     setting,
 )
-
-log = logging.getLogger(__name__)
 
 RANDOM_WALK = "accumulated as a random walk"
 DALY = "Daly et al., Med. Phys. 35 (2008) 2124"
@@ -299,25 +296,17 @@ ERROR_TERMS = offers("twinct.errors", ErrorTerm, {}, taken=set(UncertaintySectio
 """Error terms of other packages, by name."""
 
 
-def _with_terms() -> tuple[type[UncertaintySection], dict[str, str]]:
-    """Return the section with the keys of all terms, and the problem of each unusable term."""
-    section, broken = UncertaintySection, dict(ERROR_TERMS.broken)
-    about: Any = {"__module__": __name__, "__doc__": section.__doc__}
-    for name, term in ERROR_TERMS.items():
-        try:
-            if hasattr(UncertaintySection, name) or term.section:
-                raise ValueError("this name is reserved")
-            description = f"{inspect.cleandoc(term.settings.__doc__ or name)} null: no such error."
-            key: Any = (term.settings | None, setting(None, description, read_by="executed"))
-            section = create_model(section.__name__, __base__=section, **{name: key}, **about)
-        except Exception as error:  # settings may come from any package
-            broken[name] = f"the settings of {quoted(name)} cannot be used: {error}"
-            log.warning(broken[name])
-    return create_model("Uncertainty", __base__=section, **about), broken
+def _key(term: ErrorTerm) -> Any:
+    if term.section:
+        raise ValueError("an error term of another package has a section of its own")
+    description = f"{inspect.cleandoc(term.settings.__doc__ or term.name)} null: no such error."
+    return term.settings | None, setting(None, description, read_by="executed")
 
 
 if TYPE_CHECKING:
     BROKEN_TERMS: dict[str, str] = {}
     Uncertainty = UncertaintySection
 else:
-    Uncertainty, BROKEN_TERMS = _with_terms()
+    _KEYS = {name: partial(_key, term) for name, term in ERROR_TERMS.items()}
+    Uncertainty, _BROKEN = extended(UncertaintySection, "Uncertainty", _KEYS)
+    BROKEN_TERMS = {**ERROR_TERMS.broken, **_BROKEN}
