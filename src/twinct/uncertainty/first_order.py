@@ -19,7 +19,7 @@ from twinct.core.error_terms import CONSTANT, Place, Spread
 from twinct.geometry import Floats
 from twinct.scenario import PoseNoise, Uncertainty
 from twinct.uncertainty.arm_model import carried, derivatives
-from twinct.uncertainty.drawn_tool import by_view
+from twinct.uncertainty.drawn_tool import by_view, keyed_spreads
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.patient import amplitudes
 from twinct.uncertainty.terms.registry import terms_of
@@ -116,7 +116,8 @@ def _of_terms(
     shared: dict[tuple[str, int], Term] = {}
     for term, settings in terms_of(section):
         for side in range(2):
-            for k, spread in enumerate(term.spreads(settings, scan.motion(side))):
+            spreads = keyed_spreads(term, settings, scan.motion(side))
+            for k, (spread, _) in enumerate(spreads):
                 factor = _of_side(side, _factor(slopes[side][spread.place], spread))
                 if spread.draws in ("each", "side"):
                     found.append(Term(term.name, factor, spread.length))
