@@ -11,7 +11,7 @@ from drawn_arms import deviations
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Instant, PosePairs, to_seven
 from twinct.robots.cell import CellModel, chains_of
-from twinct.scan.encoder_model import seen_from
+from twinct.scan.encoder_model import relative_to_specimen
 from twinct.scenario import ArmErrors, Uncertainty
 from twinct.uncertainty import TrueCell
 
@@ -137,7 +137,7 @@ def test_a_patient_nods_and_jerks_and_is_followed() -> None:
     # After a whole period it is back, but for the jerk.
     assert at_s[8.0].distance_mm(STANDS) == pytest.approx(1.0, rel=1e-6)
     moved = at_s[4.0]
-    (seen, _) = seen_from(STANDS, (moved,), PosePairs((source,), (panel,)))[0]
+    (seen, _) = relative_to_specimen(STANDS, (moved,), PosePairs((source,), (panel,)))[0]
     point = np.array([10.0, 20.0, 30.0])  # of the specimen
     as_it_was, as_it_is = (
         seen.inverse().apply(STANDS.apply(point)),

@@ -128,7 +128,7 @@ def _read(path: Path, whole: bytes | None) -> None:
     found = everything(load_scan(path))
     store = ScanStore(path / "scan.zarr")
     for view in range(store.views):
-        for name in store.kept:
+        for name in store.stored_frames:
             if not np.isfinite(store.frame(name, view)).all():
                 raise AssertionError("a grey value that is not finite was accepted")
     if whole is not None and found != whole:

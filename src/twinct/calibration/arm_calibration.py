@@ -18,7 +18,7 @@ from twinct.calibration import (
     frames_of,
     require_same_arms,
 )
-from twinct.calibration.scan_calibration import balls_of, keep, refuse_own
+from twinct.calibration.scan_calibration import balls_of, refuse_own, store_geometries
 from twinct.core.error_terms import CONSTANT, Spread, ToolMotion
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
@@ -208,4 +208,4 @@ def _add(arms: CalibratedArms, name: str, where: list[tuple[Folder, Scan]]) -> N
         poses = arms.poses(encoders_of(scan.scenario, scan.joints))
         made_by = {**arms.made_by, "executed": poses_digest(scan.executed)}
         found.append(NamedGeometry(name, poses, made_by))
-    keep(found, where)
+    store_geometries(found, where)

@@ -63,14 +63,14 @@ def errors_of(builder: SimulationBuilder, draws: int = 1000) -> Propagation:
         scenario.uncertainty,
         nominal_scan(builder),
         scenario.detector.panel,
-        seen_points(builder),
+        visible_points(builder),
         draws=draws,
         seed=scenario.seed,
         arms_seed=scenario.arms_seed,
     )
 
 
-def seen_points(builder: SimulationBuilder) -> Floats:
+def visible_points(builder: SimulationBuilder) -> Floats:
     """Return the isocentre and the points of a lattice that every view sees, (points, 3), mm."""
     scenario, views = builder.scenario, builder.commanded
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel

@@ -18,7 +18,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
-from twinct.scan.encoder_model import nominal_poses, seen_from
+from twinct.scan.encoder_model import nominal_poses, relative_to_specimen
 from twinct.scan.integrals import line_integrals
 from twinct.scan.named_geometries import OWN, RELATIVE, NamedGeometry, poses_digest
 from twinct.scenario import Scenario, Uncertainty
@@ -151,7 +151,7 @@ class Scan:
         """Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
         if not any(self.scenario.uncertainty.patient.sizes):
             return self.executed
-        return seen_from(self.stands, self.executed_object, self.executed)
+        return relative_to_specimen(self.stands, self.executed_object, self.executed)
 
     @property
     def middle_s(self) -> NDArray[np.float64]:
@@ -367,12 +367,12 @@ def reported(
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
     model = "nominal kinematics" if uncertainty.moves else "repeatability"
     model = "calibrated kinematics" if uncertainty.calibration else model
-    made_by = {"model": model, **_told_of(uncertainty), "seed": seed}
+    made_by = {"model": model, **_noise_settings(uncertainty), "seed": seed}
     made_by["executed"] = poses_digest(executed)
     return NamedGeometry(name, reported_poses(nominal, uncertainty, seed), made_by)
 
 
-def _told_of(uncertainty: Uncertainty) -> dict[str, Any]:
+def _noise_settings(uncertainty: Uncertainty) -> dict[str, Any]:
     """Return the settings behind the reported poses, without newer keys at their default."""
     data = uncertainty.model_dump(mode="json", exclude_defaults=True)
     for side in ("source", "detector"):

@@ -77,7 +77,7 @@ def encoders_of(scenario: Scenario, joints: Floats) -> Floats:
     return step * np.round(joints / step) if step else joints
 
 
-def seen_from(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:
+def relative_to_specimen(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:
     """Return source and panel poses relative to a moving specimen, as if it had stayed in place.
 
     Args:

@@ -341,7 +341,7 @@ class ScanStore:
         return self._read("transmission", view)
 
     @cached_property
-    def kept(self) -> tuple[str, ...]:
+    def stored_frames(self) -> tuple[str, ...]:
         """Names that ``frame`` accepts: the stored ones of ``raw``, ``flat`` and ``dark``."""
         return tuple(name for name in FRAMES if self._has(name))
 
@@ -351,8 +351,8 @@ class ScanStore:
         Raises:
             InputError: the scan does not store such images.
         """
-        if name not in self.kept:
-            there = ", ".join(self.kept) or "transmission only"
+        if name not in self.stored_frames:
+            there = ", ".join(self.stored_frames) or "transmission only"
             raise InputError(
                 f"{self.path} keeps {there} and no {quoted(name)} images; request them with "
                 "detector.keep"
@@ -370,7 +370,7 @@ class ScanStore:
         columns = columns_of(view)
         if self._format < 3:  # begun by an older twinct, which did not store them
             del columns["joint_velocity"], columns["joint_torque"]
-        kept = {name: getattr(view.frames, name) for name in self.kept}
+        kept = {name: getattr(view.frames, name) for name in self.stored_frames}
         images = {"transmission": view.transmission, **kept}
         for name, values in {**images, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):

@@ -72,7 +72,7 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     found: dict[StageName, str] = {}
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
-        told = _told(scenario, "", frozenset(), partial(_reads, scenario, name), content)
+        told = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
         text = json.dumps([name, stage.version, on, told, _seed(scenario, name)], sort_keys=True)
         found[name] = hashlib.sha256(text.encode()).hexdigest()
     return found
@@ -149,7 +149,7 @@ def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     return None
 
 
-def _told(
+def _read_keys(
     section: Section,
     key: str,
     readers: frozenset[str],
@@ -169,11 +169,11 @@ def _told(
         if name not in ("kind", "algorithm") and at_default:
             continue
         if sections := sections_in(value):
-            parts = [_told(item, inner, stages, reads, content) for item in sections]
+            parts = [_read_keys(item, inner, stages, reads, content) for item in sections]
             if reads(inner, stages) or any(parts):
                 data[name] = parts
         elif isinstance(value, Section):
-            part = _told(value, inner, stages, reads, content)
+            part = _read_keys(value, inner, stages, reads, content)
             if part or reads(inner, stages) and not isinstance(info.default, Section):
                 data[name] = part
         elif reads(inner, stages):

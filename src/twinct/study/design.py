@@ -269,7 +269,7 @@ def _choices(axis: Axis, folder: Path) -> Iterator[Trial]:
         pairs = list(zip(parts, values, strict=True))
         yield Trial(
             0,
-            {part.name: _told(value) for part, value in pairs},
+            {part.name: _table_value(value) for part, value in pairs},
             {key: _absolute(key, value, folder) for part, value in pairs for key in part.keys},
         )
 
@@ -295,7 +295,7 @@ def _values(axis: Axis) -> Iterable[Any]:
     return np.exp(rng.uniform(math.log(draw.low), math.log(draw.high), draw.number)).tolist()
 
 
-def _told(value: Any) -> Any:
+def _table_value(value: Any) -> Any:
     """Return a value as a table holds it: lists and sections as JSON, others unchanged."""
     return json.dumps(value) if isinstance(value, (list, dict)) else value
 

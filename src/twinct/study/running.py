@@ -26,7 +26,7 @@ from twinct.study.folder import StudyFolder
 from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
 from twinct.study.rows import Rows
-from twinct.study.search import Tried, asked, trial_of
+from twinct.study.search import Tried, next_values, trial_of
 from twinct.study.timings import TrialTimings
 from twinct.workers import LocalPool, Pool
 
@@ -214,7 +214,7 @@ def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[
         raise InputError(
             f"{place}the search has {number} trials, more than max_trials {study.max_trials}"
         )
-    return checker.checked(_repeated(design, asked(study.search, []), 0), audience)
+    return checker.checked(_repeated(design, next_values(study.search, []), 0), audience)
 
 
 def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> None:
@@ -227,7 +227,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
     known: dict[str, int] = {}
     assert search is not None
     while len(tried) < search.trials:
-        values = asked(search, tried)
+        values = next_values(search, tried)
         keys: dict[int, str] = {}
         trials: list[Checked] = []
         for trial in _repeated(design, values, len(tried)):

@@ -14,7 +14,7 @@ Tried = tuple[Mapping[str, Any], float | None]
 """Values by name, and their figure; None if the trial failed."""
 
 
-def asked(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
+def next_values(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
     """Return the next batch of values, by the dimensions' names; the last one may be smaller.
 
     The batch depends only on the search and the earlier trials: the sampler (Optuna's TPE) is

@@ -292,7 +292,7 @@ def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpeci
         return once(
             "specimen",
             digest,
-            lambda: cache.kept(
+            lambda: cache.stored(
                 "specimens",
                 digest,
                 lambda: _built(scenario),
@@ -324,7 +324,9 @@ def _plan(
     # The digest "plan" covers the paths only; their timing depends on speeds and exposures, too.
     digest = stage_digests(scenario)["executed"]
     with seconds.stage("plan"):
-        return once("plan", digest, lambda: cache.kept("plans", digest, make, save_plan, load_plan))
+        return once(
+            "plan", digest, lambda: cache.stored("plans", digest, make, save_plan, load_plan)
+        )
 
 
 def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:

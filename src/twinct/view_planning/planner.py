@@ -145,7 +145,7 @@ def plan_views(
         plan = ViewPlan(
             found, figures, len(all_views), len(within), scan_s, clearance, seen, errors
         )
-        write_json(out / RESULT, _told(plan, choice))
+        write_json(out / RESULT, _plan_data(plan, choice))
         centre = np.asarray(orbit_of(scenario).isocentre_mm)
         draw_view_plan(
             out / PICTURE,
@@ -171,7 +171,7 @@ class _Choice:
         goals: goals of the search.
         figures: figures of each goal, as in ``ViewPlan``.
         worth: worth of the best choice after each step of the search.
-        told: further entries of plan.json.
+        extras: further entries of plan.json.
         section: the trajectory of the views; None: they are written to a file.
         mas: mAs of each view, (views,); None: the source's.
     """
@@ -180,7 +180,7 @@ class _Choice:
     goals: Sequence[Goal]
     figures: dict[str, dict[str, float | None]]
     worth: Sequence[float]
-    told: Mapping[str, Any]
+    extras: Mapping[str, Any]
     section: OrbitSettings | None = None
     mas: Floats | None = None
 
@@ -292,7 +292,7 @@ def _driven(
     return plan.duration_s, float(plan.clearance_mm.min())
 
 
-def _told(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
+def _plan_data(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
     """Return the content of plan.json."""
     seen = plan.scouted
     return {
@@ -306,7 +306,7 @@ def _told(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
         },
         "candidates": plan.candidates,
         "reachable": plan.reachable,
-        **choice.told,
+        **choice.extras,
         "worth": list(choice.worth),
         "goals": {
             goal.name: plan.figures[goal.name]

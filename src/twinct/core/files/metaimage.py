@@ -139,7 +139,7 @@ def metaimage_header(
     """
     file_bytes(path, where, kind=kind)
     with open_regular(path, where, kind) as stream:
-        fields, end = _told(stream, where, kind)
+        fields, end = _read_fields(stream, where, kind)
     if fields.get("ObjectType", "Image") != "Image" or fields.get("ObjectSubType"):
         raise kind(f"{where} holds no image (ObjectType {quoted(fields.get('ObjectType'))})")
     axes = _required(fields, "NDims", where, kind)
@@ -165,7 +165,9 @@ def metaimage_header(
     return MetaImageHeader(fields, shape, dtype, packed_bytes, path.with_name(name), 0, where)
 
 
-def _told(stream: BinaryIO, where: str, kind: type[InputError]) -> tuple[dict[str, str], int]:
+def _read_fields(
+    stream: BinaryIO, where: str, kind: type[InputError]
+) -> tuple[dict[str, str], int]:
     """Return the values by key, and the position after the last line of the header."""
     block, fields, end = stream.read(LONGEST_HEADER), dict[str, str](), 0
     while LAST_KEY not in fields:
