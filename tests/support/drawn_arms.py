@@ -35,7 +35,8 @@ def deviations(
 ) -> Deviations:
     """Draw the arms of scans with a seed."""
     tool = DrawnTool(terms_of(section), side, chain, seed, draws)
-    shifts = tool.shifts(still(chain, side, np.zeros((1, len(chain)))), lambda *_: None)
+    rest = still(chain, side, np.zeros((1, len(chain))))
+    shifts, _ = tool.deviations(rest, lambda *_: None)
     links = [shift.links[:, 0] for shift in shifts if shift.links is not None]
     tools = [shift.tool[:, 0] for shift in shifts if shift.tool is not None]
     own = ConstantDraws(seed, side, draws)
@@ -51,6 +52,6 @@ def deviations(
 def true_tools(section: Uncertainty, chain: Chain, seed: int, side: str, joints: Floats) -> Floats:
     """Tools of the first of these arms, at rest, without repeatability, (views, 4, 4)."""
     tool = DrawnTool(terms_of(section), side, chain, seed)
-    moved = tool.moved(still(chain, side, joints), lambda *_: None)
+    moved, _ = tool.executed(still(chain, side, joints), lambda *_: None)
     assert moved is not None
     return moved[0]

@@ -90,10 +90,10 @@ def draw(
             here = known = motion.poses[None]
             if scan.chains:
                 known = _encoded(section, scan, side, part, encoders, draws, tool_model)
-            if (moved := tools[side].moved(motion, partial(of_views, part))) is not None:
-                here = moved
-            for twists in tools[side].pose_twists(motion, partial(of_views, part)):
-                here = here @ exp_matrices(twists)
+            moved, twists = tools[side].executed(motion, partial(of_views, part))
+            here = here if moved is None else moved
+            for twist in twists:
+                here = here @ exp_matrices(twist)
             noise = reported[side][:, part].astype(float)
             known = known @ exp_matrices(np.concatenate([0 * noise[..., 3:], noise[..., 3:]], -1))
             known[..., :3, 3] += noise[..., :3]

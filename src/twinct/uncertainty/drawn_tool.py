@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -48,57 +48,59 @@ class DrawnTool:
 
     def __init__(
         self,
-        terms: Sequence[tuple[ErrorTerm, Any]],
+        terms: Iterable[tuple[ErrorTerm, Any]],
         side: str,
         chain: Chain | None,
         arms_seed: int,
         draws: int = 1,
     ) -> None:
         """Draw the errors that are constant over a scan."""
-        self._terms, self._seed, self._draws = list(terms), arms_seed, draws
+        self._seed, self._draws = arms_seed, draws
         self._constant: dict[str, Floats] = {}
         own = ConstantDraws(arms_seed, side, draws)
-        self._shifts: list[tuple[ErrorTerm, Any, ArmShift | None]] = [
+        self._terms: list[tuple[ErrorTerm, Any, ArmShift | None]] = [
             (term, settings, term.drawn and term.drawn(settings, chain, own))
-            for term, settings in self._terms
+            for term, settings in terms
             if term.drawn is None or chain is not None
         ]
 
-    def shifts(self, motion: ToolMotion, of_views: ViewDraws) -> list[Shift]:
-        """Return the deviations of the arm at some views."""
-        found: list[Shift] = []
-        for term, settings, drawn in self._shifts:
+    def deviations(
+        self, motion: ToolMotion, of_views: ViewDraws
+    ) -> tuple[list[Shift], list[Floats]]:
+        """Return deviations of the arm at some views, and twists (v, w) of the executed poses.
+
+        The twists are in the tool's axes, (draws, views, 6), mm and rad.
+        """
+        shifts: list[Shift] = []
+        twists: list[Floats] = []
+        for term, settings, drawn in self._terms:
             if drawn is not None:
-                found.append(drawn(motion, of_views))
+                shifts.append(drawn(motion, of_views))
                 continue
             for spread, purpose in keyed_spreads(term, settings, motion):
-                if spread.place == "pose":
+                value = self._drawn(spread, purpose, motion, of_views)
+                if value is None:
                     continue
-                if (value := self._drawn(spread, purpose, motion, of_views)) is not None:
-                    own: Any = {spread.place: (value,) if spread.place == "joints" else value}
-                    found.append(Shift(**own))
-        return found
-
-    def moved(self, motion: ToolMotion, of_views: ViewDraws) -> Floats | None:
-        """Return ``world_from_tool`` of the deviating arm, (draws or 1, views, 4, 4), mm.
-
-        Errors of poses are not in it. None: there is no arm, or it does not deviate.
-        """
-        if motion.chain is None:
-            return None
-        shifts = self.shifts(motion, of_views)
-        if not any(_given(part) for shift in shifts for part in shift):
-            return None
-        return shifted_tools(motion.chain, motion.joints, shifts)
-
-    def pose_twists(self, motion: ToolMotion, of_views: ViewDraws) -> Iterator[Floats]:
-        """Yield the twists of executed poses in the tool's axes, (draws, views, 6), mm and rad."""
-        for term, settings in self._terms:
-            for spread, purpose in keyed_spreads(term, settings, motion):
                 if spread.place == "pose":
-                    value = self._drawn(spread, purpose, motion, of_views)
-                    if value is not None:
-                        yield value
+                    twists.append(value)
+                else:
+                    own: Any = {spread.place: (value,) if spread.place == "joints" else value}
+                    shifts.append(Shift(**own))
+        return shifts, twists
+
+    def executed(
+        self, motion: ToolMotion, of_views: ViewDraws
+    ) -> tuple[Floats | None, list[Floats]]:
+        """Return ``world_from_tool`` of the deviating arm, and the twists of its executed poses.
+
+        The twists are not in the poses, (draws or 1, views, 4, 4), mm. They are None without an
+        arm, or if it does not deviate.
+        """
+        shifts, twists = self.deviations(motion, of_views)
+        deviates = any(_given(part) for shift in shifts for part in shift)
+        if motion.chain is None or not deviates:
+            return None, twists
+        return shifted_tools(motion.chain, motion.joints, shifts), twists
 
     def _drawn(
         self, spread: Spread, purpose: str, motion: ToolMotion, of_views: ViewDraws

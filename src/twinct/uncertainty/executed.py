@@ -72,10 +72,11 @@ class TrueCell:
             if joints is None or speeds is None:
                 chain, joints, speeds = None, np.zeros(0), np.zeros(0)
             motion = ToolMotion(SIDES[k], here, times, chain, joints[None, own], speeds[None, own])
-            if (moved := tool.moved(motion, of_views)) is not None:
+            moved, twists = tool.executed(motion, of_views)
+            if moved is not None:
                 matrix = moved[0, 0]
                 at = to_seven(Pose.from_matrix(matrix[:3, 3], matrix[:3, :3]))
-            for twist in tool.pose_twists(motion, of_views):
+            for twist in twists:
                 at = to_seven(from_seven(at) @ Pose.exp(twist[0, 0]))
             poses[k] = at
         stands = nominal.object_m

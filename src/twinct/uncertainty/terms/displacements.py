@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 
-from twinct.core.error_terms import ErrorTerm, Place, Spread, ToolMotion
-from twinct.geometry import Floats
+from twinct.core.error_terms import (
+    ArmShift,
+    ErrorTerm,
+    Place,
+    ScanDraws,
+    Shift,
+    Spread,
+    ToolMotion,
+)
+from twinct.geometry import Chain, Floats
 from twinct.scenario import ArmErrors
 
 
@@ -16,29 +25,37 @@ def twist_sigmas(mm: float, deg: float) -> Floats:
     return np.array([mm] * 3 + [np.radians(deg)] * 3)
 
 
-def _term(name: str, place: Place, sigma: Callable[[ArmErrors], Floats]) -> ErrorTerm:
+def _term(name: str, sigmas: Callable[[ArmErrors], dict[Place, Floats]]) -> ErrorTerm:
     def spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
         if motion.chain is not None:
-            yield Spread(place, sigma(section))
+            for place, sigma in sigmas(section).items():
+                yield Spread(place, sigma)
 
-    return ErrorTerm(name, ArmErrors, spreads, section="arms")
+    def drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
+        """Draw once what the spreads say, as it stays the same at all views."""
+        parts: Any = {}
+        for place, sigma in sigmas(section).items():
+            shape = (len(chain), 6) if place == "links" else (6,)
+            normals = draws.rng(f"{name} {place}").normal(size=(draws.count, *shape))
+            parts[place] = sigma * normals[:, None]
+        shift = Shift(**parts)
+        return lambda motion, of_views: shift
+
+    return ErrorTerm(name, ArmErrors, spreads, section="arms", drawn=drawn)
 
 
-def _aged(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
-    if motion.chain is not None:
-        aged = twist_sigmas(section.ageing_mm, section.ageing_deg) * np.sqrt(section.age_months)
-        yield Spread("base", aged)
-        yield Spread("tool", aged)
+def _aged(section: ArmErrors) -> dict[Place, Floats]:
+    aged = twist_sigmas(section.ageing_mm, section.ageing_deg) * np.sqrt(section.age_months)
+    return {"base": aged, "tool": aged}
 
 
 JOINT_OFFSET = _term(
     "joint offset",
-    "links",
-    lambda arms: twist_sigmas(0, arms.joint_offset_deg) * (0, 0, 0, 0, 0, 1),
+    lambda arms: {"links": twist_sigmas(0, arms.joint_offset_deg) * (0, 0, 0, 0, 0, 1)},
 )
 LINK = _term(
-    "link", "links", lambda arms: twist_sigmas(arms.link_mm, arms.link_deg) * (1, 1, 1, 1, 1, 0)
+    "link", lambda arms: {"links": twist_sigmas(arms.link_mm, arms.link_deg) * (1, 1, 1, 1, 1, 0)}
 )
-BASE = _term("base", "base", lambda arms: twist_sigmas(arms.base_mm, arms.base_deg))
-TOOL = _term("tool", "tool", lambda arms: twist_sigmas(arms.tool_mm, arms.tool_deg))
-AGEING = ErrorTerm("ageing", ArmErrors, _aged, section="arms")
+BASE = _term("base", lambda arms: {"base": twist_sigmas(arms.base_mm, arms.base_deg)})
+TOOL = _term("tool", lambda arms: {"tool": twist_sigmas(arms.tool_mm, arms.tool_deg)})
+AGEING = _term("ageing", _aged)
