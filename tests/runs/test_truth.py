@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from twinct import run
-from twinct.core.kept import forget, once
+from twinct.core.cached import forget, once
 from twinct.recon.volume import Volume
 from twinct.runs import reconstruct_run, rewrite_report
 from twinct.scenario import Scenario

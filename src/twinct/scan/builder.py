@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from twinct.core.cached import once
 from twinct.core.errors import InputError
-from twinct.core.kept import once
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
 from twinct.geometry.wire import PosePairs, Target, targets_of

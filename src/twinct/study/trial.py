@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from twinct.core.cached import once
 from twinct.core.errors import DamagedError, TwinctError
-from twinct.core.kept import once
 from twinct.evaluation import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
