@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from twinct.core.arm_files import ArmFile
 from twinct.core.settings import FILE_KEYS, is_file
 from twinct.scenario import Scenario, Source, load_scenario, parse_scenario, stage_digests
+from twinct.scenario.cell import ARMS
 from twinct.scenario.digests import STAGES, declared, readers
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
@@ -218,6 +220,17 @@ def test_keys_of_files_have_the_names_by_which_paths_are_made_absolute() -> None
                 yield from names(section)
 
     assert set(names(Scenario)) == set(FILE_KEYS)
+
+
+def test_the_file_of_an_arm_of_another_package_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "arm.xml"
+    monkeypatch.setitem(ARMS, "mine", ArmFile("mine", file))
+    file.write_text("1")
+    one = digests("cell.source_arm.model=mine")
+    file.write_text("2")
+    assert changed(digests("cell.source_arm.model=mine"), one) == PLANNED
 
 
 def test_calibrated_arms_count_by_their_content(tmp_path: Path) -> None:

@@ -58,6 +58,14 @@ class ReadBy:
         self.stages = frozenset(stages)
 
 
+class FileOf:
+    """Mark on a key: the file that a value stands for, if any, whose content counts, too."""
+
+    def __init__(self, find: Callable[[Any], Path | None]) -> None:
+        """Store the function from a value to its file."""
+        self.find = find
+
+
 def read_by(info: FieldInfo) -> frozenset[str]:
     """Return the stages that a key itself declares as its readers."""
     return frozenset[str]().union(*(m.stages for m in info.metadata if isinstance(m, ReadBy)))

@@ -16,6 +16,7 @@ from twinct.core.settings import (
     Conflict,
     ConflictError,
     Coordinate,
+    FileOf,
     Finite,
     Length,
     Lengths,
@@ -37,6 +38,12 @@ from twinct.scenario.room_objects import (
 
 ARMS = offers("twinct.arms", ArmFile, BUILT_IN)
 """Arms by name, the built-in ones first."""
+
+
+def _offered_file(model: str | None) -> Path | None:
+    """Return the file of an arm of another package."""
+    offered = None if model is None or model in BUILT_IN else ARMS.get(model)
+    return offered and offered.file
 
 
 _OF_FILE = ("base", "flange", "link_density_kg_m3")
@@ -80,7 +87,7 @@ class Rail(Section):
 class Arm(Section):
     """One arm and its tool."""
 
-    model: Annotated[str | None, ReadBy("plan")] = Field(
+    model: Annotated[str | None, ReadBy("plan"), FileOf(_offered_file)] = Field(
         default="ur10e",
         description=f"Model of the arm: {', '.join(ARMS)}, or menagerie:NAME.",
         json_schema_extra=facts(source="manufacturers' data sheets: docs/arms.md")

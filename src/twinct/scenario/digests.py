@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from twinct.core.errors import ScenarioError
-from twinct.core.settings import Section, is_file, read_by
+from twinct.core.settings import FileOf, Section, is_file, read_by
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
@@ -179,6 +179,9 @@ def _read_keys(
         elif reads(inner, stages):
             file = is_file(info) and value is not None
             data[name] = content(Path(str(value)), name) if file else to_jsonable_python(value)
+            for mark in info.metadata:
+                if isinstance(mark, FileOf) and (behind := mark.find(value)) is not None:
+                    data[name] = [data[name], content(behind, "file")]
     return data
 
 
