@@ -162,14 +162,10 @@ def _is_reported(folder: Folder, there: Reconstruction) -> bool:
     return told.get("digest") == there.digest
 
 
-def _made(
-    scan: Scan, folder: Folder, which: str, called: tuple[str, str, str], audience: Audience
-) -> tuple[Reconstruction, Volume]:
-    scenario = scan.scenario
-    builder = SimulationBuilder(scenario, ScanStore(folder.scan).plan)
-    check_corrections(scenario)
-    require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
-    truth = truth_of(scan, builder, audience, file=folder.truth)
+def timed_volume(
+    scan: Scan, folder: Folder, which: str, audience: Audience
+) -> tuple[Volume, tuple[float, ...], float]:
+    """Return the volume of a geometry, the residual after each iteration, and the seconds."""
     residuals: list[float] = []
     start = time.perf_counter()
     volume = reconstruct(
@@ -179,7 +175,18 @@ def _made(
         watch=lambda _, residual: residuals.append(residual),
         observers=audience,
     )
-    seconds = time.perf_counter() - start
+    return volume, tuple(residuals), time.perf_counter() - start
+
+
+def _made(
+    scan: Scan, folder: Folder, which: str, called: tuple[str, str, str], audience: Audience
+) -> tuple[Reconstruction, Volume]:
+    scenario = scan.scenario
+    builder = SimulationBuilder(scenario, ScanStore(folder.scan).plan)
+    check_corrections(scenario)
+    require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
+    truth = truth_of(scan, builder, audience, file=folder.truth)
+    volume, residuals, seconds = timed_volume(scan, folder, which, audience)
     grid = scenario.reconstruction.volume_grid
     name, digest, of_geometry = called
     found = Reconstruction(
@@ -190,7 +197,7 @@ def _made(
         in_words=scenario.reconstruction.in_words,
         settings=scenario.reconstruction.model_dump(mode="json"),
         figures=judge(scan, volume, truth, builder.specimen),
-        residuals=tuple(residuals),
+        residuals=residuals,
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
         path=folder.reconstructions / name,
