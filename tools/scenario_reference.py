@@ -59,9 +59,9 @@ made from them.
 
 EXTENSIONS = """## Extensions of your own
 
-A package of yours can add algorithms, trajectories, objectives of a plan, figures, X-ray engines
-and export formats. It names them as entry points. Where it is installed (`pip install .` in its
-folder), the command line, the ROS 2 nodes and Python know them alike:
+A package of yours can add algorithms, trajectories, objectives of a plan, figures, error terms,
+X-ray engines and export formats. It names them as entry points. Where it is installed
+(`pip install .` in its folder), the command line, the ROS 2 nodes and Python know them alike:
 
 ```toml
 [project.entry-points."twinct.algorithms"]
@@ -74,6 +74,8 @@ level = "my_package.level:LEVEL"
 tails = "my_package.tails:TAILS"
 [project.entry-points."twinct.xray_engines"]
 analytic = "my_package.analytic:ANALYTIC"
+[project.entry-points."twinct.errors"]
+sag = "my_package.sag:SAG"
 [project.entry-points."twinct.exports"]
 mine = "my_package.mine:MINE"
 ```

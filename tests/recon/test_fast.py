@@ -15,7 +15,7 @@ from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.denoise import SHARE_OF_PHOTONS, lower_variation, noise
 from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
-from twinct.report import with_found
+from twinct.report import with_results
 
 
 @pytest.fixture
@@ -200,4 +200,4 @@ def test_nothing_is_denoised_where_the_noise_is_unknown(plates, caplog):
     assert volume.extras["denoising"] == {"strength": 0.0, "from": None}
     assert "not denoised" in caplog.text
     np.testing.assert_array_equal(volume, fast(A, p, mask=pixels, denoising=0))
-    assert "not denoised, since the noise is unknown" in with_found("fast", volume.extras)
+    assert "not denoised, since the noise is unknown" in with_results("fast", volume.extras)

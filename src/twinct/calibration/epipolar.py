@@ -108,11 +108,11 @@ def epipolar_consistent(
     diagonal = float(np.hypot(*believed.panel.shape))
     residuals: list[float] = []
 
-    def look(pixels_across: int) -> tuple[SeenPlanes, int]:
+    def look(pixels_across: int) -> tuple[PlaneDerivatives, int]:
         factor = max(round(diagonal / pixels_across), 1)
         geometry = free.all(believed, change).binned(factor, factor)
         coarse, counts = binned(p, pixels, (factor, factor))
-        seen = SeenPlanes.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
+        seen = PlaneDerivatives.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
         residuals.append(seen.spread)
         return seen, factor
 
@@ -167,14 +167,14 @@ def tangents_of(believed: ScanGeometry, free: Freedom, change: Floats, factor: i
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPlanes:
+class PlaneDerivatives:
     """Derivatives of plane integrals in both views of each pair.
 
     Attributes:
         geometry: geometry of all views.
         pairs: pairs of views and their planes.
-        told: derivatives of plane integrals, (2, pairs, planes).
-        by_line: derivatives of ``told`` by the lines, (2, pairs, planes, 3).
+        values: derivatives of plane integrals, (2, pairs, planes).
+        by_line: derivatives of ``values`` by the lines, (2, pairs, planes, 3).
         cut: planes that cut both panels where pixels count, (pairs, planes).
         used: usable planes, (pairs, planes).
         complete: planes whose lines leave both panels beside the specimen, (pairs, planes).
@@ -182,14 +182,16 @@ class SeenPlanes:
 
     geometry: ScanGeometry
     pairs: PlanePairs
-    told: Floats
+    values: Floats
     by_line: Floats
     cut: NDArray[np.bool_]
     used: NDArray[np.bool_]
     complete: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals) -> SeenPlanes:
+    def of(
+        cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals
+    ) -> PlaneDerivatives:
         """Compare all pairs of views.
 
         Raises:
@@ -197,17 +199,17 @@ class SeenPlanes:
         """
         pairs = PlanePairs.of(geometry, middle)
         lines = pairs.lines(geometry)
-        told, by_line = np.zeros(lines.shape[:-1]), np.zeros(lines.shape)
-        left = np.zeros(told.shape)
+        values, by_line = np.zeros(lines.shape[:-1]), np.zeros(lines.shape)
+        left = np.zeros(values.shape)
         for view in range(len(geometry)):
             own = pairs.sides == view
-            told[own], by_line[own], left[own] = integrals.at(view, lines[own])
+            values[own], by_line[own], left[own] = integrals.at(view, lines[own])
         cut = np.asarray(np.isfinite(left).all(axis=0))
-        most = np.abs(told).max(axis=0)
+        most = np.abs(values).max(axis=0)
         usual = float(np.sqrt((most[cut] ** 2).mean())) if cut.any() else 0.0
         used = cut & (most > LEAST_TOLD * usual)
         complete = np.asarray(left.max(axis=0) < EMPTY)
-        seen = cls(geometry, pairs, told, by_line, cut, used, complete)
+        seen = cls(geometry, pairs, values, by_line, cut, used, complete)
         if len(problems := seen.problems()) == len(geometry):
             raise CalibrationError(
                 f"no view shares enough planes with others; view 0: {problems[0]}"
@@ -245,11 +247,11 @@ class SeenPlanes:
     @property
     def spread(self) -> float:
         """Spread of the differences between paired views."""
-        return _spread(self.told[0] - self.told[1], self.used)
+        return _spread(self.values[0] - self.values[1], self.used)
 
     def weights(self) -> Floats:
         """Return the weight of each plane's difference, (pairs, planes)."""
-        rest = self.told[0] - self.told[1]
+        rest = self.values[0] - self.values[1]
         weight = np.zeros(rest.shape)
         kinds = [self.used & self.complete, self.used & ~self.complete]
         if min(np.count_nonzero(kind) for kind in kinds) < LEAST_KIND:
@@ -273,7 +275,7 @@ class SeenPlanes:
         by_normal = np.einsum("spnk,spkx->spnx", self.by_line, axes(self.geometry)[sides])
         turned = -np.einsum("pnx,px->pn", by_normal[0] - by_normal[1], along)
         turned /= (along**2).sum(axis=1)[:, None]
-        rest = self.told[0] - self.told[1]
+        rest = self.values[0] - self.values[1]
         views, size = tangents.shape[:2]
         normal, right = np.zeros((views, size, views, size)), np.zeros((views, size))
         for pair, ends in enumerate(sides.T):

@@ -160,7 +160,7 @@ def kernels(name: str | None = None) -> Kernels:
         InputError: the engine does not exist, or ``vector`` was requested and does not compile.
     """
     let_idle_threads_sleep()
-    chosen = asked_for(name)
+    chosen = requested_engine(name)
     if chosen is None:
         return _best()
     try:
@@ -171,7 +171,7 @@ def kernels(name: str | None = None) -> Kernels:
         raise InputError(f"engine {chosen} does not compile here ({error}); use plain") from error
 
 
-def asked_for(name: str | None = None) -> str | None:
+def requested_engine(name: str | None = None) -> str | None:
     """Return the engine that the argument or the environment names; None leaves the choice open.
 
     Raises:

@@ -177,22 +177,22 @@ def fast(
             if ended and best.is_over(work.array):
                 break
             if listener(0, done, square, rays, work):
-                return Volume(interpolated(work.array, grid, A.grid), A.grid, best.told)
+                return Volume(interpolated(work.array, grid, A.grid), A.grid, best.extras)
             done += 1
         x = work.array
         del work  # frees the card
         if factor == 2:
             outside = _outside(A, level, x)
-    told: dict[str, Any] = best.told
+    extras: dict[str, Any] = best.extras
     if denoising is None:
         keys: dict[str, Any] = {"coarse_passes": coarse_passes, "levels": levels, "margin": margin}
-        keys |= {"passes": told.get("passes", passes), "first_relaxation": relaxation}
+        keys |= {"passes": extras.get("passes", passes), "first_relaxation": relaxation}
         denoising, source = _strength(A, p, pixels, x, keys)
-        told = told | {"denoising": {"strength": denoising, "from": source}}
+        extras = extras | {"denoising": {"strength": denoising, "from": source}}
     del best, level, outside
     if denoising:
         lower_variation(x, grid, A.kernels, denoising * float(grid.voxel.mean()), floor)
-    return Volume(x, A.grid, told)
+    return Volume(x, A.grid, extras)
 
 
 def _strength(
@@ -318,8 +318,8 @@ def _with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: flo
     try:
         check_grid(views, wide)
     except InputError as error:
-        told = f"with a margin of {margin:g} ({size.max():.0f} mm)"
-        raise InputError(f"{told}, {one}" for one in error.problems) from None
+        text = f"with a margin of {margin:g} ({size.max():.0f} mm)"
+        raise InputError(f"{text}, {one}" for one in error.problems) from None
     return wide
 
 

@@ -112,8 +112,8 @@ def sart(
             over = best.watches and update + 1 == len(views) and best.is_over(work.array)
             square, rays = residual_of(measured, estimate, counts) if listener.wanted else (0.0, 0)
             if over or listener(iteration, update, square, rays, work):
-                return Volume(work.array, A.grid, best.told)
-    return Volume(work.array, A.grid, best.told)
+                return Volume(work.array, A.grid, best.extras)
+    return Volume(work.array, A.grid, best.extras)
 
 
 SART = Algorithm(

@@ -102,7 +102,7 @@ class BestPass:
         return VOLUMES if self.watches else 0.0
 
     @property
-    def told(self) -> dict[str, int]:
+    def extras(self) -> dict[str, int]:
         """Extras of a volume: the number of passes, if monitored."""
         return {"passes": self.passes} if self.watches else {}
 

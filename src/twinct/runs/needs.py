@@ -78,7 +78,7 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
 
     views = SimulationBuilder(
         scenario
-    ).asked  # choices of the plan, such as an order, need no memory
+    ).requested  # choices of the plan, such as an order, need no memory
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
@@ -110,21 +110,21 @@ def require_memory(scenario: Scenario) -> None:
         MemoryShortageError: one sentence for each object that is too large, with its keys.
     """
     available, limit = available_bytes()
-    panel, views = scenario.detector.panel, len(SimulationBuilder(scenario).asked)
+    panel, views = scenario.detector.panel, len(SimulationBuilder(scenario).requested)
     pixels, grid = math.prod(panel.shape), scenario.reconstruction.volume_grid
     zoomed = scenario.reconstruction.zoom is not None
-    told = {
+    data = {
         f"specimen.parts.{i}.shape: part {quoted(part.label)}": _part_bytes(part.shape)
         for i, part in enumerate(scenario.specimen.parts)
     }
-    told |= {
+    data |= {
         f"detector.columns and detector.rows: images of {panel.columns} x {panel.rows} pixels": 16
         * pixels,
         f"trajectory: {views} views of {panel.columns} x {panel.rows} pixels": 8 * pixels * views,
         f"reconstruction.{'zoom' if zoomed else 'grid'}: {' x '.join(map(str, grid.shape_xyz))} "
         "voxels": 9 * math.prod(grid.shape),
     }
-    if short := {what: size for what, size in told.items() if size > available}:
+    if short := {what: size for what, size in data.items() if size > available}:
         raise MemoryShortageError(
             f"{what}: at least {size / 2**30:.3g} GiB of memory are needed, but only "
             f"{available / 2**30:.2f} GiB are available ({limit})"

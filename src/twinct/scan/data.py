@@ -15,9 +15,10 @@ from twinct.core.errors import InputError
 from twinct.core.extras import optional
 from twinct.core.files.pictures import show
 from twinct.core.foreign_text import quoted
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
-from twinct.scan.encoder_model import evidence_of, seen_from
+from twinct.scan.encoder_model import nominal_poses, relative_to_specimen
 from twinct.scan.integrals import line_integrals
 from twinct.scan.named_geometries import OWN, RELATIVE, NamedGeometry, poses_digest
 from twinct.scenario import Scenario, Uncertainty
@@ -126,18 +127,17 @@ class Scan:
     @cached_property
     def reported(self) -> NamedGeometry:
         """Believed poses, with their model and settings."""
-        return reported(self.scenario, self.joint_names, self.joints, self.executed, self.commanded)
+        return reported(self.scenario, self.joints, self.executed, self.commanded)
 
     @cached_property
-    def told(self) -> PosePairs:
+    def nominal(self) -> PosePairs:
         """Source and panel poses that the controllers compute from encoders and nominal model.
 
         Equal to ``executed`` if the controllers' model has no errors.
         """
-        found = evidence_of(
-            self.scenario, self.commanded, self.executed, self.joint_names, self.joints
-        )
-        return found.told
+        return nominal_poses(self.scenario, self.commanded, self.executed, self.joints)
+
+    told = old_attribute("told", "nominal")
 
     @property
     def stands(self) -> Pose:
@@ -151,7 +151,7 @@ class Scan:
         """Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
         if not any(self.scenario.uncertainty.patient.sizes):
             return self.executed
-        return seen_from(self.stands, self.executed_object, self.executed)
+        return relative_to_specimen(self.stands, self.executed_object, self.executed)
 
     @property
     def middle_s(self) -> NDArray[np.float64]:
@@ -357,26 +357,25 @@ def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:
 
 def reported(
     scenario: Scenario,
-    joint_names: tuple[str, ...],
     joints: NDArray[np.float64],
     executed: PosePairs,
     commanded: PosePairs,
     name: str = "believed",
 ) -> NamedGeometry:
     """Return the poses that the robots report, given the scenario's uncertainty."""
-    evidence = evidence_of(scenario, commanded, executed, joint_names, joints)
+    nominal = nominal_poses(scenario, commanded, executed, joints)
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
     model = "nominal kinematics" if uncertainty.moves else "repeatability"
     model = "calibrated kinematics" if uncertainty.calibration else model
-    made_by = {"model": model, **_told_of(uncertainty), "seed": seed}
+    made_by = {"model": model, **_noise_settings(uncertainty), "seed": seed}
     made_by["executed"] = poses_digest(executed)
-    return NamedGeometry(name, reported_poses(evidence, uncertainty, seed), made_by)
+    return NamedGeometry(name, reported_poses(nominal, uncertainty, seed), made_by)
 
 
-def _told_of(uncertainty: Uncertainty) -> dict[str, Any]:
+def _noise_settings(uncertainty: Uncertainty) -> dict[str, Any]:
     """Return the settings behind the reported poses, without newer keys at their default."""
-    told = uncertainty.model_dump(mode="json", exclude_defaults=True)
+    data = uncertainty.model_dump(mode="json", exclude_defaults=True)
     for side in ("source", "detector"):
         always = getattr(uncertainty, side).model_dump(include={"sigma_mm", "cutoff_mm"})
-        told[side] = always | told.get(side, {})
-    return told
+        data[side] = always | data.get(side, {})
+    return data

@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from twinct.core.errors import ScenarioError
-from twinct.core.settings import FILE_KEYS, Section, read_by
+from twinct.core.settings import FileOf, Section, is_file, read_by
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
@@ -45,12 +45,6 @@ STAGES: dict[StageName, _Stage] = {
     "believed": _Stage(1, on=("executed",)),
     "volume": _Stage(1, on=("images", "believed")),
 }
-
-COUNT_FOR_NONE = (
-    *("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset"),
-    *("task", "cell.objects.name", "cell.objects.colour"),
-)
-"""Keys and sections that affect neither scan nor truth nor volume."""
 
 OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
@@ -78,7 +72,7 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     found: dict[StageName, str] = {}
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
-        told = _told(scenario, "", frozenset(), partial(_reads, scenario, name), content)
+        told = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
         text = json.dumps([name, stage.version, on, told, _seed(scenario, name)], sort_keys=True)
         found[name] = hashlib.sha256(text.encode()).hexdigest()
     return found
@@ -155,7 +149,7 @@ def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     return None
 
 
-def _told(
+def _read_keys(
     section: Section,
     key: str,
     readers: frozenset[str],
@@ -166,7 +160,7 @@ def _told(
 
     The kind of a section is always included.
     """
-    told: dict[str, Any] = {}
+    data: dict[str, Any] = {}
     for name, info in type(section).model_fields.items():
         value = getattr(section, name)
         inner, stages = f"{key}.{name}" if key else name, readers | read_by(info)
@@ -175,17 +169,20 @@ def _told(
         if name not in ("kind", "algorithm") and at_default:
             continue
         if sections := sections_in(value):
-            parts = [_told(item, inner, stages, reads, content) for item in sections]
+            parts = [_read_keys(item, inner, stages, reads, content) for item in sections]
             if reads(inner, stages) or any(parts):
-                told[name] = parts
+                data[name] = parts
         elif isinstance(value, Section):
-            part = _told(value, inner, stages, reads, content)
+            part = _read_keys(value, inner, stages, reads, content)
             if part or reads(inner, stages) and not isinstance(info.default, Section):
-                told[name] = part
+                data[name] = part
         elif reads(inner, stages):
-            is_file = name in FILE_KEYS and value is not None
-            told[name] = content(Path(str(value)), name) if is_file else to_jsonable_python(value)
-    return told
+            file = is_file(info) and value is not None
+            data[name] = content(Path(str(value)), name) if file else to_jsonable_python(value)
+            for mark in info.metadata:
+                if isinstance(mark, FileOf) and (behind := mark.find(value)) is not None:
+                    data[name] = [data[name], content(behind, "file")]
+    return data
 
 
 def content_digest(path: Path, key: str) -> str:
