@@ -1,7 +1,9 @@
-"""Noise of line integrals, as far as the air beside the object tells of it.
+"""Noise of line integrals, from the number of photons or from the air beside the object.
 
-Air has a line integral of zero in every view: its scatter is noise, whatever the object. Photon
-statistics give the noise elsewhere: the variance of a line integral p is exp(p) times that of air.
+Of N photons in the free beam, a line integral of 0 has a variance of 1 / N. Where N is unknown, air
+shows it: its line integral is zero in every view, so that its scatter is noise, whatever the
+object. Photon statistics give the noise elsewhere: the variance of a line integral p is exp(p)
+times that of air.
 """
 
 from __future__ import annotations
@@ -76,11 +78,16 @@ def deviation_of(sizes: NDArray[Any]) -> float:
     return float(np.median(sizes)) / _MEDIAN_OF_NORMAL
 
 
-def noise_like(p: Singles, in_air: float) -> Singles:
-    """Draw noise of photon statistics, (views, rows, columns), the same in every call."""
+def noise_like(p: Singles, in_air: NDArray[np.float64]) -> Singles:
+    """Draw noise of photon statistics, (views, rows, columns), the same in every call.
+
+    Args:
+        p: line integrals, (views, rows, columns).
+        in_air: standard deviation of each view's line integrals in air, (views,).
+    """
     drawn = np.empty_like(p)
     for view, image in enumerate(p):
         rng = view_rng(0, "noise of line integrals", view)
-        drawn[view] = in_air * np.exp(np.clip(image, 0, DARKEST) / 2)
+        drawn[view] = in_air[view] * np.exp(np.clip(image, 0, DARKEST) / 2)
         drawn[view] *= rng.standard_normal(drawn.shape[1:], dtype=np.float32)
     return drawn

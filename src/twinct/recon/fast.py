@@ -12,7 +12,8 @@ see each voxel. If views outnumber the voxels along an axis, the relaxation ther
 level, in geometric steps, from its first value to that value times voxels along an axis over views.
 The remaining noise is reduced by total variation (``lower_variation``), as strong as the ``noise``
 of the volume's homogeneous parts requires. Where there are none, as in thin parts, the noise of the
-line integrals in air is propagated instead. Where there is no air either, nothing is denoised.
+line integrals is propagated instead, from the number of photons or from air. Where both are
+unknown, nothing is denoised.
 docs/reconstruction.md gives the reasons for these numbers.
 """
 
@@ -83,8 +84,8 @@ class Fast(AlgorithmSettings):
         default=None,
         description="Strength of the final total-variation denoising, in voxel edges times the "
         "unit of the volume; 0 turns it off. By default it follows from the noise of homogeneous "
-        "parts of the volume, or, if there are none, of air in the projections; if there is none "
-        "either, nothing is denoised, and the log says so.",
+        "parts of the volume, or, if there are none, from the photons of the scenario or of air in "
+        "the projections; if both are unknown, nothing is denoised, and the log says so.",
     )
     margin: float = Field(
         default=0.2,
@@ -109,6 +110,7 @@ def fast(
     margin: float = 0.2,
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
+    photons: ArrayLike | None = None,
     stop: StopName | None = None,
     callback: Callback | None = None,
 ) -> Volume:
@@ -130,6 +132,8 @@ def fast(
             axis.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
+        photons: photons of a pixel in the free beam, one number or one for each view, (views,);
+            without them, air in the projections shows the noise.
         stop: ``auto``: end with the last pass at full resolution that improves the volume; see
             ``BestPass``. As any pass may be the last, the relaxation falls anew in each of them.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
@@ -138,13 +142,14 @@ def fast(
     Returns:
         The volume. Its extras hold, with ``stop``, the number of ``passes`` at full resolution;
         without a given strength, ``denoising``: its ``strength``, and ``from``, the source of the
-        noise: ``volume``, ``air`` or None.
+        noise: ``volume``, ``photons``, ``air`` or None.
 
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
+    known = checks.photons(photons)
     passes = checks.count("passes", passes)
     coarse_passes = checks.count("coarse_passes", coarse_passes)
     levels = checks.count("levels", levels)
@@ -182,7 +187,7 @@ def fast(
     if denoising is None:
         keys: dict[str, Any] = {"coarse_passes": coarse_passes, "levels": levels, "margin": margin}
         keys |= {"passes": told.get("passes", passes), "first_relaxation": relaxation}
-        denoising, source = _strength(A, p, pixels, x, keys)
+        denoising, source = _strength(A, p, pixels, x, known, keys)
         told = told | {"denoising": {"strength": denoising, "from": source}}
     del best, level, outside
     if denoising:
@@ -191,7 +196,12 @@ def fast(
 
 
 def _strength(
-    A: Projector, p: NDArray[Any], pixels: Mask | None, x: Singles, keys: dict[str, Any]
+    A: Projector,
+    p: NDArray[Any],
+    pixels: Mask | None,
+    x: Singles,
+    photons: NDArray[np.float64] | None,
+    keys: dict[str, Any],
 ) -> tuple[float, str | None]:
     """Return the strength of the denoising, and the source of the noise: None if it is unknown."""
     from twinct.recon.air import air_noise  # only here: scenarios need the settings alone
@@ -199,23 +209,33 @@ def _strength(
     if (deviation := noise(x)) is not None:
         log.info("noise of %.3g in homogeneous parts of the volume", deviation)
         return SHARE * deviation, "volume"
-    if (in_air := air_noise(p, pixels)) is not None:
-        deviation = _propagated(A, p, pixels, in_air, keys)
-        log.info(
-            "noise of %.3g in the volume, from that of %.3g of line integrals in air",
-            deviation,
-            in_air,
+    if photons is not None:
+        in_air, source = photons**-0.5, "photons"
+    elif (found := air_noise(p, pixels)) is not None:
+        in_air, source = np.full(len(A), found), "air"
+    else:
+        log.warning(
+            "the volume was not denoised: it has no homogeneous parts, the number of photons is "
+            "unknown and the projections show no air, so its noise is unknown; state the strength "
+            "(reconstruction.denoising)"
         )
-        return SHARE_OF_PHOTONS * deviation, "air"
-    log.warning(
-        "the volume was not denoised: it has no homogeneous parts, and the projections show no "
-        "air, so its noise is unknown; state the strength (reconstruction.denoising)"
+        return 0.0, None
+    deviation = _propagated(A, p, pixels, in_air, keys)
+    log.info(
+        "noise of %.3g in the volume, from that of %.3g of line integrals in the free beam (%s)",
+        deviation,
+        in_air.mean(),
+        source,
     )
-    return 0.0, None
+    return SHARE_OF_PHOTONS * deviation, source
 
 
 def _propagated(
-    A: Projector, p: NDArray[Any], pixels: Mask | None, in_air: float, keys: dict[str, Any]
+    A: Projector,
+    p: NDArray[Any],
+    pixels: Mask | None,
+    in_air: NDArray[np.float64],
+    keys: dict[str, Any],
 ) -> float:
     """Return the deviation that noise of the line integrals leaves in the volume.
 
@@ -235,7 +255,12 @@ def _propagated(
     mask = pixels if pixels is None or pixels.ndim == 2 else pixels[::factor]
     larger, mask = binned(p[::factor], mask, (factor, factor))
     drawn = fast(
-        small, noise_like(larger, in_air), denoising=0.0, nonnegative=False, mask=mask, **keys
+        small,
+        noise_like(larger, in_air[::factor]),
+        denoising=0.0,
+        nonnegative=False,
+        mask=mask,
+        **keys,
     ).array
     middle = drawn[tuple(slice(n // 8, n - n // 8) for n in drawn.shape)]
     return deviation_of(np.abs(middle)) * float(np.sqrt(factor))

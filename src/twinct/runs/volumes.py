@@ -44,7 +44,7 @@ from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, v
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
-from twinct.scan import Scan, line_integrals
+from twinct.scan import Scan
 from twinct.scenario import (
     SECTIONS,
     KnownImplants,
@@ -201,6 +201,7 @@ def _reconstruct(
             line_integrals=integrals,
             transmission=scan.transmission,
             exposures=scan.exposures_rel,
+            photons=scan.photons,
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
@@ -219,7 +220,7 @@ def _corrected(
 ) -> tuple[NDArray[np.float32], WithoutMetal | TakenOut | None]:
     """Return the line integrals as the scenario corrects them, and the metal that is put back."""
     scenario, section = scan.scenario, scan.scenario.reconstruction
-    integrals = line_integrals(scan.transmission)
+    integrals = scan.line_integrals()
     metal: WithoutMetal | TakenOut | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:

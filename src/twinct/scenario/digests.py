@@ -55,6 +55,9 @@ COUNT_FOR_NONE = (
 OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
 
+_SINCE_PHOTONS = 2
+"""Version of volumes from scans that state their noise: their photons count since then."""
+
 _BEFORE: dict[str, object] = {
     "motion.scheme": "reactive",
     "cell.source_arm.base_position_mm": (850.0, 0.0, 0.0),
@@ -79,7 +82,9 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
         told = _told(scenario, "", frozenset(), partial(_reads, scenario, name), content)
-        text = json.dumps([name, stage.version, on, told, _seed(scenario, name)], sort_keys=True)
+        text = json.dumps(
+            [name, _version(scenario, name), on, told, _seed(scenario, name)], sort_keys=True
+        )
         found[name] = hashlib.sha256(text.encode()).hexdigest()
     return found
 
@@ -132,6 +137,13 @@ def _reads(scenario: Scenario, stage: StageName, key: str, readers: frozenset[st
 
 def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
     return (stage, base) != ("volume", "believed") or base in scenario.reconstruction.geometries
+
+
+def _version(scenario: Scenario, stage: StageName) -> int:
+    """Return the version of a stage; it is the former one where the results are."""
+    if stage == "volume" and scenario.detector.noise is not None:
+        return _SINCE_PHOTONS
+    return STAGES[stage].version
 
 
 def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
