@@ -8,7 +8,8 @@ times that of air.
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -33,8 +34,47 @@ CLEAR = 0.02
 DARKEST = 8.0
 """Line integral up to which photon statistics are believed: beyond, other noise is larger."""
 
+LEAST = 1e-3
+"""Smallest noise of line integrals in air that counts, that of 1e6 photons."""
+
 _MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownNoise:
+    """Standard deviation of the line integrals in the free beam.
+
+    Attributes:
+        in_air: by view, (views,).
+        source: the number of photons, or air in the projections.
+    """
+
+    in_air: NDArray[np.float64]
+    source: Literal["photons", "air"]
+
+    @property
+    def photons(self) -> NDArray[np.float64]:
+        """Number of photons of a pixel that have this noise, (views,)."""
+        return self.in_air**-2.0
+
+
+def known_noise(
+    p: NDArray[Any], mask: Mask | None, photons: NDArray[np.float64] | None
+) -> KnownNoise | None:
+    """Return the noise of the photons, or without them of air; None if air shows none.
+
+    Args:
+        p: line integrals, (views, rows, columns).
+        mask: as in ``air_noise``.
+        photons: photons of a pixel in the free beam, (views,).
+    """
+    if photons is not None:
+        return KnownNoise(photons**-0.5, "photons")
+    found = air_noise(p, mask)
+    if found is None or found < LEAST:
+        return None
+    return KnownNoise(np.full(len(p), found), "air")
 
 
 def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:

@@ -31,8 +31,11 @@ SHARE = 0.85
 The noise is that of the volume (``noise``), with the streaks that any volume has.
 """
 
-SHARE_OF_PHOTONS = 0.5
-"""The same for the noise of the photons alone; from the zoo (benchmarks/zoo.py)."""
+SHARE_OF_PHOTONS, SHARE_IN_THIN_PARTS = 0.5, 0.2
+"""The same for the noise of the photons alone; from the zoo (benchmarks/zoo.py).
+
+The second is for volumes without homogeneous parts, of which smoothing takes more.
+"""
 
 FEWEST_BLOCKS = 40
 """Smallest number of blocks without a border from which the noise of a volume is taken."""

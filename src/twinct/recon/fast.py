@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,13 @@ from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
-from twinct.recon.denoise import SHARE, SHARE_OF_PHOTONS, lower_variation, noise
+from twinct.recon.denoise import (
+    SHARE,
+    SHARE_IN_THIN_PARTS,
+    SHARE_OF_PHOTONS,
+    lower_variation,
+    noise,
+)
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
@@ -44,10 +50,19 @@ from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
 
+if TYPE_CHECKING:
+    from twinct.recon.air import KnownNoise
+
 log = logging.getLogger(__name__)
 
 SMALL, FEWEST_VIEWS = 48, 24
 """Voxels along an axis, and views, of the smallest scan that stands for a larger one."""
+
+QUIET = 0.01
+"""Noise of line integrals, as a share of their range, from which more views are averaged."""
+
+MOST_VIEWS = 16
+"""Number of views from which the range is taken."""
 
 SMALLEST = 8
 """Smallest number of voxels and pixels along an axis of a coarser level."""
@@ -147,6 +162,8 @@ def fast(
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
+    from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
+
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     known = checks.photons(photons)
@@ -161,6 +178,8 @@ def fast(
     checks.done()
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
+    seen = known_noise(p, pixels, known)
+    power = _power(p, pixels, seen)
     factors = _factors(A.domain_shape, A.range_shape[1:], levels)
     numbers = [passes if factor == 1 else coarse_passes * factor // 2 for factor in factors]
     listener = Listener(callback, len(A) * sum(numbers))
@@ -170,7 +189,8 @@ def fast(
         level = _level(A, p, pixels, factor, margin, outside)
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
         grid = level.A.grid
-        last = relaxation * min(1.0, float(np.mean(x.shape)) / len(A))
+        fewer = min(1.0, float(np.mean(x.shape)) / len(A))
+        last = relaxation * float(fewer**power)
         falls = number if stop and factor == 1 else 1
         shares = np.tile(np.geomspace(relaxation, last, number * len(A) // falls), falls)
         views = np.tile(spread_order(len(A)), number)
@@ -187,7 +207,7 @@ def fast(
     if denoising is None:
         keys: dict[str, Any] = {"coarse_passes": coarse_passes, "levels": levels, "margin": margin}
         keys |= {"passes": told.get("passes", passes), "first_relaxation": relaxation}
-        denoising, source = _strength(A, p, pixels, x, known, keys)
+        denoising, source = _strength(A, p, pixels, x, seen, keys)
         told = told | {"denoising": {"strength": denoising, "from": source}}
     del best, level, outside
     if denoising:
@@ -195,47 +215,57 @@ def fast(
     return Volume(x, A.grid, told)
 
 
+def _power(p: NDArray[Any], pixels: Mask | None, seen: KnownNoise | None) -> float:
+    """Return the power of voxels along an axis over views by which the relaxation falls.
+
+    It is 1 where line integrals have less noise than ``QUIET`` of their range, and 2 from twice as
+    much on: each voxel then takes the mean of more views.
+    """
+    if seen is None:
+        return 1.0
+    from twinct.recon.air import DARKEST
+
+    views = range(0, len(p), -(-len(p) // MOST_VIEWS))
+    images = np.stack([masked_image(p, view, pixels)[::2, ::2] for view in views])
+    more = float(np.exp(np.clip(images, 0, DARKEST)).mean(dtype=np.float64))
+    noisy = float(seen.in_air.mean()) * np.sqrt(more) / max(float(np.percentile(images, 99)), 1e-6)
+    return 1.0 + float(np.clip(np.log2(noisy / QUIET), 0.0, 1.0))
+
+
 def _strength(
     A: Projector,
     p: NDArray[Any],
     pixels: Mask | None,
     x: Singles,
-    photons: NDArray[np.float64] | None,
+    seen: KnownNoise | None,
     keys: dict[str, Any],
 ) -> tuple[float, str | None]:
     """Return the strength of the denoising, and the source of the noise: None if it is unknown."""
-    from twinct.recon.air import air_noise  # only here: scenarios need the settings alone
-
-    if (deviation := noise(x)) is not None:
-        log.info("noise of %.3g in homogeneous parts of the volume", deviation)
-        return SHARE * deviation, "volume"
-    if photons is not None:
-        in_air, source = photons**-0.5, "photons"
-    elif (found := air_noise(p, pixels)) is not None:
-        in_air, source = np.full(len(A), found), "air"
-    else:
+    of_volume = noise(x)
+    if seen is None and of_volume is None:
         log.warning(
             "the volume was not denoised: it has no homogeneous parts, the number of photons is "
-            "unknown and the projections show no air, so its noise is unknown; state the strength "
+            "unknown and the projections show no noise in air; state the strength "
             "(reconstruction.denoising)"
         )
         return 0.0, None
-    deviation = _propagated(A, p, pixels, in_air, keys)
+    if seen is None:
+        assert of_volume is not None
+        log.info("noise of %.3g in homogeneous parts of the volume", of_volume)
+        return SHARE * of_volume, "volume"
+    deviation = _propagated(A, p, pixels, seen, keys)
     log.info(
         "noise of %.3g in the volume, from that of %.3g of line integrals in the free beam (%s)",
         deviation,
-        in_air.mean(),
-        source,
+        seen.in_air.mean(),
+        seen.source,
     )
-    return SHARE_OF_PHOTONS * deviation, source
+    share = SHARE_IN_THIN_PARTS if of_volume is None else SHARE_OF_PHOTONS
+    return share * deviation, seen.source
 
 
 def _propagated(
-    A: Projector,
-    p: NDArray[Any],
-    pixels: Mask | None,
-    in_air: NDArray[np.float64],
-    keys: dict[str, Any],
+    A: Projector, p: NDArray[Any], pixels: Mask | None, seen: KnownNoise, keys: dict[str, Any]
 ) -> float:
     """Return the deviation that noise of the line integrals leaves in the volume.
 
@@ -254,14 +284,9 @@ def _propagated(
     small = A[::factor].on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel), views)
     mask = pixels if pixels is None or pixels.ndim == 2 else pixels[::factor]
     larger, mask = binned(p[::factor], mask, (factor, factor))
-    drawn = fast(
-        small,
-        noise_like(larger, in_air[::factor]),
-        denoising=0.0,
-        nonnegative=False,
-        mask=mask,
-        **keys,
-    ).array
+    in_air = seen.in_air[::factor]
+    keys = keys | {"denoising": 0.0, "nonnegative": False, "photons": seen.photons[::factor]}
+    drawn = fast(small, noise_like(larger, in_air), mask=mask, **keys).array
     middle = drawn[tuple(slice(n // 8, n - n // 8) for n in drawn.shape)]
     return deviation_of(np.abs(middle)) * float(np.sqrt(factor))
 

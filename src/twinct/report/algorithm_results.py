@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-FOUND = ("implants", "passes", "metal_voxels", "metal_density_rel", "prior", "denoising")
+FOUND = (
+    "implants",
+    "passes",
+    "metal_voxels",
+    "metal_density_rel",
+    "prior",
+    "denoising",
+    "regularisation",
+)
 """Extras of a volume that ``metrics.json`` and the report list."""
 
 
@@ -29,4 +37,8 @@ def with_found(in_words: str, told: Mapping[str, Any]) -> str:
         )
     if (denoising := told.get("denoising")) and denoising["from"] is None:
         words.append("not denoised, since the noise is unknown")
+    if strength := told.get("regularisation"):
+        source = {"photons": "from the photons", "air": "from air in the projections"}
+        why = source.get(strength["from"], "since the noise is unknown")
+        words.append(f"regularisation {strength['strength']:.2g}, {why}")
     return f"{in_words}: {', '.join(words)}" if words else in_words
