@@ -9,11 +9,13 @@ describe them less well.
 
 An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several views
 see each voxel. If views outnumber the voxels along an axis, the relaxation therefore falls over a
-level, in geometric steps, from its first value to that value times voxels along an axis over views.
-The remaining noise is reduced by total variation (``lower_variation``), as strong as the ``noise``
-of the volume's homogeneous parts requires. Where there are none, as in thin parts, the noise of the
-line integrals is propagated instead, from the number of photons or from air. Where both are
-unknown, nothing is denoised.
+level, in geometric steps, from its first value to that value times voxels along an axis over views,
+or with much noise times the square of that. The remaining noise is reduced by total variation
+(``lower_variation``), as strong as the noise of the photons, or of air in the projections, requires
+after the same steps. Projections without noise leave streaks alone: the strength follows from the
+``noise`` of the volume's homogeneous parts. Where there are none, as in thin parts, nothing is
+denoised.
+
 docs/reconstruction.md gives the reasons for these numbers.
 """
 
@@ -98,9 +100,9 @@ class Fast(AlgorithmSettings):
     denoising: NonNegative | None = Field(
         default=None,
         description="Strength of the final total-variation denoising, in voxel edges times the "
-        "unit of the volume; 0 turns it off. By default it follows from the noise of homogeneous "
-        "parts of the volume, or, if there are none, from the photons of the scenario or of air in "
-        "the projections; if both are unknown, nothing is denoised, and the log says so.",
+        "unit of the volume; 0 turns it off. By default it follows from the noise of the "
+        "scenario's photons, or of air in the projections; without any, from that of homogeneous "
+        "parts of the volume; if there are none either, nothing is denoised, and the log says so.",
     )
     margin: float = Field(
         default=0.2,
