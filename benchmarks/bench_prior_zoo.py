@@ -124,7 +124,10 @@ class Judge:
         inner = ndimage.binary_erosion(np.abs(step) > 0.5 * np.abs(step).max(), iterations=2)
         self.core = inner & (now.truth <= 1.01 * now.mu)
         widths = [np.ptp(axis) + 5 if axis.size else 0 for axis in np.nonzero(self.core)]
-        self.wide, self.size = min(widths) >= WIDE, float(np.abs(step[inner]).mean(initial=0))
+        self.wide, self.size = (
+            min(widths) >= WIDE,
+            float(np.abs(step[inner]).sum() / max(inner.sum(), 1)),
+        )
 
     def contrast(self, volume):
         """Share of the change's contrast; None where it is not judged."""

@@ -12,7 +12,7 @@ from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
 from twinct.recon.air import air_noise, noise_like
 from twinct.recon.algorithms import BUILT_IN
-from twinct.recon.denoise import SHARE_OF_PHOTONS, lower_variation, noise
+from twinct.recon.denoise import SHARE_IN_THIN_PARTS, lower_variation, noise
 from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
 from twinct.report import with_found
@@ -171,7 +171,7 @@ def test_noise_of_air_is_found_and_propagated(plates):
     keys = {"denoising": 0, "nonnegative": False}
     left = fast(A, p, **keys).array - fast(A, clean, **keys).array
     deviation = left[5:35, 5:35, 5:35].std()
-    assert found["strength"] == pytest.approx(SHARE_OF_PHOTONS * deviation, rel=0.15)
+    assert found["strength"] == pytest.approx(SHARE_IN_THIN_PARTS * deviation, rel=0.15)
 
 
 def test_noise_of_a_large_scan_is_that_of_a_smaller_one(plates, monkeypatch):

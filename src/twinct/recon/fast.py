@@ -11,10 +11,10 @@ An update with a relaxation of 1 to 2 makes details in one pass, but also noise 
 see each voxel. If views outnumber the voxels along an axis, the relaxation therefore falls over a
 level, in geometric steps, from its first value to that value times voxels along an axis over views,
 or with much noise times the square of that. The remaining noise is reduced by total variation
-(``lower_variation``), as strong as the noise of the photons, or of air in the projections, requires
-after the same steps. Projections without noise leave streaks alone: the strength follows from the
-``noise`` of the volume's homogeneous parts. Where there are none, as in thin parts, nothing is
-denoised.
+(``lower_variation``), as strong as the ``noise`` of the volume's homogeneous parts requires, but no
+stronger than the noise of the photons, or of air in the projections, allows: what exceeds that
+after the same steps is texture. Where there are no such parts, as in thin ones, the noise of the
+photons or of air counts alone, and where it is unknown, too, nothing is denoised.
 
 docs/reconstruction.md gives the reasons for these numbers.
 """
@@ -22,7 +22,7 @@ docs/reconstruction.md gives the reasons for these numbers.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -35,9 +35,9 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.denoise import (
+    MOST_OF_PHOTONS,
     SHARE,
     SHARE_IN_THIN_PARTS,
-    SHARE_OF_PHOTONS,
     lower_variation,
     noise,
 )
@@ -100,9 +100,10 @@ class Fast(AlgorithmSettings):
     denoising: NonNegative | None = Field(
         default=None,
         description="Strength of the final total-variation denoising, in voxel edges times the "
-        "unit of the volume; 0 turns it off. By default it follows from the noise of the "
-        "scenario's photons, or of air in the projections; without any, from that of homogeneous "
-        "parts of the volume; if there are none either, nothing is denoised, and the log says so.",
+        "unit of the volume; 0 turns it off. By default it follows from the noise of homogeneous "
+        "parts of the volume, bounded by that of the scenario's photons or of air in the "
+        "projections, which counts alone if there are no such parts; if both are unknown, nothing "
+        "is denoised, and the log says so.",
     )
     margin: float = Field(
         default=0.2,
@@ -182,39 +183,67 @@ def fast(
     floor = 0.0 if nonnegative else LOWEST
     seen = known_noise(p, pixels, known)
     power = _power(p, pixels, seen)
-    factors = _factors(A.domain_shape, A.range_shape[1:], levels)
-    numbers = [passes if factor == 1 else coarse_passes * factor // 2 for factor in factors]
+    steps = _Steps(passes, coarse_passes, levels, relaxation, margin, floor, power)
+    x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
+    told: dict[str, Any] = best.told
+    if not whole:
+        return Volume(x, A.grid, told)
+    if denoising is None:
+        steps = replace(steps, passes=told.get("passes", passes))
+        denoising, source = _strength(A, p, pixels, x, seen, steps)
+        told = told | {"denoising": {"strength": denoising, "from": source}}
+    del best
+    if denoising:
+        lower_variation(x, A.grid, A.kernels, denoising * float(A.grid.voxel.mean()), floor)
+    return Volume(x, A.grid, told)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Checked settings of ``fast``, and the power of ``_power``."""
+
+    passes: int
+    coarse_passes: int
+    levels: int
+    relaxation: float
+    margin: float
+    floor: float
+    power: float
+
+
+def _from_coarse_to_fine(
+    A: Projector,
+    p: NDArray[Any],
+    pixels: Mask | None,
+    steps: _Steps,
+    best: BestPass,
+    callback: Callback | None = None,
+) -> tuple[Singles, bool]:
+    """Return the volume before it is denoised, and False if the callback stopped it."""
+    factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
+    numbers = [steps.passes if f == 1 else steps.coarse_passes * f // 2 for f in factors]
     listener = Listener(callback, len(A) * sum(numbers))
     done, x, grid = 0, np.zeros((2, 2, 2), np.float32), A.grid
     outside = level = None
     for factor, number in zip(factors, numbers, strict=True):
-        level = _level(A, p, pixels, factor, margin, outside)
+        level = _level(A, p, pixels, factor, steps.margin, outside)
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
         grid = level.A.grid
         fewer = min(1.0, float(np.mean(x.shape)) / len(A))
-        last = relaxation * float(fewer**power)
-        falls = number if stop and factor == 1 else 1
-        shares = np.tile(np.geomspace(relaxation, last, number * len(A) // falls), falls)
+        first, last = steps.relaxation, steps.relaxation * float(fewer**steps.power)
+        falls = number if best.watches and factor == 1 else 1
+        shares = np.tile(np.geomspace(first, last, number * len(A) // falls), falls)
         views = np.tile(spread_order(len(A)), number)
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
-            square, rays = level.update(x, int(view), float(share), floor, listener.wanted)
+            square, rays = level.update(x, int(view), float(share), steps.floor, listener.wanted)
             if factor == 1 and used % len(A) == 0 and best.is_over(x):
                 break
             if listener(0, done, square, rays, x):
-                return Volume(interpolated(x, grid, A.grid), A.grid, best.told)
+                return interpolated(x, grid, A.grid), False
             done += 1
         if factor == 2:
             outside = _outside(A, level, x)
-    told: dict[str, Any] = best.told
-    if denoising is None:
-        keys: dict[str, Any] = {"coarse_passes": coarse_passes, "levels": levels, "margin": margin}
-        keys |= {"passes": told.get("passes", passes), "first_relaxation": relaxation}
-        denoising, source = _strength(A, p, pixels, x, seen, keys)
-        told = told | {"denoising": {"strength": denoising, "from": source}}
-    del best, level, outside
-    if denoising:
-        lower_variation(x, grid, A.kernels, denoising * float(grid.voxel.mean()), floor)
-    return Volume(x, A.grid, told)
+    return x, True
 
 
 def _power(p: NDArray[Any], pixels: Mask | None, seen: KnownNoise | None) -> float:
@@ -240,7 +269,7 @@ def _strength(
     pixels: Mask | None,
     x: Singles,
     seen: KnownNoise | None,
-    keys: dict[str, Any],
+    steps: _Steps,
 ) -> tuple[float, str | None]:
     """Return the strength of the denoising, and the source of the noise: None if it is unknown."""
     of_volume = noise(x)
@@ -255,19 +284,23 @@ def _strength(
         assert of_volume is not None
         log.info("noise of %.3g in homogeneous parts of the volume", of_volume)
         return SHARE * of_volume, "volume"
-    deviation = _propagated(A, p, pixels, seen, keys)
+    deviation = _propagated(A, p, pixels, seen, steps)
     log.info(
         "noise of %.3g in the volume, from that of %.3g of line integrals in the free beam (%s)",
         deviation,
         seen.in_air.mean(),
         seen.source,
     )
-    share = SHARE_IN_THIN_PARTS if of_volume is None else SHARE_OF_PHOTONS
-    return share * deviation, seen.source
+    if of_volume is None:
+        return SHARE_IN_THIN_PARTS * deviation, seen.source
+    if SHARE * of_volume <= MOST_OF_PHOTONS * deviation:
+        return SHARE * of_volume, "volume"
+    log.info("homogeneous parts of the volume have more, %.3g, which is texture", of_volume)
+    return MOST_OF_PHOTONS * deviation, seen.source
 
 
 def _propagated(
-    A: Projector, p: NDArray[Any], pixels: Mask | None, seen: KnownNoise, keys: dict[str, Any]
+    A: Projector, p: NDArray[Any], pixels: Mask | None, seen: KnownNoise, steps: _Steps
 ) -> float:
     """Return the deviation that noise of the line integrals leaves in the volume.
 
@@ -286,9 +319,13 @@ def _propagated(
     small = A[::factor].on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel), views)
     mask = pixels if pixels is None or pixels.ndim == 2 else pixels[::factor]
     larger, mask = binned(p[::factor], mask, (factor, factor))
-    in_air = seen.in_air[::factor]
-    keys = keys | {"denoising": 0.0, "nonnegative": False, "photons": seen.photons[::factor]}
-    drawn = fast(small, noise_like(larger, in_air), mask=mask, **keys).array
+    drawn, _ = _from_coarse_to_fine(
+        small,
+        noise_like(larger, seen.in_air[::factor]),
+        mask,
+        replace(steps, floor=LOWEST),
+        BestPass(None),
+    )
     middle = drawn[tuple(slice(n // 8, n - n // 8) for n in drawn.shape)]
     return deviation_of(np.abs(middle)) * float(np.sqrt(factor))
 
