@@ -33,6 +33,8 @@ STRENGTHS = tuple(1e-4 * 3.0**k for k in range(-3, 4))
 ITERATIONS = 24
 MOVED_MM, TURNED_DEG = (0.6, -0.5, 0.62), (0.5, -0.6, 0.62)
 EARLIER_VIEWS = 120
+VOXELS = 48
+"""Voxels along an edge to which the views belong; smaller grids have fewer of them."""
 WIDE, SIGMAS = 10, 5.0
 
 
@@ -105,6 +107,7 @@ def drawn(change, seed, size):
     shapes = change.draw(np.random.default_rng([seed, *change.name.encode()]))
 
     def made(name, shapes, views, path):
+        views = round(views * size / VOXELS)
         case = Case(name, lambda rng: shapes, path, views, change.photons, main=change.main)
         return Made(case, seed, size)
 
@@ -186,7 +189,7 @@ def main():
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--cases", nargs="+", help="names of cases")
-    parser.add_argument("--size", type=int, default=32, help="voxels along an edge")
+    parser.add_argument("--size", type=int, default=48, help="voxels along an edge")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
     parser.add_argument("--again", action="store_true", help="the volumes with a prior anew")
     options = parser.parse_args()

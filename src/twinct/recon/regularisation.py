@@ -46,7 +46,7 @@ def strength_of_noise(A: Projector, p: NDArray[Any], seen: KnownNoise, mask: Mas
     inside = lengths > 0
     mean_length = float(lengths[inside].mean()) if inside.any() else float(A.grid.size_mm.mean())
     noise = math.sqrt(sum(variances) / len(variances))
-    return PER_NOISE * noise * _pitch(A) / (math.sqrt(len(A)) * mean_length)
+    return float(PER_NOISE * noise * _pitch(A) / (math.sqrt(len(A)) * mean_length))
 
 
 def _pitch(A: Projector) -> float:
