@@ -204,3 +204,12 @@ def test_every_key_is_read_by_a_stage_or_counts_for_none() -> None:
 def test_every_reader_that_a_key_declares_is_a_stage() -> None:
     named = {stage for _, stages in declared(Scenario) for stage in stages}
     assert named == set(STAGES)
+
+
+def test_volumes_of_scans_with_noise_have_another_version(monkeypatch) -> None:
+    """Photons count for them since the version was raised; others keep their digests."""
+    noisy = ["detector.noise={kind: snr, snr: 100}"]
+    plain, before = digests(), digests(*noisy)
+    monkeypatch.setattr("twinct.scenario.digests._SINCE_PHOTONS", 99)
+    assert digests() == plain
+    assert changed(before, digests(*noisy)) == {"volume"}

@@ -184,8 +184,7 @@ def _reconstruct(
         return metal.put_back(finished)
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
-    updates = algorithm.updates(section, len(scan))
-    name = f"{algorithm.name}, {which} geometry"
+    updates, name = algorithm.updates(section, len(scan)), f"{algorithm.name}, {which} geometry"
 
     def told(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
         watch(iteration, residual)

@@ -56,7 +56,7 @@ OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
 
 _SINCE_PHOTONS = 2
-"""Version of volumes from scans that state their noise: their photons count since then."""
+"""Version of volumes from scans with noise: its photons, or air, count since then."""
 
 _BEFORE: dict[str, object] = {
     "motion.scheme": "reactive",
@@ -141,18 +141,23 @@ def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
 
 def _version(scenario: Scenario, stage: StageName) -> int:
     """Return the version of a stage; it is the former one where the results are."""
-    if stage == "volume" and scenario.detector.noise is not None:
+    if stage == "volume" and (_has_noise(scenario) or scenario.specimen.unknown):
         return _SINCE_PHOTONS
     return STAGES[stage].version
+
+
+def _has_noise(scenario: Scenario) -> bool:
+    detector = scenario.detector
+    electronic = detector.readout is not None and detector.readout.electronic_noise > 0
+    return detector.noise is not None or electronic
 
 
 def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     """Return the seed that a stage draws from; None if it draws nothing."""
     detector, noise, section = scenario.detector, scenario.uncertainty, scenario.reconstruction
     if stage == "images":
-        electronic = detector.readout is not None and detector.readout.electronic_noise > 0
         bad_pixels = isinstance(detector.bad_pixels, RandomBadPixels)
-        return scenario.seed if detector.noise or electronic or bad_pixels else None
+        return scenario.seed if _has_noise(scenario) or bad_pixels else None
     if stage == "executed":
         return (scenario.arms_seed, scenario.seed) if noise.moves else None
     if stage == "believed":
