@@ -31,8 +31,17 @@ SHARE = 0.85
 The noise is that of the volume (``noise``), with the streaks that any volume has.
 """
 
-SHARE_OF_PHOTONS = 0.5
-"""The same for the noise of the photons alone; from the zoo (benchmarks/zoo.py)."""
+SHARE_IN_THIN_PARTS = 0.2
+"""The same for the noise of the photons alone, in volumes without homogeneous parts.
+
+From the zoo (benchmarks/zoo.py), where sheets of a quarter to two voxels are best with 0 to 0.3.
+"""
+
+MOST_OF_PHOTONS = 2.5
+"""Largest strength per noise of the photons: more is texture.
+
+Skulls are best with 2, foam and soft tissue with 0.9.
+"""
 
 FEWEST_BLOCKS = 40
 """Smallest number of blocks without a border from which the noise of a volume is taken."""

@@ -72,6 +72,7 @@ class BestPass:
 
     Attributes:
         passes: number of passes that made the best volume so far.
+        watches: whether it judges any pass.
     """
 
     def __init__(self, stop: StopName | None, residual: Residual | None = None) -> None:

@@ -44,7 +44,7 @@ from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, wi
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
-from twinct.scan import Scan, line_integrals
+from twinct.scan import Scan
 from twinct.scenario import (
     SECTIONS,
     KnownImplants,
@@ -184,8 +184,7 @@ def _reconstruct(
         return metal.put_back(finished)
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
-    updates = algorithm.updates(section, len(scan))
-    name = f"{algorithm.name}, {which} geometry"
+    updates, name = algorithm.updates(section, len(scan)), f"{algorithm.name}, {which} geometry"
 
     def on_iteration(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
         watch(iteration, residual)
@@ -201,6 +200,7 @@ def _reconstruct(
             line_integrals=integrals,
             transmission=scan.transmission,
             exposures=scan.exposures_rel,
+            photons=scan.photons,
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
@@ -219,7 +219,7 @@ def _corrected(
 ) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None]:
     """Return the line integrals as the scenario corrects them, and the metal that is put back."""
     scenario, section = scan.scenario, scan.scenario.reconstruction
-    integrals = line_integrals(scan.transmission)
+    integrals = scan.line_integrals()
     metal: WithoutMetal | WithoutImplants | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
