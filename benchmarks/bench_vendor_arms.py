@@ -66,7 +66,7 @@ def supplied(torque_nm: tuple[float, ...] = ()) -> dict[str, Any]:
     return {"link_density_kg_m3": 1500.0, **torques}
 
 
-SMALL, LARGE = (200.0, 200.0, 120.0, 30.0, 30.0, 20.0), (1500.0, 1500.0, 900.0, 200.0, 200.0, 120.0)
+SMALL, LARGE = (400.0, 400.0, 250.0, 50.0, 50.0, 30.0), (1500.0, 1500.0, 900.0, 200.0, 200.0, 120.0)
 """Torque limits that the vendors do not publish: guesses by the size of the arm."""
 
 ARMS = (

@@ -247,6 +247,8 @@ class Branches:
     ) -> None:
         """Search for poses from near starts, and put what is found before the known ones."""
         which = np.repeat(here, [len(of) for of in starts])
+        if not len(which):
+            return
         joints, solved = self._arm.solve(
             poses, which, np.vstack(starts), self._off, ranges, NEAR_STEPS
         )
