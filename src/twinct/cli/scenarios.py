@@ -223,12 +223,15 @@ def urdf(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    moveit: Flag = False,
     set_: Overrides = (),
 ) -> None:
     """Write a robot description of the operating room, for ROS 2 and other readers of URDF.
 
     Args:
         out: Folder for cell.urdf and its meshes.
+        moveit: Write the arms (arms.urdf, arms.srdf, joint_limits.yaml) and the room with its
+            forbidden zones (room.scene) for MoveIt instead. MoveIt has not read them yet.
     """
     from twinct.core.extras import require
     from twinct.core.files.writing import check_folder, storage_errors, write_text
@@ -238,10 +241,13 @@ def urdf(
     loaded = load_scenario(scenario, set_)
     check_folder(out)
     require("robots")
-    file = out / "cell.urdf"
+    builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), storage_errors(out):
-        write_text(file, SimulationBuilder(loaded).urdf(meshes=out))
-    Console().print(f"wrote {file}", highlight=False)
+        files = builder.moveit(out) if moveit else {"cell.urdf": builder.urdf(meshes=out)}
+        for name, text in files.items():
+            write_text(out / name, text)
+    told = ", ".join(str(out / name) for name in files)
+    Console().print(f"wrote {told}", highlight=False)
 
 
 def init(
