@@ -649,6 +649,56 @@ def test_a_job_in_the_background_does_not_hear_ctrl_c() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+LATE = """
+import atexit, signal, sys
+import twinct.cli.commands
+from twinct import cli
+class Late:
+    def __init__(self, number):
+        self.number, self.send = number, signal.raise_signal
+    def __del__(self):
+        self.send(self.number)
+kept = Late({number}) if "{moment}" == "end of Python" else None
+if "{moment}" == "last handler":
+    atexit.register(signal.raise_signal, {number})
+if "{moment}" == "sys.exit":
+    before = sys.exit
+    def leave(code):
+        signal.raise_signal({number})
+        before(code)
+    sys.exit = leave
+if "{moment}" == "after the last line":
+    run = cli.run_command
+    def run_command(argv):
+        run(argv)
+        signal.raise_signal({number})
+    cli.run_command = run_command
+twinct.cli.commands.app.cli = lambda **_: None
+cli.main(["run"])
+"""
+"""A command that a signal meets when its work is done."""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("moment", "interrupted"),
+    [
+        ("after the last line", True),
+        ("sys.exit", False),
+        ("last handler", False),
+        ("end of Python", False),
+    ],
+)
+def test_a_signal_after_the_work_does_not_end_the_process_by_itself(
+    moment: str, interrupted: bool, number: signal.Signals
+) -> None:
+    command = [sys.executable, "-c", LATE.format(moment=moment, number=int(number))]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
+    assert done.returncode == (128 + number if interrupted else 0)
+    assert done.stderr == (f"twinct: interrupted: {NOTHING}\n" if interrupted else "")
+
+
 @pytest.mark.parametrize("name", ["check", "run", "render", "node", "schema", "specimen", "report"])
 def test_every_command_has_a_help_text(name: str, capsys) -> None:
     assert run_command([name, "--help"]) == 0
