@@ -209,7 +209,8 @@ def test_what_is_no_scan_is_named(
     scan_in(tmp_path / "empty", scenario, commanded, 0)
     assert "0 of 5 views" in bad(capfd, "export", tmp_path / "empty", "--to", "rtk")
     said = bad(capfd, "export", tmp_path / "empty", "--to", "rtkk")
-    assert "--to rtkk: unknown; choose from rtk, astra, leap, cil, tigre, openct" in said
+    assert "--to 'rtkk': unknown; choose from rtk, astra, leap, cil, tigre, openct for" in said
+    assert "or from dicom, nifti, metaimage, tiff, zarr for a volume (--volume)" in said
 
 
 def test_an_export_that_is_there_is_not_touched(run_folder: Path, capfd) -> None:

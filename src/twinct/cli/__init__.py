@@ -115,12 +115,19 @@ def _code_of(arguments: list[str]) -> int:
         code = stop.code or EXIT_DONE  # None after completion is printed
         return code if isinstance(code, int) else EXIT_OTHER
     except TwinctError as error:
-        for line in error.lines:
-            _say(f"twinct: {line}")
-        return error.exit_code
+        return _code_of_own(error)
     except Exception as error:
         return _code_of_foreign(error)
     return EXIT_DONE
+
+
+def _code_of_own(error: TwinctError) -> int:
+    """Say an error, unless an interruption led to it or waits for the end of an import."""
+    if stop := swallowed():
+        raise stop from error
+    for line in error.lines:
+        _say(f"twinct: {line}")
+    return error.exit_code
 
 
 def _code_of_foreign(error: Exception) -> int:

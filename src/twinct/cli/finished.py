@@ -167,7 +167,7 @@ def export(
         water: Attenuation of water in the volume, 1/mm, which becomes 0 HU; that of the scenario's
             beam unless given. A measured scan needs it for HU.
         air: Attenuation of air in the volume, 1/mm, which becomes -1000 HU; 0 unless given.
-        out: What to write; export-NAME beside the scan unless given. A folder must not exist.
+        out: What to write; export-NAME beside the scan unless given. It must not exist.
     """
     if volume is not None:
         _export_volume(scan, volume, to, geometry, values, water, air, out)
@@ -190,13 +190,20 @@ def export(
 def _refuse_volumes(to: str, values: str | None, water: float | None, air: float | None) -> None:
     """Raise if arguments of a volume are given, but no volume."""
     from twinct.core.errors import InputError
+    from twinct.core.foreign_text import quoted
     from twinct.exchange import formats
     from twinct.recon.volume_formats import volume_formats
 
-    if to in volume_formats() and to not in formats():
+    of_scan, of_volume = formats(), volume_formats()
+    if to in of_volume and to not in of_scan:
         raise InputError(f"--to {to}: a format of volumes; name one with --volume")
-    for name, of_volume in (("--water", water), ("--air", air), (f"--values {values}", values)):
-        if of_volume is not None and of_volume not in _SCAN_VALUES:
+    if to not in of_scan and to not in of_scan.broken:
+        raise InputError(
+            f"--to {quoted(to)}: unknown; choose from {', '.join(of_scan)} for the scan, or from "
+            f"{', '.join(of_volume)} for a volume (--volume)"
+        )
+    for name, value in (("--water", water), ("--air", air), (f"--values {values}", values)):
+        if value is not None and value not in _SCAN_VALUES:
             raise InputError(f"{name}: only of a volume; name one with --volume")
 
 
