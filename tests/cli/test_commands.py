@@ -465,6 +465,24 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
         subprocess.run(["umount", str(disk)], check=False)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["render", "--view", "-1"], "--view -1: the scenario has views 0 to 99"),
+        (["check", "--save", "{}/none/plan.npz"], "cannot be written: there is no folder {}/none"),
+        (["check", "--save", "{}/plan.txt"], "a plan must be an NPZ file: name it plan.npz"),
+        (["check", "--save", "{}/plan.npz", "--set", "motion.scheme=reactive"], "no motion plan"),
+    ],
+)
+def test_what_cannot_be_written_or_drawn_is_refused_at_once(
+    words: list[str], said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command, *options = (word.format(tmp_path) for word in words)
+    assert run_command([command, DEMO, *options]) == 2
+    told = capfd.readouterr().err
+    assert said.format(tmp_path) in told and "planning" not in told
+
+
 def test_version_and_help_say_what_a_user_can_type(capsys) -> None:
     assert run_command(["--version"]) == 0
     assert capsys.readouterr().out.startswith("twinct 0.")

@@ -15,6 +15,7 @@ from twinct.cli.arguments import Flag, Json, Overrides, Threads
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import percent, say_result
+from twinct.core.foreign_text import counted
 from twinct.link.recording.arms_recording import ArmsRecording
 
 
@@ -91,7 +92,7 @@ def _import_driven(files: tuple[Path, ...], out: Path, arms: ArmsRecording) -> b
         say(f"the arms followed the plan {found.lag_ms:.2f} ms late")
     estimated = ", estimated from the images" if arms.estimate_latency else ""
     say(f"images are stamped {found.latency_ms:.2f} ms after their exposures{estimated}")
-    say(f"{found.views} views imported to {out}")
+    say(f"{counted(found.views, 'view')} imported to {out}")
     return True
 
 
@@ -315,7 +316,8 @@ def compare(
         with storage_errors(out):
             out.parent.mkdir(parents=True, exist_ok=True)
             comparison.write(out)
-        say(f"wrote {out}: {len(comparison.keys)} scenario keys differ")
+        differ = "differs" if len(comparison.keys) == 1 else "differ"
+        say(f"wrote {out}: {counted(len(comparison.keys), 'scenario key')} {differ}")
         answer |= {"page": str(out), "notes": comparison.notes, "keys": comparison.keys}
         answer["runs"] = [
             {"path": one.path, "label": one.label, "image": one.image, "seconds": one.seconds}
@@ -344,7 +346,7 @@ def verify(
             say(problem, warning=True)
         for file in found.unknown:
             say(f"{file}: unknown file, ignored")
-        told = f"{len(found.problems)} problems" if found.problems else "intact"
+        told = counted(len(found.problems), "problem") if found.problems else "intact"
         say(f"{folder}: {told} ({found.in_words})")
         answer |= {"intact": not found.problems, "problems": found.problems}
         answer["unknown"] = [str(file) for file in found.unknown]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct.core.errors import TrajectoryError
+from twinct.core.foreign_text import counted
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel
@@ -86,7 +87,8 @@ def checked_plan(
 def _other_views(plan: MotionPlan, asked: Asked) -> list[str]:
     if len(plan.targets) != len(asked.targets):
         return [
-            f"the plan has {len(plan.targets)} views, but the trajectory has {len(asked.targets)}"
+            f"the plan has {counted(len(plan.targets), 'view')}, but the trajectory has "
+            f"{len(asked.targets)}"
         ]
     wanted = list(asked.targets)
     if asked.any_order:
