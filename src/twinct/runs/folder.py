@@ -90,7 +90,7 @@ class Folder:
         motion scheme, so it is added.
         """
         scheme = () if planned else ("motion.scheme=reactive",)
-        return load_scenario(self.scenario, (*scheme, *overrides))
+        return load_scenario(self.scenario, (*scheme, *overrides), resolved=True)
 
     def write_scenario(self, scenario: Scenario) -> None:
         """Write the scenario, which names files below ``inputs`` relative to this folder."""
