@@ -81,12 +81,7 @@ def export_volume(
         elif water:
             _check_water(water, found, audience)
         else:
-            water = _water_of(folder, scenario, found)
-        if values == "hounsfield" and water is None:
-            raise InputError(
-                "--values hounsfield: the attenuation of water in a measured scan is unknown; "
-                "state --water and --air in 1/mm, as regions of the volume have them"
-            )
+            water = _water_of(folder, scenario, found, needed=values == "hounsfield")
         if water:
             found = found.in_hu(water.water_per_mm, water.air_per_mm)
         told = Told(
@@ -149,13 +144,22 @@ def _file_of(folder: Folder, volume: str) -> Path:
     return known[volume]
 
 
-def _water_of(folder: Folder, scenario: Scenario, volume: Volume) -> Water | None:
-    """Return water and air of a run's volume; None for a measured scan, where they are unknown."""
+def _water_of(folder: Folder, scenario: Scenario, volume: Volume, *, needed: bool) -> Water | None:
+    """Return water and air of a run's volume; None for a measured scan, where they are unknown.
+
+    Raises:
+        InputError: they are ``needed``, and unknown.
+    """
     from twinct.runs.regions import Places
     from twinct.specimen.materials import material
     from twinct.xray.build import effective_energy_kev
 
     if scenario.specimen.unknown:
+        if needed:
+            raise InputError(
+                "--values hounsfield: the attenuation of water in a measured scan is unknown; "
+                "state --water and --air in 1/mm, as regions of the volume have them"
+            )
         return None
     energy = effective_energy_kev(scenario.source, scenario.detector)
     found = {"water": material("water").mu_per_mm(energy), "air": 0.0}

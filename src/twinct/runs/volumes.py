@@ -190,9 +190,8 @@ def _reconstruct(
     def told(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
         watch(iteration, residual)
         if audience.wants(IterationDone):
-            whole = Volume(volume.copy(), grid)
-            course = iteration, iterations, residual
-            audience.tell(IterationDone(algorithm.name, which, *course, whole))
+            course = iteration, iterations, residual, Volume(volume.copy(), grid)
+            audience.tell(IterationDone(algorithm.name, which, *course))
 
     stage = audience.stage(name, iterations * updates, done * updates)
     with keeping(lambda: kept.in_words(iterations)), stage as tick:
