@@ -8,10 +8,12 @@ import json
 import logging
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -571,6 +573,18 @@ def test_a_lack_of_memory_is_told_whatever_meets_it(
     monkeypatch.setattr("twinct.cli.available_bytes", Mock(side_effect=MemoryError))
     assert run_command(["check"]) == 2
     assert capfd.readouterr().err == "twinct: too little memory\n"
+
+
+@pytest.mark.process
+def test_a_command_with_little_memory_ends_at_once() -> None:
+    """OpenBLAS, which SciPy brings, would try to allocate its buffers without end."""
+    limit = partial(resource.setrlimit, resource.RLIMIT_AS, (300 * 2**20, 300 * 2**20))
+    words = [sys.executable, "-m", "twinct", "check", DEMO]
+    done = subprocess.run(words, preexec_fn=limit, capture_output=True, text=True, timeout=HANG_S)
+    assert done.returncode == 2
+    assert re.match(
+        r"twinct: too little memory: \d+ MiB are left by the limit", done.stderr
+    )
 
 
 def test_readings_that_an_interrupt_cuts_short_do_not_complain(

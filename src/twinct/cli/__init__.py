@@ -22,7 +22,7 @@ from twinct.core.interruption import (
     notes_of,
     swallowed,
 )
-from twinct.core.memory import available_bytes, lacks_memory
+from twinct.core.memory import available_bytes, lacks_memory, load_blas_if_limited
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
 
@@ -88,6 +88,7 @@ def _code_of(arguments: list[str]) -> int:
         return EXIT_DONE
     try:
         limit_threads()  # before the libraries that it limits are loaded
+        load_blas_if_limited()
         if arguments[:1] in (["node"], ["drive"]):
             from twinct.link.environment import take_ros_arguments
 
