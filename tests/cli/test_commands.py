@@ -582,9 +582,7 @@ def test_a_command_with_little_memory_ends_at_once() -> None:
     words = [sys.executable, "-m", "twinct", "check", DEMO]
     done = subprocess.run(words, preexec_fn=limit, capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 2
-    assert re.match(
-        r"twinct: too little memory: \d+ MiB are left by the limit", done.stderr
-    )
+    assert re.match(r"twinct: too little memory: \d+ MiB are left by the limit", done.stderr)
 
 
 def test_readings_that_an_interrupt_cuts_short_do_not_complain(
