@@ -13,7 +13,7 @@ import numpy as np
 
 from twinct.core.arm_files import BUILT_IN
 from twinct.core.errors import MissingExtraError, ScenarioError
-from twinct.core.foreign_text import quoted
+from twinct.core.foreign_text import counted, quoted
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
@@ -171,8 +171,8 @@ def _normalised(
     mujoco = mujoco_module()
     if model.njnt < 5 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         raise ScenarioError(
-            f"{origin} is not a single arm: it has {model.njnt} joints; an arm needs five or more, "
-            "all of them hinges"
+            f"{origin} is not a single arm: it has {counted(model.njnt, 'joint')}; an arm needs "
+            "five or more, all of them hinges"
         )
     if (np.diff(model.jnt_bodyid) <= 0).any() or not _is_chain(model):
         raise ScenarioError(f"{origin} is not a single arm: its joints do not form one chain")
@@ -275,8 +275,8 @@ def _home(model: mujoco.MjModel, names: tuple[str, ...], arm: Arm, key: str) -> 
         return None
     if len(arm.home) != len(names):
         raise ScenarioError(
-            f"{key}.home: has {len(arm.home)} numbers, but the arm has {len(names)} joints: "
-            f"{', '.join(names)}"
+            f"{key}.home: has {len(arm.home)} numbers, but the arm has "
+            f"{counted(len(names), 'joint')}: {', '.join(names)}"
         )
     outside = [
         f"{value:g} for {name}, whose range is {low:g} to {high:g}"
