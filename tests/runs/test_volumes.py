@@ -9,7 +9,6 @@ from still_scans import chords, still_scan, views_of
 from waiting import HANG_S
 
 from twinct.core.errors import InputError, MemoryShortageError
-from twinct.geometry.wire import PosePairs
 from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
