@@ -16,6 +16,9 @@ from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, engine, fast, fdk, fista_tv, os_sart, sart
 from twinct.recon.engine import Ratio
 
+DEVICE = os.environ.get(DEVICE_VARIABLE) or "cpu"
+"""Device of the card's kernels: the processor, unless the environment names a card."""
+
 SINGLE = 2e-5
 """Float32 places and sums against float64, of the largest value. Measured 2e-7 to 4e-6."""
 
@@ -33,7 +36,7 @@ def pair(random_geometry, turned_grid, panel):
 @pytest.fixture(params=["vector", "cuda"])
 def against_plain(request, random_geometry, turned_grid, panel, monkeypatch):
     """A projector with a fast engine, and with the plain one; the card's kernels run here."""
-    monkeypatch.setenv(DEVICE_VARIABLE, "cpu")
+    monkeypatch.setenv(DEVICE_VARIABLE, DEVICE)
     geometry = random_geometry(6, panel, np.random.default_rng(0))
     return [Projector(geometry, turned_grid, engine=name) for name in (request.param, "plain")]
 
@@ -119,7 +122,7 @@ def test_a_ratio_has_its_border_and_counts_what_is_missing(pair):
 
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_card_gives_the_volumes_of_the_processor(name, circle, monkeypatch):
-    monkeypatch.setenv(DEVICE_VARIABLE, "cpu")
+    monkeypatch.setenv(DEVICE_VARIABLE, DEVICE)
     k, j, i = np.indices((18, 20, 22)) - 9.5
     body = np.float32((k * k + (j - 2) ** 2 + 2 * i * i < 50) * 0.04)
     volumes, passes = [], []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from fractions import Fraction
 from functools import partial
@@ -53,8 +54,8 @@ Lengths = Callable[[SceneView, Panel, Solid], NDArray[np.float32]]
 
 @pytest.fixture(params=["mesh", "cuda_mesh"])
 def name(request, monkeypatch) -> str:
-    """Name of an engine; the card's kernels run on the processor."""
-    monkeypatch.setenv(DEVICE_VARIABLE, "cpu")
+    """Name of an engine; the card's kernels run on the processor, unless a card is named."""
+    monkeypatch.setenv(DEVICE_VARIABLE, os.environ.get(DEVICE_VARIABLE) or "cpu")
     return request.param
 
 
