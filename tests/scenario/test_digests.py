@@ -244,3 +244,12 @@ def test_calibrated_arms_count_by_their_content(tmp_path: Path) -> None:
 def test_every_reader_that_a_key_declares_is_a_stage() -> None:
     named = {stage for _, stages in declared(Scenario) for stage in stages}
     assert named == set(STAGES)
+
+
+def test_volumes_of_scans_with_noise_have_another_version(monkeypatch) -> None:
+    """Photons count for them since the version was raised; others keep their digests."""
+    noisy = ["detector.noise={kind: snr, snr: 100}"]
+    plain, before = digests(), digests(*noisy)
+    monkeypatch.setattr("twinct.scenario.digests._SINCE_PHOTONS", 99)
+    assert digests() == plain
+    assert changed(before, digests(*noisy)) == {"volume"}

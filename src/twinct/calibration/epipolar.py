@@ -13,7 +13,7 @@ weighted by its own spread.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -269,15 +269,41 @@ class PlaneDerivatives:
             weights: weight of each plane, (pairs, planes).
             tangents: derivatives of S, D, u and v, (views, n, 4, 3).
         """
+        rest = self.values[0] - self.values[1]
+        views, size = tangents.shape[:2]
+        normal, right = np.zeros((views, size, views, size)), np.zeros((views, size))
+        for pair, slopes in enumerate(self._slopes(tangents)):
+            own, ends = self.used[pair], self.pairs.sides[:, pair]
+            for one, slope in zip(ends, slopes, strict=True):
+                pulled = (slope * weights[pair, own, None]).T
+                right[one] -= pulled @ rest[pair, own]
+                for other, across in zip(ends, slopes, strict=True):
+                    normal[one, :, other] += pulled @ across
+        return normal.reshape(views * size, -1), right.ravel()
+
+    def shared_equations(self, weights: Floats, tangents: Floats) -> tuple[Floats, Floats]:
+        """Return normal matrices, (pairs, n, n), and right sides, (pairs, n), of shared numbers.
+
+        Args:
+            weights: weight of each plane, (pairs, planes).
+            tangents: derivatives of S, D, u and v of each view by numbers of all views.
+        """
+        rest, size = self.values[0] - self.values[1], tangents.shape[1]
+        normal, right = np.zeros((len(rest), size, size)), np.zeros((len(rest), size))
+        for pair, (first, second) in enumerate(self._slopes(tangents)):
+            own, slope = self.used[pair], first + second
+            pulled = (slope * weights[pair, own, None]).T
+            normal[pair], right[pair] = pulled @ slope, -pulled @ rest[pair, own]
+        return normal, right
+
+    def _slopes(self, tangents: Floats) -> Iterator[list[Floats]]:
+        """Yield the slopes of each pair's differences by both views' numbers, (used planes, n)."""
         sides, normals = self.pairs.sides, self.pairs.normals
         # If the end of a baseline b moves by d, a normal n turns by -b (n.d) / b^2 and no further.
         along = baselines(self.geometry, sides)
         by_normal = np.einsum("spnk,spkx->spnx", self.by_line, axes(self.geometry)[sides])
         turned = -np.einsum("pnx,px->pn", by_normal[0] - by_normal[1], along)
         turned /= (along**2).sum(axis=1)[:, None]
-        rest = self.values[0] - self.values[1]
-        views, size = tangents.shape[:2]
-        normal, right = np.zeros((views, size, views, size)), np.zeros((views, size))
         for pair, ends in enumerate(sides.T):
             own = self.used[pair]
             slopes: list[Floats] = []
@@ -287,12 +313,7 @@ class PlaneDerivatives:
                 by_vector = sign * np.stack([by_source, -by_height, by_u, by_v], axis=1)
                 moves = np.einsum("nx,kqx->nkq", normals[pair, own], tangents[view])
                 slopes.append(np.einsum("nq,nkq->nk", by_vector, moves))
-            for one, slope in zip(ends, slopes, strict=True):
-                pulled = (slope * weights[pair, own, None]).T
-                right[one] -= pulled @ rest[pair, own]
-                for other, across in zip(ends, slopes, strict=True):
-                    normal[one, :, other] += pulled @ across
-        return normal.reshape(views * size, -1), right.ravel()
+            yield slopes
 
 
 def _spread(rest: Floats, of: NDArray[np.bool_]) -> float:

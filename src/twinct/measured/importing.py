@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
-from twinct.core.files.writing import complete, draft_of, storage_errors
+from twinct.core.files.writing import complete, draft_of, remove_folder, storage_errors
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.measured.corrections import Corrections, corrections
@@ -82,8 +82,12 @@ def import_measured(
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))
-        folder.inputs.mkdir(parents=True, exist_ok=True)
+        if not folder.path.exists():
+            stack.callback(_remove_empty, folder.path)
+        folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
+        stack.callback(_remove_unfinished, folder)
+        folder.inputs.mkdir(exist_ok=True)
         write_views(folder.inputs / "views.csv", geometry)
         if images.bad.any():
             with complete(folder.inputs / MAP) as draft, draft.open("wb") as stream:
@@ -97,8 +101,20 @@ def import_measured(
         draft.rename(folder.scan)
     sentences = *_told_of_images(images, geometry, scales), *views, *_told_of_grid(scenario)
     scan = ScanStore(folder.scan).read()
-    show(partial(_draw, scan), (10.4, 6.2), folder.imported)
+    show(partial(_draw, scan), (10.4, 7.0), folder.imported)
     return Imported(folder.path, scenario, sentences)
+
+
+def _remove_unfinished(folder: Folder) -> None:
+    """Remove the files of an import that was cut short: without its scan nothing needs them."""
+    if not folder.scan.exists():
+        remove_folder(folder.inputs)
+        folder.scenario.unlink(missing_ok=True)
+
+
+def _remove_empty(path: Path) -> None:
+    with suppress(OSError):  # it has files
+        path.rmdir()
 
 
 def _placed(told: Measured, images: Corrections) -> tuple[Placement, tuple[str, ...]]:
@@ -217,17 +233,18 @@ def _draw(scan: Scan, figure: Any) -> None:
     images: NDArray[np.float32] = line_integrals(scan.transmission[chosen])
     width, height = panel.size_mm
     extent = (-width / 2, width / 2, -height / 2, height / 2)
-    axes = figure.subplots(1, 4)
-    for at, view, image in zip(axes[:3], chosen, images, strict=True):
+    views, above = figure.subfigures(2, 1, height_ratios=(1.0, 1.3))
+    for at, view, image in zip(views.subplots(1, 3), chosen, images, strict=True):
         at.imshow(image, cmap="gray", origin="lower", extent=extent)
         at.set(title=f"view {view}", xlabel="u / mm", ylabel="v / mm")
+    axes = above.subplots()
     geometry = scan.geometry("executed")
     for points, name, colour in (
         (geometry.source, "source", "#b3452c"),
         (geometry.detector, "panel", "#2c6fb3"),
     ):
-        axes[3].plot(points[:, 0], points[:, 1], ".", markersize=2, color=colour, label=name)
-        axes[3].plot(*points[0, :2], "o", color=colour, label=f"{name}, view 0")
-    axes[3].plot(0, 0, "k+")
-    axes[3].set(title="from above", xlabel="x / mm", ylabel="y / mm", aspect="equal")
-    figure.legend(loc="outside lower center", ncols=4)
+        axes.plot(points[:, 0], points[:, 1], ".", markersize=2, color=colour, label=name)
+        axes.plot(*points[0, :2], "o", color=colour, label=f"{name}, view 0")
+    axes.plot(0, 0, "k+", label="origin")
+    axes.set(title="from above", xlabel="x / mm", ylabel="y / mm", aspect="equal")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0))

@@ -12,6 +12,7 @@ ALGORITHM_RESULTS = (
     "metal_density_rel",
     "prior",
     "denoising",
+    "regularisation",
 )
 """Extras of a volume that ``metrics.json`` and the report list."""
 
@@ -36,4 +37,8 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
         )
     if (denoising := data.get("denoising")) and denoising["from"] is None:
         words.append("not denoised, since the noise is unknown")
+    if strength := data.get("regularisation"):
+        source = {"photons": "from the photons", "air": "from air in the projections"}
+        why = source.get(strength["from"], "since the noise is unknown")
+        words.append(f"regularisation {strength['strength']:.2g}, {why}")
     return f"{in_words}: {', '.join(words)}" if words else in_words

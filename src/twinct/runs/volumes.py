@@ -44,7 +44,7 @@ from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, wi
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
-from twinct.scan import Scan, line_integrals
+from twinct.scan import Scan
 from twinct.scenario import (
     SECTIONS,
     KnownImplants,
@@ -184,15 +184,13 @@ def _reconstruct(
         return metal.put_back(finished)
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
-    updates = algorithm.updates(section, len(scan))
-    name = f"{algorithm.name}, {which} geometry"
+    updates, name = algorithm.updates(section, len(scan)), f"{algorithm.name}, {which} geometry"
 
     def on_iteration(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
         watch(iteration, residual)
         if audience.wants(IterationDone):
-            whole = Volume(volume.copy(), grid)
-            course = iteration, iterations, residual
-            audience.tell(IterationDone(algorithm.name, which, *course, whole))
+            course = iteration, iterations, residual, Volume(volume.copy(), grid)
+            audience.tell(IterationDone(algorithm.name, which, *course))
 
     stage = audience.stage(name, iterations * updates, done * updates)
     with keeping(lambda: kept.in_words(iterations)), stage as tick:
@@ -201,12 +199,14 @@ def _reconstruct(
             line_integrals=integrals,
             transmission=scan.transmission,
             exposures=scan.exposures_rel,
+            photons=scan.photons,
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
-            callback=_Follower(tick, kept, on_iteration, done, residuals),
+            callback=(follower := _Follower(tick, kept, on_iteration, done, residuals)),
         )
         volume = _counted(algorithm.solve(problem, section), section, done)
+        follower.finish((iterations - done) * updates)
     return metal.put_back(volume) if metal else volume
 
 
@@ -219,7 +219,7 @@ def _corrected(
 ) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None]:
     """Return the line integrals as the scenario corrects them, and the metal that is put back."""
     scenario, section = scan.scenario, scan.scenario.reconstruction
-    integrals = line_integrals(scan.transmission)
+    integrals = scan.line_integrals()
     metal: WithoutMetal | WithoutImplants | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
@@ -422,9 +422,16 @@ class _Follower:
     residuals: list[float]
     square: float = field(default=0.0, init=False)
     rays: int = field(default=0, init=False)
+    ticks: int = field(default=0, init=False)
+
+    def finish(self, updates: int) -> None:
+        """End the progress: an algorithm may stop early, or need fewer levels than it may have."""
+        for _ in range(self.ticks, updates):
+            self.tick()
 
     def __call__(self, step: Step) -> None:
         self.tick()
+        self.ticks += 1
         self.square += step.rays * step.residual**2
         self.rays += step.rays
         if step.update + 1 < step.updates:

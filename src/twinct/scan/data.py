@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.extras import optional
 from twinct.core.files.pictures import show
-from twinct.core.foreign_text import quoted
+from twinct.core.foreign_text import counted, quoted
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
+from twinct.recon.few_photons import integrals_of_photons
 from twinct.scan.encoder_model import nominal_poses, relative_to_specimen
 from twinct.scan.integrals import line_integrals
 from twinct.scan.named_geometries import OWN, RELATIVE, NamedGeometry, poses_digest
@@ -27,6 +28,7 @@ from twinct.uncertainty import reported_poses
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
     from twinct.xray.chain import ViewImages
+    from twinct.xray.photons import FreePhotons
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +223,8 @@ class Scan:
     def __repr__(self) -> str:
         """Return a one-line summary without arrays and poses."""
         rows, columns = self.transmission.shape[1:]
-        return f"Scan({quoted(self.scenario.name)}, {len(self)} views, {columns} x {rows} px)"
+        size = f"{counted(len(self), 'view')}, {columns} x {rows} px"
+        return f"Scan({quoted(self.scenario.name)}, {size})"
 
     def poses(self, which: str) -> PosePairs:
         """Return the poses of ``commanded``, ``executed``, ``believed`` or a derived geometry.
@@ -247,8 +250,36 @@ class Scan:
         return self.poses(which).geometry(self.scenario.detector.panel)
 
     def line_integrals(self) -> NDArray[np.float32]:
-        """Return -ln(I/I0) of all images, (views, rows, columns), float32."""
-        return line_integrals(self.transmission)
+        """Return -ln(I/I0) of all images, (views, rows, columns), float32.
+
+        If the scenario states the noise, few photons do not bias it (``integrals_of_photons``).
+        """
+        if (photons := self._photons) is None:
+            return line_integrals(self.transmission)
+        return integrals_of_photons(self.transmission, photons.single * self._loads)
+
+    @property
+    def photons(self) -> NDArray[np.float64] | None:
+        """Photons of a pixel in the free beam, by view, (views,); None if no noise is stated.
+
+        It is the number of equal photons that has the noise of many pixels together.
+        """
+        return None if self._photons is None else self._photons.number * self._loads
+
+    @property
+    def _loads(self) -> NDArray[np.float64]:
+        return np.ones(len(self)) if self.exposures_rel is None else self.exposures_rel
+
+    @cached_property
+    def _photons(self) -> FreePhotons | None:
+        from twinct.xray.photons import free_photons  # loads the X-ray chain
+
+        detector = self.scenario.detector
+        if detector.noise is None or self.scenario.specimen.unknown:
+            return None
+        return free_photons(
+            self.scenario.source, detector, self.commanded.geometry(detector.panel)[:1]
+        )
 
     def to_xarray(self, which: str = "believed") -> Any:
         """Return a labelled view of the scan, an ``xarray.Dataset`` that shares the images' memory.

@@ -49,6 +49,9 @@ STAGES: dict[StageName, _Stage] = {
 OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
 
+_SINCE_PHOTONS = 2
+"""Version of volumes from scans with noise: its photons, or air, count since then."""
+
 _BEFORE: dict[str, object] = {
     "motion.scheme": "reactive",
     "cell.source_arm.base_position_mm": (850.0, 0.0, 0.0),
@@ -73,7 +76,9 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
         keys = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
-        text = json.dumps([name, stage.version, on, keys, _seed(scenario, name)], sort_keys=True)
+        text = json.dumps(
+            [name, _version(scenario, name), on, keys, _seed(scenario, name)], sort_keys=True
+        )
         found[name] = hashlib.sha256(text.encode()).hexdigest()
     return found
 
@@ -128,13 +133,25 @@ def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
     return (stage, base) != ("volume", "believed") or base in scenario.reconstruction.geometries
 
 
+def _version(scenario: Scenario, stage: StageName) -> int:
+    """Return the version of a stage; it is the former one where the results are."""
+    if stage == "volume" and (_has_noise(scenario) or scenario.specimen.unknown):
+        return _SINCE_PHOTONS
+    return STAGES[stage].version
+
+
+def _has_noise(scenario: Scenario) -> bool:
+    detector = scenario.detector
+    electronic = detector.readout is not None and detector.readout.electronic_noise > 0
+    return detector.noise is not None or electronic
+
+
 def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     """Return the seed that a stage draws from; None if it draws nothing."""
     detector, noise, section = scenario.detector, scenario.uncertainty, scenario.reconstruction
     if stage == "images":
-        electronic = detector.readout is not None and detector.readout.electronic_noise > 0
         bad_pixels = isinstance(detector.bad_pixels, RandomBadPixels)
-        return scenario.seed if detector.noise or electronic or bad_pixels else None
+        return scenario.seed if _has_noise(scenario) or bad_pixels else None
     if stage == "executed":
         return (scenario.arms_seed, scenario.seed) if noise.moves else None
     if stage == "believed":
