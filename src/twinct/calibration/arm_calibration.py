@@ -193,12 +193,12 @@ def phantom_views(
     scan: Scan, views: tuple[Resection | None, ...], motions: Sequence[ToolMotion]
 ) -> PhantomViews:
     """Return encoder readings, geometry and covariance of the views that could be calibrated."""
-    told = [(index, view) for index, view in enumerate(views) if view is not None]
+    numbered = [(index, view) for index, view in enumerate(views) if view is not None]
     own = view_covariance(scan.scenario.uncertainty, motions)
     return PhantomViews(
-        encoders_of(scan.scenario, scan.joints)[[index for index, _ in told]],
-        ScanGeometry.joined([view.geometry for _, view in told]),
-        np.stack([view.covariance + own for _, view in told]),
+        encoders_of(scan.scenario, scan.joints)[[index for index, _ in numbered]],
+        ScanGeometry.joined([view.geometry for _, view in numbered]),
+        np.stack([view.covariance + own for _, view in numbered]),
     )
 
 

@@ -181,17 +181,17 @@ def circular_consistent(
     pairs = _Pairs(p[some], pixels, believed[some], circle)
     deviations = (prior or CircularPrior()).deviations(believed)
     precision = np.diag(deviations**-2.0)
-    change, told = np.zeros(6), np.zeros((6, 6))
+    change, information = np.zeros(6), np.zeros((6, 6))
     first = pairs.seen(change, FINEST).spread
     with progress.stage("circle", len(ROUNDS)) as step:
         for number, (across, steps) in enumerate(ROUNDS):
             if number == 0 or pairs.factor(across) < pairs.factor(ROUNDS[number - 1][0]):
                 change, normal = pairs.agreed(change, across, steps, precision)
                 # Noise in the finest slopes would look like knowledge.
-                told = normal if across <= TOLD else told
+                information = normal if across <= TOLD else information
             step()
     last = pairs.seen(change, FINEST).spread
-    covariance = np.linalg.inv(told + precision)
+    covariance = np.linalg.inv(information + precision)
     geometry = _moved(believed, change)
     return CircularCalibration(
         geometry,
@@ -199,7 +199,7 @@ def circular_consistent(
         np.sqrt(np.diag(covariance)),
         circle_numbers(believed, circle),
         circle_numbers(geometry, circle),
-        _undetermined(told, deviations),
+        _undetermined(information, deviations),
         (first, last),
     )
 

@@ -234,9 +234,9 @@ def calibrated_arms(
     seen = replace(seen, geometry=phantom_from_room.inverse() @ seen.geometry)
     z, jacobian, residuals = _fit(arms, seen)
     zs = np.split(z, [arms[0].factor.shape[1]])
-    told = jacobian[: 9 * len(seen)]
+    of_views = jacobian[: 9 * len(seen)]
     # Effective number of parameters that the views, and not the prior, determine.
-    values = np.linalg.svd(told, compute_uv=False) ** 2
+    values = np.linalg.svd(of_views, compute_uv=False) ** 2
     misfit = np.sqrt((residuals**2).sum() / (9 * len(seen) - (values / (1 + values)).sum()))
     off = [_off(arms, zs, seen)[..., part] for part in (slice(0, 3), slice(3, 6))]
     left_mm = _rms(off[0]), _rms(off[1])
@@ -260,7 +260,7 @@ def calibrated_arms(
         names=tuple(f"{arm.side} {name}" for arm in arms for name in arm.names),
         parameters=parameters,
         covariance=factor @ spread @ factor.T,
-        undetermined=tuple(_undetermined(arms, told)),
+        undetermined=tuple(_undetermined(arms, of_views)),
         misfit=float(misfit),
         left_mm=left_mm,
         predicted_mm=_predicted(arms, seen),

@@ -94,9 +94,9 @@ def online_calibrated(
         spots = np.broadcast_to(SPOT_PX**2 * np.eye(2), (*pixels.shape[:2], 2, 2))
         bundle = _determined(bundled(believed, balls, pixels, spots, prior))
         for _ in range(ROUNDS):
-            told = _shadows(transmission, bundle, radius_mm, pixels, blur_px)
-            bundle = _determined(bundled(believed, bundle.balls, *told, prior))
-            pixels = told[0]
+            shadows = _shadows(transmission, bundle, radius_mm, pixels, blur_px)
+            bundle = _determined(bundled(believed, bundle.balls, *shadows, prior))
+            pixels = shadows[0]
             step()
     seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
     problems = {

@@ -184,11 +184,11 @@ class PlaneIntegrals:
             ga = (-by_turn * cb - by_offset * offset * ca - 2 * value * ca) / h**3
             gb = (by_turn * ca - by_offset * offset * cb - 2 * value * cb) / h**3
             gc = by_offset / h**3
-            told = value / h**2
+            second = value / h**2
         gradient = np.stack([ga, gb, gc], axis=-1)
-        gradient[~whole], told[~whole] = 0, 0
+        gradient[~whole], second[~whole] = 0, 0
         left[~whole] = np.inf
-        return told.reshape(shape), gradient.reshape(*shape, 3), left.reshape(shape)
+        return second.reshape(shape), gradient.reshape(*shape, 3), left.reshape(shape)
 
     def _ends(
         self, ca: Floats, cb: Floats, offset: Floats

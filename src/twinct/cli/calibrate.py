@@ -106,7 +106,7 @@ def balls(
     if not ball_radius_mm > 0:
         raise InputError(f"--ball-radius-mm {ball_radius_mm:g}: must be more than 0")
     with on_terminal() as audience:
-        told = calibrate_balls(
+        calibration = calibrate_balls(
             folder,
             prior,
             radius_mm=ball_radius_mm,
@@ -114,7 +114,7 @@ def balls(
             name=as_,
             observers=audience,
         )
-    found, bundle = told.found, told.found.bundle
+    found, bundle = calibration.found, calibration.found.bundle
     seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
     say(
         f"{as_}: {len(seen) - len(found.problems)} of {len(seen)} views calibrated, "
@@ -122,7 +122,7 @@ def balls(
         f"reprojection error {found.rms_px:.3f} px (RMS), "
         f"{counted(bundle.outliers.sum(), 'outlier')}"
     )
-    _say_against_executed(told.believed, told.after, folder)
+    _say_against_executed(calibration.believed, calibration.after, folder)
     for view, ball in np.argwhere(bundle.outliers):
         place = ", ".join(f"{x:.1f}" for x in bundle.balls[ball])
         say(f"view {view}: the shadow of the ball at ({place}) mm is an outlier")
@@ -152,7 +152,7 @@ def self_(
 
     prior = errors.prior()
     with on_terminal() as audience:
-        told = calibrate_self(
+        calibration = calibrate_self(
             folder,
             prior,
             what=what,
@@ -161,9 +161,9 @@ def self_(
             name=as_,
             observers=audience,
         )
-    if told.start is not None and told.started is not None:
-        _say_start(told.start, told.started)
-    found = told.found
+    if calibration.start is not None and calibration.started is not None:
+        _say_start(calibration.start, calibration.started)
+    found = calibration.found
 
     def rms(part: slice) -> float:
         return float(np.sqrt((found.change[:, part] ** 2).sum(axis=1).mean()))
@@ -178,7 +178,7 @@ def self_(
         f"{as_}: {counted(len(found.change), 'view')}, {moved} (RMS); residual "
         f"{found.residuals[0]:.4g} at first, {found.residuals[-1]:.4g} in the last round"
     )
-    _say_against_executed(told.believed, told.after, folder)
+    _say_against_executed(calibration.believed, calibration.after, folder)
 
 
 def kinematics(

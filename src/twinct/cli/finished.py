@@ -346,8 +346,8 @@ def verify(
             say(problem, warning=True)
         for file in found.unknown:
             say(f"{file}: unknown file, ignored")
-        told = counted(len(found.problems), "problem") if found.problems else "intact"
-        say(f"{folder}: {told} ({found.in_words})")
+        state = counted(len(found.problems), "problem") if found.problems else "intact"
+        say(f"{folder}: {state} ({found.in_words})")
         answer |= {"intact": not found.problems, "problems": found.problems}
         answer["unknown"] = [str(file) for file in found.unknown]
     if found.problems:

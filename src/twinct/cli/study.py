@@ -87,7 +87,7 @@ def _planned(file: Path, out: Path, jobs: int | None, retry: bool) -> DryRun:
 
 
 def _show(found: DryRun) -> None:
-    console, told = Console(), found.estimate
+    console, estimate = Console(), found.estimate
     table = Table(box=None)
     labels = list(found.trials[0].axes) if found.trials else []
     for name in ("trial", *labels, "seed"):
@@ -99,19 +99,23 @@ def _show(found: DryRun) -> None:
     if len(found.trials) > _MOST_SHOWN:
         console.print(f"... and {len(found.trials) - _MOST_SHOWN} more")
     there = f", {found.there} already present" if found.there else ""
-    size = f"{told.disk_bytes / 1e6:.1f} MB" if told.disk_bytes < 1e9 else ""
-    size = size or f"{told.disk_bytes / 1e9:.2f} GB"
+    size = f"{estimate.disk_bytes / 1e6:.1f} MB" if estimate.disk_bytes < 1e9 else ""
+    size = size or f"{estimate.disk_bytes / 1e9:.2f} GB"
     first = (
-        f" (the first batch of {found.total})" if found.total > told.trials + found.there else ""
+        f" (the first batch of {found.total})"
+        if found.total > estimate.trials + found.there
+        else ""
     )
-    trials, scans = _number(told.trials, "trial"), _number(told.scans, "scan")
+    trials, scans = _number(estimate.trials, "trial"), _number(estimate.scans, "scan")
     console.print(f"{trials} to run{first}{there}; {scans}", highlight=False)
-    known = "" if told.measured else " at most: no trial of this kind has run on this machine yet"
+    known = (
+        "" if estimate.measured else " at most: no trial of this kind has run on this machine yet"
+    )
     console.print(f"disk: {size}{known}", highlight=False)
-    if told.seconds is not None:
+    if estimate.seconds is not None:
         from twinct.report.template import duration
 
-        console.print(f"time: about {duration(told.seconds)}", highlight=False)
+        console.print(f"time: about {duration(estimate.seconds)}", highlight=False)
 
 
 def _number(count: int, what: str) -> str:

@@ -72,9 +72,9 @@ def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:
     for name in ("", "mean", "median", "95 %", "largest"):
         table.add_column(name)
     for name, spread in summary(found).items():
-        told = (spread[key] for key in ("mean", "median", "p95", "max"))
+        values = (spread[key] for key in ("mean", "median", "p95", "max"))
         what, unit = name.rsplit("_", 1)
-        table.add_row(f"{what}, {UNITS[unit]}", *(f"{value:.3f}" for value in told))
+        table.add_row(f"{what}, {UNITS[unit]}", *(f"{value:.3f}" for value in values))
     Console().print(table)
     rows = found.shares()
     table = Table(title="each cause alone, to first order, RMS")

@@ -19,6 +19,8 @@ from twinct.core.settings import Section, setting
 
 Array = NDArray[np.float64]
 
+SIDES = ("source", "detector")
+
 CONSTANT = math.inf
 """Correlation length of errors that are constant over a scan."""
 

@@ -174,11 +174,11 @@ class ArmServer:
             GoalError: the trajectory cannot be followed.
             _TooLateError: its start is over, or on another clock.
         """
-        told = request.trajectory
-        orders = [[list(getattr(p, name)) for p in told.points] for name in _ORDERS]
-        times = [Stamp.of(point.time_from_start).time_s for point in told.points]
-        states = self._arms.states(goal_of(told.joint_names, times, orders))
-        stamp = Stamp.of(told.header.stamp)
+        trajectory = request.trajectory
+        orders = [[list(getattr(p, name)) for p in trajectory.points] for name in _ORDERS]
+        times = [Stamp.of(point.time_from_start).time_s for point in trajectory.points]
+        states = self._arms.states(goal_of(trajectory.joint_names, times, orders))
+        stamp = Stamp.of(trajectory.header.stamp)
         if stamp == NO_STAMP or not len(states):
             return states
         ahead_s = stamp.time_s - self._arms.time_s

@@ -147,8 +147,8 @@ class Domain:
             origin = "ROS_DOMAIN_ID"
             wanted = whole_number(text)
             if wanted is None:
-                told = f"{origin}={quoted(text)}"
-                raise InputError(f"{told} is not a number from 0 to {LARGEST_DOMAIN}")
+                setting = f"{origin}={quoted(text)}"
+                raise InputError(f"{setting} is not a number from 0 to {LARGEST_DOMAIN}")
         if wanted is not None:
             if not 0 <= wanted <= LARGEST_DOMAIN:
                 raise InputError(f"{origin}={wanted} is not a number from 0 to {LARGEST_DOMAIN}")

@@ -75,6 +75,6 @@ def _states(pid: int) -> set[str]:
     states: set[str] = set()
     for file in Path(f"/proc/{pid}/task").glob("*/stat"):
         with suppress(OSError):  # the thread has just ended
-            told = file.read_text(encoding="utf-8", errors="replace")
-            states.add(told.rpartition(")")[2].split()[0])
+            text = file.read_text(encoding="utf-8", errors="replace")
+            states.add(text.rpartition(")")[2].split()[0])
     return states

@@ -51,8 +51,8 @@ class Tap:
         self._station = Station(f"{SCAN}_tap", domain_id)
         self._ending = Event()
         for topic in TOPICS:
-            told = partial(self._take, topic)
-            self._station.listen(topic, told, depth=DEPTH, raw=True)
+            take = partial(self._take, topic)
+            self._station.listen(topic, take, depth=DEPTH, raw=True)
         self._thread = Thread(target=self._listen, name="tap", daemon=True)
         self._thread.start()
 

@@ -98,11 +98,13 @@ def structures(name: str) -> tuple[int, int, int]:
     Args:
         name: type such as ``geometry_msgs/Pose``.
     """
-    told = description(name)
-    number = ctypes.create_string_buffer(b"\x01" + hash_of(told), 33)
+    described = description(name)
+    number = ctypes.create_string_buffer(b"\x01" + hash_of(described), 33)
     whole = _Description(
-        _of_individual(told["type_description"]),
-        _sequence(_Individual, [_of_individual(t) for t in told["referenced_type_descriptions"]]),
+        _of_individual(described["type_description"]),
+        _sequence(
+            _Individual, [_of_individual(t) for t in described["referenced_type_descriptions"]]
+        ),
     )
     sources = _Sequence(None, 0, 0)
     _kept.append((number, whole, sources))

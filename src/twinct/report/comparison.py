@@ -59,9 +59,9 @@ class Comparison:
     @property
     def keys(self) -> dict[str, tuple[Any, ...]]:
         """Scenario keys that differ, with each reconstruction's value, or None without the key."""
-        told = [_keys_of(one.scenario) for one in self.compared]
-        names = dict.fromkeys(name for values in told for name in values)
-        rows = {name: tuple(values.get(name) for values in told) for name in names}
+        settings = [_keys_of(one.scenario) for one in self.compared]
+        names = dict.fromkeys(name for values in settings for name in values)
+        rows = {name: tuple(values.get(name) for values in settings) for name in names}
         return {name: row for name, row in rows.items() if any(v != row[0] for v in row)}
 
     @property

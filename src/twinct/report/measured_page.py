@@ -124,10 +124,10 @@ def write_measured_report(
 
 
 def _row(key: str, columns: Sequence[MeasuredColumn]) -> _Row:
-    told = FIGURES[key]
+    text = FIGURES[key]
     values = (one.figures[key] for one in columns)
-    cells = [f"{told.factor * x:.{told.digits}f}" if math.isfinite(x) else "–" for x in values]
-    return _Row(told.title, cells, told.unit, told.meaning)
+    cells = [f"{text.factor * x:.{text.digits}f}" if math.isfinite(x) else "–" for x in values]
+    return _Row(text.title, cells, text.unit, text.meaning)
 
 
 def _slices(columns: Sequence[MeasuredColumn]) -> list[tuple[MeasuredColumn, Picture]]:

@@ -85,10 +85,10 @@ class Combination:
 
     def found(self, figure: str) -> dict[int, tuple[StudyTrial, float]]:
         """Return the trials that have a figure, and its values, by seed, or else by place."""
-        told = [(one, one.figures.get(figure)) for one in self.trials if one.done]
+        having = [(one, one.figures.get(figure)) for one in self.trials if one.done]
         return {
             place if one.seed is None else one.seed: (one, value)
-            for place, (one, value) in enumerate(told)
+            for place, (one, value) in enumerate(having)
             if value is not None
         }
 
@@ -207,9 +207,11 @@ def _average(found: Sequence[Combination], figure: str) -> Mean:
 
     Differences between combinations are no uncertainty; only the averages of the seeds show it.
     """
-    told = [one.found(figure) for one in found]
-    seeds = set(told[0]).intersection(*told[1:])
+    by_seed = [one.found(figure) for one in found]
+    seeds = set(by_seed[0]).intersection(*by_seed[1:])
     if seeds:
-        return mean_of(sum(one[seed][1] for one in told) / len(told) for seed in sorted(seeds))
-    means = [sum(value for _, value in one.values()) / len(one) for one in told]
+        return mean_of(
+            sum(one[seed][1] for one in by_seed) / len(by_seed) for seed in sorted(seeds)
+        )
+    means = [sum(value for _, value in one.values()) / len(one) for one in by_seed]
     return Mean(sum(means) / len(means), None, 0)

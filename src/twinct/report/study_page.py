@@ -285,12 +285,12 @@ def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) 
             title = f"{plane}, {section.position}".rstrip(", ")
             pictures.append((title, side_by_side(columns, "truth", looks, dpi=100).data_uri))
     labels = [axis.title for axis in study.axes]
-    told: list[tuple[StudyTrial, str, str]] = []
+    captions: list[tuple[StudyTrial, str, str]] = []
     for one in having:
         values = [in_words(one.axes.get(axis.label)) for axis in study.axes]
         in_line = "; ".join(f"{k} {v}" for k, v in zip(labels, values, strict=True) if v != "–")
-        told.append((one, in_line, quote(one.report)))
-    return _Shown(pictures, told, notes)
+        captions.append((one, in_line, quote(one.report)))
+    return _Shown(pictures, captions, notes)
 
 
 def _failures(trials: Iterable[StudyTrial]) -> list[tuple[int, str, str, str]]:

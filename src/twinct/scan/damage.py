@@ -103,8 +103,8 @@ def clear_paths(path: Path, found: Iterable[Damage]) -> None:
             obstacles[path / folder] = "a file"
     if obstacles:
         way = "stands in the way: move it"
-        told = sorted(f"{there}: {what} {way}" for there, what in obstacles.items())
-        raise DamagedError(told, found)
+        problems = sorted(f"{there}: {what} {way}" for there, what in obstacles.items())
+        raise DamagedError(problems, found)
     for place in places:
         if place.is_symlink() or not place.is_file():
             place.unlink(missing_ok=True)

@@ -55,8 +55,8 @@ def readable(path: Path, what: str) -> Generator[None]:
         *(ValueError, TypeError, LookupError, RuntimeError, ArithmeticError),
         MemoryError,  # from false sizes in the metadata
     ) as error:
-        told = str(error).partition("\n")[0] or type(error).__name__
-        raise InputError(f"{path}: {what} cannot be read: {told}") from error
+        reason = str(error).partition("\n")[0] or type(error).__name__
+        raise InputError(f"{path}: {what} cannot be read: {reason}") from error
     except OSError as error:
         if error.errno not in NO_FILE_OF_IT:
             raise

@@ -163,8 +163,8 @@ class ScanStore:
         found = store.damage
         taken = views_taken(path)
         if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in found}:
-            told = "no view fits the metadata, which are damaged and cannot be reconstructed"
-            raise DamagedError([f"{path}: {told}; nothing has been changed"], found)
+            problem = "no view fits the metadata, which are damaged and cannot be reconstructed"
+            raise DamagedError([f"{path}: {problem}; nothing has been changed"], found)
         clear_paths(path, found)
         for damage in found:
             log.warning("%s: %s; its view will be taken again", path, damage)
@@ -246,11 +246,11 @@ class ScanStore:
     @property
     def scenario(self) -> Scenario:
         """Scenario of the scan."""
-        told = json_of(str(self._group.attrs["scenario"]))
-        if isinstance(told.get("motion"), dict) and not self._has("plan"):
+        data = json_of(str(self._group.attrs["scenario"]))
+        if isinstance(data.get("motion"), dict) and not self._has("plan"):
             # Stores without plans predate all other schemes.
-            told["motion"].setdefault("scheme", "reactive")
-        scenario = parse_scenario(told)
+            data["motion"].setdefault("scheme", "reactive")
+        scenario = parse_scenario(data)
         panel, image = scenario.detector.panel.shape, self._array("transmission").shape[1:]
         if panel != image:
             raise InputError(

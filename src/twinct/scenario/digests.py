@@ -75,9 +75,9 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     found: dict[StageName, str] = {}
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
-        told = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
+        keys = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
         text = json.dumps(
-            [name, _version(scenario, name), on, told, _seed(scenario, name)], sort_keys=True
+            [name, _version(scenario, name), on, keys, _seed(scenario, name)], sort_keys=True
         )
         found[name] = hashlib.sha256(text.encode()).hexdigest()
     return found
@@ -89,8 +89,8 @@ def specimen_digest(scenario: Scenario) -> str:
     materials = [part.model_dump(mode="json", include={"material"}) for part in section.parts]
     stands = section.position_mm, section.rotation_deg
     parts = [stage_digests(scenario)["surface"], materials, stands]
-    told = json.dumps([*parts, section.reference] if section.reference else parts)
-    return hashlib.sha256(told.encode()).hexdigest()
+    inputs = json.dumps([*parts, section.reference] if section.reference else parts)
+    return hashlib.sha256(inputs.encode()).hexdigest()
 
 
 def readers(key: str) -> tuple[StageName, ...]:

@@ -174,8 +174,8 @@ class GreyVolume(Section):
     @model_validator(mode="after")
     def _consistent(self) -> GreyVolume:
         if (self.path is None) == (self.phantom is None):
-            told = "are both null" if self.path is None else "exclude each other"
-            raise ValueError(f"path and phantom {told}: give one")
+            problem = "are both null" if self.path is None else "exclude each other"
+            raise ValueError(f"path and phantom {problem}: give one")
         if self.phantom:
             self._fits_a_phantom()
         elif wrong := [n for n in ("seed", "voxel_mm") if getattr(self, n) != _default(n)]:

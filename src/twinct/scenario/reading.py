@@ -217,8 +217,8 @@ def _extended(own: Draft, folder: Path, chain: tuple[Path, ...]) -> Draft:
     file = scenario_file(Path(parent), folder, place)
     if why := no_file(file):
         name = shortened(str(file), 300)
-        told = f"no file at {name}{same_name(file)}" if why == ABSENT else f"{name} {why}"
-        raise ScenarioError(place + told)
+        problem = f"no file at {name}{same_name(file)}" if why == ABSENT else f"{name} {why}"
+        raise ScenarioError(place + problem)
     base = _read(file, chain)
     if own.data and base.data.pop("description", None) is not None:  # it describes another one
         base.forget(("description",))
@@ -345,8 +345,8 @@ def _absolute_paths(
                 found[name] = str(absolute(folder, value))
             except ValueError as error:
                 at = (places or {}).get(inner) or (places or {}).get((), "")
-                told = ".".join(map(str, inner))
-                raise ScenarioError(f"{at + ': ' if at else ''}{told}: {error}") from None
+                dotted = ".".join(map(str, inner))
+                raise ScenarioError(f"{at + ': ' if at else ''}{dotted}: {error}") from None
         else:
             found[name] = _absolute_paths(value, folder, places, inner)
     return found

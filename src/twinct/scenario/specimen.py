@@ -280,8 +280,8 @@ class Specimen(Section):
     def _reference_is_a_part(self) -> Specimen:
         names = self.names
         if self.reference and self.reference not in names:
-            told = quoted(self.reference), quoted(names, 300)
-            message = "reference: no part is called {}; the parts are {}".format(*told)
+            names_in_words = quoted(self.reference), quoted(names, 300)
+            message = "reference: no part is called {}; the parts are {}".format(*names_in_words)
             raise ConflictError(Conflict(message, ("reference",)))
         return self
 
@@ -293,8 +293,8 @@ class Specimen(Section):
         named = [part for part in greys if self.motion.part in ("", part.label)]
         if len(named) != 1:
             message = "motion.part: {} is not the name of one grey part; the grey parts are {}"
-            told = quoted(self.motion.part), quoted([part.label for part in greys], 300)
-            raise ConflictError(Conflict(message.format(*told), ("motion",)))
+            names_in_words = quoted(self.motion.part), quoted([part.label for part in greys], 300)
+            raise ConflictError(Conflict(message.format(*names_in_words), ("motion",)))
         shape = named[0].shape
         if self.motion.kind == "fields" and isinstance(shape, GreyVolume) and shape.centre:
             message = "motion: fields are in the frame of the CT, so that its part needs {}"

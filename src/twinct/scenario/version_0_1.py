@@ -66,10 +66,10 @@ def volume_digest(scan_digest: str, section: dict[str, Any]) -> str:
 def _in_order(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
-    told = cast("dict[str, Any]", value)
+    section = cast("dict[str, Any]", value)
     places = {key: place for place, key in enumerate(_ORDER)}
-    ordered = sorted(told, key=lambda key: places.get(key, len(_ORDER)))
-    return {key: _in_order(told[key]) for key in ordered}
+    ordered = sorted(section, key=lambda key: places.get(key, len(_ORDER)))
+    return {key: _in_order(section[key]) for key in ordered}
 
 
 def advice(key: tuple[str | int, ...], value: Any) -> str:

@@ -164,8 +164,8 @@ def body_motion(section: scenario.Specimen) -> BodyMotion:
     )
     part = section.moving_part
     if isinstance(motion, scenario.Breathing):
-        told = "diaphragm_mm", "front_mm", "hysteresis", "dome_mm", "reach_mm", "half_axes_mm"
-        ways: Motion = Chest(**{name: getattr(motion, name) for name in told})
+        keys = "diaphragm_mm", "front_mm", "hysteresis", "dome_mm", "reach_mm", "half_axes_mm"
+        ways: Motion = Chest(**{name: getattr(motion, name) for name in keys})
     else:
         ways = _read_fields(motion)
     return BodyMotion(part.label, rhythm, ways, part.specimen_from_part)

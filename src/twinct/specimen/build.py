@@ -370,11 +370,11 @@ def _no_body(mesh: trimesh.Trimesh) -> str:
     if not len(mesh.faces):
         return "has no surface"
     edges = np.ptp(mesh.bounds, axis=0)
-    told = " x ".join(f"{edge:g}" for edge in edges)
+    size = " x ".join(f"{edge:g}" for edge in edges)
     if not np.abs(mesh.bounds).max() <= FARTHEST_MM:
-        return f"reaches beyond {FARTHEST_MM:g} mm: it measures {told} mm"
+        return f"reaches beyond {FARTHEST_MM:g} mm: it measures {size} mm"
     if not edges.min() >= max(SMALLEST_MM, FLATTEST * edges.max()):
-        return f"is too small or too flat: it measures {told} mm"
+        return f"is too small or too flat: it measures {size} mm"
     return ""
 
 

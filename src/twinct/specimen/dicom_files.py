@@ -201,8 +201,10 @@ def _image(path: Path, place: str) -> list[DicomImage]:
             f"{place} is deflated; unpack the series, e.g. with dcmconv +te from dcmtk"
         )
     if not syntax.is_transfer_syntax:
-        told = f"the unknown transfer syntax {_shown(syntax)}" if syntax else "no transfer syntax"
-        raise SpecimenError(f"{place} states {told}")
+        syntax_in_words = (
+            f"the unknown transfer syntax {_shown(syntax)}" if syntax else "no transfer syntax"
+        )
+        raise SpecimenError(f"{place} states {syntax_in_words}")
     if "PixelData" in data:
         return [DicomImage(path.name, place, data)]
     if any(name in data for name in _PIXELS[1:]):

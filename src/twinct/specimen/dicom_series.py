@@ -123,8 +123,8 @@ def _require_ct(image: DicomImage, line: scenario.HuLine | None) -> None:
         raise SpecimenError(f"{image.where} is a localizer, which is no slice of the volume")
     modality = image.text("Modality")
     if modality != "CT" and line is None:
-        told = f"modality is {modality}" if modality else "it states no modality"
-        raise SpecimenError(f"{image.where}: {told}; expected CT; {STATE_HU}")
+        modality_in_words = f"modality is {modality}" if modality else "it states no modality"
+        raise SpecimenError(f"{image.where}: {modality_in_words}; expected CT; {STATE_HU}")
 
 
 def _planes(image: DicomImage, frames: int) -> Iterable[_Plane]:
@@ -274,10 +274,10 @@ def _require_explained(image: DicomImage, step: Floats, normal: Floats, where: s
     shear = float(np.degrees(np.arccos(np.clip(step @ normal / np.linalg.norm(step), -1, 1))))
     item = image.group("CTAcquisitionDetailsSequence", 0)
     name = "GantryDetectorTilt"
-    told = abs(float(image.numbers(name, 1, item)[0])) if image.text(name, item) else 0.0
-    if shear > TILT_TOLERANCE_DEG and abs(shear - told) > TILT_TOLERANCE_DEG:
+    length = abs(float(image.numbers(name, 1, item)[0])) if image.text(name, item) else 0.0
+    if shear > TILT_TOLERANCE_DEG and abs(shear - length) > TILT_TOLERANCE_DEG:
         raise SpecimenError(
             f"{where}: slices are shifted sideways from one to the next by {shear:.3g} deg, but "
-            f"GantryDetectorTilt is {f'{told:g}' if told else 'missing or 0'}: the positions or "
-            "orientations are wrong, or the series needs resampling first"
+            f"GantryDetectorTilt is {f'{length:g}' if length else 'missing or 0'}: the positions "
+            "or orientations are wrong, or the series needs resampling first"
         )

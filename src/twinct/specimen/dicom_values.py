@@ -41,10 +41,13 @@ def require_grey(image: DicomImage) -> tuple[int, int, int]:
     where = image.where
     frames = image.whole("NumberOfFrames", 1)
     rows, columns = image.whole("Rows"), image.whole("Columns")
-    samples, told = image.whole("SamplesPerPixel"), image.text("PhotometricInterpretation")
-    if samples != 1 or told != GREY:
+    samples, interpretation = (
+        image.whole("SamplesPerPixel"),
+        image.text("PhotometricInterpretation"),
+    )
+    if samples != 1 or interpretation != GREY:
         raise SpecimenError(
-            f"{where} has {samples} samples per pixel ({told}); expected one ({GREY})"
+            f"{where} has {samples} samples per pixel ({interpretation}); expected one ({GREY})"
         )
     bits, used, high = (image.whole(n) for n in ("BitsAllocated", "BitsStored", "HighBit"))
     if bits not in (8, 16, 32) or not 1 <= used <= bits or high != used - 1:

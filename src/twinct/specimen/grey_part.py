@@ -216,11 +216,11 @@ class GreyPart:
         """Feed everything that images and truth depend on to a digest."""
         grid, field = self.field.grid, self.field
         pose = [*grid.world_from_grid.position.tolist(), *grid.world_from_grid.quat.tolist()]
-        told = [grid.shape, grid.voxel.tolist(), pose, self.label_names]
-        told += [
+        facts = [grid.shape, grid.voxel.tolist(), pose, self.label_names]
+        facts += [
             [m.name, m.density_g_cm3, sorted(m.mass_fractions.items())] for m in field.materials
         ]
-        digest.update(repr(told).encode())
+        digest.update(repr(facts).encode())
         digest.update(field.amounts.data)
         if self.labels:
             digest.update(np.ascontiguousarray(self.labels.values).data)

@@ -100,8 +100,8 @@ def _read(
 
         return phantom_ct(shape.phantom, shape.seed, shape.voxel_mm)
     assert shape.path is not None
-    told = shape.hu or values_line(shape.calibration)
-    image = read_ct(shape.path, where, told, interpolate=shape.interpolate_slices)
+    line = shape.hu or values_line(shape.calibration)
+    image = read_ct(shape.path, where, line, interpolate=shape.interpolate_slices)
     image = canonical(image)
     _require_plausible(image, shape, where)
     _warn_of_edge(image, shape, where)

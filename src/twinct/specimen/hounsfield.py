@@ -178,8 +178,8 @@ def _electron_line(section: scenario.ElectronDensities) -> TissueLine:
     relative = line.amounts @ np.array([_electrons(m) / water for m in line.materials])
     # Only where it rises has the curve an inverse: connective tissue is denser than soft bone.
     rises = np.minimum.accumulate(relative[::-1])[::-1] >= relative
-    told = np.array(section.points)
-    hu = _extended(relative[rises], told[:, 1], told[:, 0])
+    points = np.array(section.points)
+    hu = _extended(relative[rises], points[:, 1], points[:, 0])
     return TissueLine(line.materials, hu, line.amounts[rises])
 
 

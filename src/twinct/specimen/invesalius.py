@@ -46,10 +46,10 @@ def read_invesalius(path: Path, where: str, line: scenario.HuLine | None = None)
         )
     if not (np.isfinite(spacing).all() and spacing.min() > 0):
         raise SpecimenError(f"{where}: its spacing is {spacing.tolist()}; expected edges above 0")
-    told = shape[0] * shape[1] * shape[2] * dtype.itemsize
-    if told != len(raw):
+    size = shape[0] * shape[1] * shape[2] * dtype.itemsize
+    if size != len(raw):
         raise SpecimenError(
-            f"{where}: shape {shape} of {dtype} needs {told} bytes, but its volume has {len(raw)}"
+            f"{where}: shape {shape} of {dtype} needs {size} bytes, but its volume has {len(raw)}"
         )
     if line is None:
         require_low_values(dtype.kind, 1.0, 0.0, where)

@@ -70,13 +70,13 @@ def _mesh_pieces(
     mesh = mesh_file_surface(shape, owner)
     edges = np.ptp(mesh.bounds, axis=0)
     if not SMALLEST_MESH_MM <= edges.max() <= LARGEST_MESH_MM:
-        told = " x ".join(f"{edge:.4g}" for edge in edges)
+        size = " x ".join(f"{edge:.4g}" for edge in edges)
         advice = (
             "is it in metres? Then set shape.unit_mm: 1000"
             if edges.max() < SMALLEST_MESH_MM
             else "does shape.unit_mm tell its unit?"
         )
-        raise SpecimenError(f"{owner}: mesh file {path} measures {told} mm: {advice}")
+        raise SpecimenError(f"{owner}: mesh file {path} measures {size} mm: {advice}")
     pieces = mesh.split(only_watertight=False) if mesh.body_count > 1 else [mesh]
     return MeshPieces(mesh, tuple(piece.convex_hull for piece in pieces))
 

@@ -48,8 +48,8 @@ def joined_shells(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
     twice = once - solid.volume()
     if twice < least:  # bodies within cavities of others
         return mesh
-    told = "%s: its %d shells overlap; the shared volume (%.3g mm^3 in all) counts once"
-    log.warning(told, where, len(shells), twice)
+    message = "%s: its %d shells overlap; the shared volume (%.3g mm^3 in all) counts once"
+    log.warning(message, where, len(shells), twice)
     return from_manifold(solid)
 
 

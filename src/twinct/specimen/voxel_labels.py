@@ -44,8 +44,8 @@ def read_labels(
     there = [int(n) for n in np.flatnonzero(np.bincount(found.ravel())) if n]
     names = dict(section.names)
     if not names:
-        told = _header_names(section.path)
-        names = {told.get(n, f"label_{n}"): n for n in there}
+        stated = _header_names(section.path)
+        names = {stated.get(n, f"label_{n}"): n for n in there}
     if lost := [f"{quoted(name)} ({n})" for name, n in names.items() if n not in there]:
         raise SpecimenError(f"{where} has no voxel of {', '.join(lost)}; its labels are {there}")
     if not names:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.core.error_terms import ToolMotion, ViewDraws
+from twinct.core.error_terms import SIDES, ToolMotion, ViewDraws
 from twinct.geometry import Chain, Floats, Pose
 from twinct.geometry.wire import Instant, from_seven, to_seven
 from twinct.scenario import Uncertainty
 from twinct.uncertainty.correlation import view_normals
-from twinct.uncertainty.nominal_scan import SIDES
-from twinct.uncertainty.patient import world_from_moved
 
 
 class TrueCell:
@@ -81,6 +79,8 @@ class TrueCell:
             poses[k] = at
         stands = nominal.object_m
         if self._patient is not None:
+            from twinct.uncertainty.patient import world_from_moved
+
             moved = world_from_moved(self._patient, self._arms_seed, time_s)
             stands = to_seven(moved @ nominal.object)
         return Instant(poses[0], stands, poses[1])

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinct.core.error_terms import ToolMotion
+from twinct.core.error_terms import SIDES, ToolMotion
 from twinct.geometry import Chain, Floats, ScanGeometry, lock
-
-SIDES = ("source", "detector")
 
 
 @dataclass(frozen=True, eq=False)

@@ -122,12 +122,14 @@ def _blur_mm(true: Floats, believed: Floats, planned: ScanGeometry, place: Float
     around = place + np.vstack([np.zeros(3), np.eye(3)])
     pitch = np.array([panel.pitch_u, panel.pitch_v])
     shrink = np.linalg.norm(planned.source - place, axis=1) / planned.sdd_to_centre
-    seen, told = (
+    seen, believed_shift = (
         project(poses, panel, around) * pitch * shrink[:, None, None] for poses in (true, believed)
     )
     draws = seen.shape[0]
-    off = (seen - told)[:, :, 0].reshape(draws, -1)
-    slopes = np.moveaxis(told[:, :, 1:] - told[:, :, :1], 2, -1).reshape(draws, -1, 3)
+    off = (seen - believed_shift)[:, :, 0].reshape(draws, -1)
+    slopes = np.moveaxis(believed_shift[:, :, 1:] - believed_shift[:, :, :1], 2, -1).reshape(
+        draws, -1, 3
+    )
     left: list[Floats] = [
         one - slope @ np.linalg.lstsq(slope, one, rcond=None)[0]
         for one, slope in zip(off, slopes, strict=True)

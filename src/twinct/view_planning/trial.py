@@ -120,7 +120,7 @@ def _region(
 
 def _of_gantry(scenario: Scenario, file: Path) -> Scenario:
     """Return the scenario with the views of a file and a gantry instead of arms."""
-    told = scenario.model_dump(mode="json")
-    told |= {"cell": {"kind": "gantry"}, "motion": {}, "task": None}
-    told["trajectory"] = {"kind": "file", "path": str(file.resolve())}
-    return parse_scenario(told)
+    data = scenario.model_dump(mode="json")
+    data |= {"cell": {"kind": "gantry"}, "motion": {}, "task": None}
+    data["trajectory"] = {"kind": "file", "path": str(file.resolve())}
+    return parse_scenario(data)

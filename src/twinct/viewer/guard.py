@@ -56,10 +56,10 @@ class Guard:
         """Return ``serve`` for the requests that pass; it sees their paths without the token."""
 
         def guarded(connection: ServerConnection, request: Request) -> Response | None:
-            told = self._refusal(request.headers) or self._taken(request)
-            if told:
-                self._say(told)
-                return connection.respond(http.HTTPStatus.FORBIDDEN, f"{told}\n")
+            refusal = self._refusal(request.headers) or self._taken(request)
+            if refusal:
+                self._say(refusal)
+                return connection.respond(http.HTTPStatus.FORBIDDEN, f"{refusal}\n")
             response = serve(connection, request)
             if response is not None:
                 response.headers.update(_protection(request.headers["Host"]))

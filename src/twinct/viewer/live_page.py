@@ -328,8 +328,8 @@ class Page:
         if wishes.said is not None or wishes.shows:
             lines = [f"### {plain(show.name)}\n{plain(show.state)}" for show in self.shows]
             problems = [f"**{plain(p)}**" for show in self.shows for p in show.problems]
-            told = [plain(wishes.said)] if wishes.said else []
-            self._head.content = "\n\n".join([*lines, *told, *problems])
+            notes = [plain(wishes.said)] if wishes.said else []
+            self._head.content = "\n\n".join([*lines, *notes, *problems])
         return bool(wishes.shows or wishes.rooms or wishes.specimens)
 
     def _fit_controls(self, show: Show, before: Show | None) -> None:
@@ -450,29 +450,29 @@ class Page:
             return
         look, stage = self._look, self.stages[run]
         view = min(look.view, len(show) - 1)
-        told: str | None = None
+        text: str | None = None
         if kind == "path":
             found = nearest_view(show, detail, origin, along)
             if found is not None:
                 self._selected = run
                 self.show_view(found)
-                told = of_view(show, found)
+                text = of_view(show, found)
         elif kind == "projection":
             _, drawn, _ = stage.shown_geometry(show, look, view)
-            told = of_pixel(show, drawn, view, origin, along, IN_FRONT_MM)
+            text = of_pixel(show, drawn, view, origin, along, IN_FRONT_MM)
         elif kind == "slice":
             axis = AXES.index(detail)
-            told = of_voxel(show, axis, look.slices[axis], origin, along)
+            text = of_voxel(show, axis, look.slices[axis], origin, along)
         elif kind == "surface":
             point = on_surface(show, look.surface, look.level, origin, along)
-            told = None if point is None else of_point(show, point, "surface")
+            text = None if point is None else of_point(show, point, "surface")
         elif kind == "specimen":
             point = on_surface(show, TRUTH, 0.5 * show.window()[1] / 1.3, origin, along)
-            told = "**specimen**" if point is None else of_point(show, point, "specimen")
+            text = "**specimen**" if point is None else of_point(show, point, "specimen")
         else:
-            told = of_joints(show, view, detail)
-        if told is not None:
-            self._numbers.content = told
+            text = of_joints(show, view, detail)
+        if text is not None:
+            self._numbers.content = text
 
     def _paint_numbers(self) -> None:
         """Show the view's numbers of the run in which a view was last clicked."""

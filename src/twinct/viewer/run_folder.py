@@ -214,8 +214,8 @@ class RunFolder:
         return self._show.scenario if self._show else self._scenario(self._store)
 
     def _residuals(self) -> Mapping[str, tuple[float, ...]]:
-        told = self._cached(self.paths.metrics, _read_json, {}).get("residuals", {})
-        found = {name: tuple(values) for name, values in told.items()}
+        residuals = self._cached(self.paths.metrics, _read_json, {}).get("residuals", {})
+        found = {name: tuple(values) for name, values in residuals.items()}
         if not found and (under_way := self._checkpoint()) is not None:
             found = {under_way[1]: under_way[3]}
         return found

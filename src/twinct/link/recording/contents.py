@@ -99,8 +99,8 @@ class Contents:
     @property
     def view_of(self) -> dict[int, int]:
         """View of each stamp that ``/scan/views`` lists."""
-        told = ((stamp, said.message.source) for stamp, said in self.said[VIEWS].items())
-        found = ((stamp, re.fullmatch("view ([0-9]{1,18})", source)) for stamp, source in told)
+        sources = ((stamp, said.message.source) for stamp, said in self.said[VIEWS].items())
+        found = ((stamp, re.fullmatch("view ([0-9]{1,18})", source)) for stamp, source in sources)
         return {stamp: int(match[1]) for stamp, match in found if match}
 
     def at(self, topic: str, stamp: int) -> Any:

@@ -235,9 +235,9 @@ def _measure(settings: DetectabilityGoal, views: Views, patient: PatientModel) -
     coarse, photons = patient.photons(views.geometry, place, voxel, "task.detectability")
     found = detectability_of(Projector(coarse, grid), photons, Task(signal, 1.0), views.progress)
     power = np.abs(np.fft.rfftn(signal)) ** 2
-    told = found.fisher[list(views.even)].sum(axis=0, dtype=np.float64)
+    fisher = found.fisher[list(views.even)].sum(axis=0, dtype=np.float64)
     beta = settings.penalty * float(
-        (power * told).sum() / (power * difference_spectrum((BOX, BOX, BOX))).sum()
+        (power * fisher).sum() / (power * difference_spectrum((BOX, BOX, BOX))).sum()
     )
     if not beta > 0:
         raise InputError(

@@ -409,10 +409,10 @@ def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except (ValueError, mujoco_module().FatalError) as error:
-        told = " ".join(str(error).split()).removeprefix("Error: ")
-        named = re.search(r"name '([a-z]+)", told)
+        reason = " ".join(str(error).split()).removeprefix("Error: ")
+        named = re.search(r"name '([a-z]+)", reason)
         key = _KEYS.get(named[1], "cell") if named else "cell"
-        raise ScenarioError(f"{key}: MuJoCo cannot build this: {told}") from None
+        raise ScenarioError(f"{key}: MuJoCo cannot build this: {reason}") from None
 
 
 def _compiled(

@@ -69,8 +69,8 @@ class Guide:
             plan = timed(self._cell, self._motion, way)
         except TrajectoryError as error:
             # The caller knows a target, no view 0.
-            told = [problem.removeprefix("view 0: ") for problem in error.problems]
-            text = "; ".join(told).replace("view 0", "the target")
+            problems = [problem.removeprefix("view 0: ") for problem in error.problems]
+            text = "; ".join(problems).replace("view 0", "the target")
             raise TargetRefusedError(text, arms_in(text)) from None
         if len(at_home := np.flatnonzero((way.joints == self._home).all(axis=1))):
             self._trail = [way.joints[at_home[-1] :]]

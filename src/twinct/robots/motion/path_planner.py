@@ -137,8 +137,8 @@ class _Joints:
 
     def one(self, state: Any) -> Floats:
         """Return the joints of one state, rad, (n,); angles within half a turn."""
-        told = enumerate(self.circles.tolist())
-        return np.array([state[j].value if circle else state[j][0] for j, circle in told])
+        circles = enumerate(self.circles.tolist())
+        return np.array([state[j].value if circle else state[j][0] for j, circle in circles])
 
     def knots(self, states: Any) -> Floats:
         """Return the joints of states, rad, (m, n); angles go the shorter way between states."""

@@ -367,8 +367,8 @@ class _Finder:
             count = sum(n for (layer, *_), n in tried.items() if layer == blocked)
             total = choice.best(np.zeros(len(nodes[0])))[1]
             if count == DETOURS_TRIED or not np.isfinite(total) or self._detours.over:
-                told = _no_way(views[blocked], views[blocked + 1], count, self._detours.looked)
-                raise NoPathError(told)
+                problem = _no_way(views[blocked], views[blocked + 1], count, self._detours.looked)
+                raise NoPathError(problem)
 
     def _mostly_straight(
         self,

@@ -150,8 +150,8 @@ def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
         worst = int(beyond.max(axis=0).argmax())
         far, name = float(beyond[:, worst].max()), cell.joint_names[worst]
         rails = [f"{side}_{RAIL_JOINT}" for side in SIDES]
-        told = f"{1000 * far:.1f} mm" if name in rails else f"{np.degrees(far):.1f} deg"
-        problems.append(f"{name} goes {told} beyond its range")
+        distance = f"{1000 * far:.1f} mm" if name in rails else f"{np.degrees(far):.1f} deg"
+        problems.append(f"{name} goes {distance} beyond its range")
     shares = TimeLaw(cell, motion).shares(states)
     for what, share in shares.items():
         if share.max() > OVER:
