@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twinct.core.errors import ScanExistsError
-from twinct.runs import simulate
+from twinct.runs import reconstruct, simulate
 from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import parse_scenario
 from twinct.trajectory import commanded_views, write_views
@@ -39,6 +39,14 @@ def test_a_scan_takes_and_keeps_the_mas_of_its_file(tmp_path):
     # The source has 0.01 mAs. A variance of 240 pixels: 9 %, one deviation.
     np.testing.assert_allclose(relative, 0.01 / MAS, rtol=0.5)
     assert (np.argsort(relative) == np.argsort(-MAS)).all()
+    # The photons that the reconstruction gets, and line integrals that few of them do not bias.
+    np.testing.assert_allclose(uneven.photons / even.photons, MAS / 0.01)
+    assert even.photons[0] * even.transmission[free].var() == pytest.approx(1, rel=0.2)
+    plain = -np.log(even.transmission)
+    np.testing.assert_allclose(even.line_integrals()[free], plain[free] - 0.5 / even.photons[0],
+        rtol=0, atol=2e-2 / even.photons[0])  # fmt: skip
+    thin = {"grid": {"voxels": 16, "voxel_mm": 1.0}, "algorithm": "fast"}
+    assert reconstruct(even, **thin).extras["denoising"]["from"] == "photons"
 
 
 def test_other_mas_are_another_scan(tmp_path):

@@ -20,7 +20,7 @@ from twinct.recon.air import DARKEST, KnownNoise
 from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.projector import Projector
 
-PER_NOISE = 5.0
+PER_NOISE = 3.0
 """Strength per s q / (sqrt(V) S); from ``fista_tv`` at its best on the zoo (bench_prior_zoo.py)."""
 
 
