@@ -60,8 +60,8 @@ compare ratios of one run, not times of two.
 |---|---|---|---|---|
 {rows}
 
-These pages are made from the records in `benchmarks/results/*.json` by `python
-tools/validation_pages.py`. Add a figure there: one fact a record.
+These pages are made from the records in `benchmarks/results/*.json`. Add a figure there, one fact a
+record, then run `python tools/validation_pages.py`.
 
 ```{{toctree}}
 :hidden:
