@@ -19,13 +19,13 @@ PAGES = [
 START = r"(?:^|(?<=[.:;|] )|(?<=- )|(?<=\*\* ))"
 """Where a sentence, a cell or an item begins."""
 PATTERNS = {
-    "of it": r"\bof it\b",
-    "the same, as a noun": r"\bthe same(?=\s*(?:[.,;:|)]|$|of |for |by |with |over |under |from ))",
+    "of it": r"(?<!most )(?<!all )(?<!half )(?<!part )(?<!% )\bof it\b",
+    "the same, as a noun": r"(?<!is )(?<!are )(?<!be )(?<!stay )\bthe same(?=\s*(?:[.,;:|)]|$|of |for |by |with |over |under |from ))",
     "can be had": r"\bbe had\b",
     "is told": r"\b(?:is|are|was|be) told\b",
     "tells of": r"\btell(?:s|ing)? of\b",
     "What ..., without a question": rf"{START}What (?!\w+\?)[^?.|]*[.|]",
-    "Of ..., without a noun before": rf"{START}Of [a-z]",
+    "Of ..., without a noun before": rf"{START}Of (?!these|those|the \d|up to)[a-z]",
     "anew": r"\banew\b",
     "shall": r"\bshall\b",
     "mend": r"\bmend(?:s|ed|ing)?\b",
