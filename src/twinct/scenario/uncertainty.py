@@ -135,7 +135,7 @@ class ArmErrors(Section):
 
 
 class ViewErrors(Section):
-    """Errors of executed poses, drawn anew for each view: standard deviations for each axis."""
+    """Errors of executed poses, drawn for each view: standard deviations for each axis."""
 
     source_mm: NonNegative = setting(0.0, "Error of the focal spot along each axis.")
     detector_in_plane_mm: NonNegative = setting(
