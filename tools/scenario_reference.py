@@ -107,9 +107,9 @@ def views(section: Zigzag, panel: Panel) -> ScanGeometry:
 ZIGZAG = Family(Zigzag, views)
 ```
 
-`OrbitSettings` has the keys of all orbits, `TrajectorySettings` has none. The name of an entry point
-is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of `task` or
-`evaluation`, or the value of `--to`. The other kinds:
+`OrbitSettings` has the keys of all orbits, `TrajectorySettings` has none. The name of an entry
+point is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of `task`
+or `evaluation`, or the value of `--to`. The other kinds:
 
 - [an algorithm](reconstruction.md#an-algorithm-of-your-own): settings, a function, an `Algorithm`
 - [an objective of a plan](planning.md#add-an-objective): keys, a measure, an `Objective`
@@ -118,9 +118,10 @@ is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a 
 - [an export format](exchange.md#add-a-format): a function, a script, a `Format`
 
 Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is built
-from them. A key `path`, `file` or `plan` is an input file, in any section: its path is made absolute, it
-must exist, and its content counts. An entry point that fails, or whose name is taken, is reported
-with its package, and only scenarios that name it are refused. `tests/extension` is a whole package.
+from them. A key `path`, `file` or `plan` is an input file, in any section: its path is made
+absolute, it must exist, and its content counts. An entry point that fails, or whose name is taken,
+is reported with its package, and only scenarios that name it are refused. `tests/extension` is a
+whole package.
 """
 
 UNITS = {
