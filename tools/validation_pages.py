@@ -52,9 +52,8 @@ Every figure that we claim, with the command that measures it. Each topic has a 
 what was measured, which figure was asked for, and which one we measured: ✅ met, ❌ missed, or
 reported where nothing was asked for. Nothing is left out because it was missed.
 
-All figures were measured without a graphics card (software OpenGL) on 2 cores under Debian 12 with
-Python 3.11 and the locked package versions, unless a page says otherwise. The machine was shared:
-compare ratios of one run, not times of two.
+Unless a page says otherwise, the machine had {machine}. Because the
+machine was shared, compare ratios of one run, not times of two. OpenGL ran in software.
 
 | topic | question | met | missed | reported |
 |---|---|---|---|---|
@@ -71,12 +70,17 @@ record, then run `python tools/validation_pages.py`.
 """
 
 
+USUAL = "2 shared cores without a graphics card, Debian 12, Python 3.11, locked package versions"
+"""Machine of most topics; the index states it, and a page only another one."""
+
+
 class Topic(NamedTuple):
     """The records of one page."""
 
     name: str
     title: str
     question: str
+    machine: str
     conditions: str
     records: list[dict[str, str]]
     notes: list[str]
@@ -114,7 +118,8 @@ def _index(every: list[Topic]) -> str:
     ]
     sums = (f"**{sum(topic.count(met) for topic in every)}**" for met in MARKS)
     rows.append(f"| **all** | | {' | '.join(sums)} |")
-    return INDEX.format(rows="\n".join(rows), pages="\n".join(topic.name for topic in every))
+    names = "\n".join(topic.name for topic in every)
+    return INDEX.format(machine=USUAL, pages=names, rows="\n".join(rows))
 
 
 def _counts(topic: Topic) -> str:
@@ -125,6 +130,8 @@ def _page(topic: Topic) -> str:
     dates = sorted({record["date"] for record in topic.records if "date" in record})
     until = f" Newest figure: {dates[-1]}." if dates else ""
     lines = [f"# {topic.title}\n", f"{topic.question}{until}\n"]
+    if topic.machine != USUAL:
+        lines.append(f"Machine: {topic.machine}.\n")
     if topic.conditions:
         lines.append(f"{topic.conditions}\n")
     lines.append("A row without a command belongs to the command above it.\n")
