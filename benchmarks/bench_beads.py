@@ -21,8 +21,7 @@ from twinct.calibration.scan_calibration import phantom_of
 from twinct.evaluation import region_of_interest
 from twinct.geometry import ScanGeometry
 from twinct.runs import simulate
-from twinct.runs.volumes import line_integrals
-from twinct.scan import SimulationBuilder
+from twinct.scan import SimulationBuilder, line_integrals
 from twinct.scenario import load_scenario, parse_scenario
 from twinct.trajectory import OrbitSettings
 from twinct.xray.build import effective_energy_kev

@@ -29,7 +29,7 @@ from twinct.calibration import PosePrior, aligned, epipolar_consistent, moved, s
 from twinct.calibration.consistency import FROM_START, ROUNDS
 from twinct.geometry import ScanGeometry
 from twinct.runs import simulate
-from twinct.runs.volumes import line_integrals
+from twinct.scan import line_integrals
 from twinct.scenario import Scenario, parse_scenario
 from twinct.uncertainty.correlation import view_normals
 

@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from twinct.calibration import Seen, Shadows, calibrated_arms, resected
+from twinct.calibration import PhantomViews, Shadows, calibrated_arms, resected
 from twinct.calibration.arm_calibration import arm_prior, calibrate_kinematics, view_covariance
 from twinct.calibration.scan_calibration import phantom_of
 from twinct.calibration.shadows import overlapping, shadow_radius_px
@@ -36,6 +36,7 @@ from twinct.scan import SimulationBuilder
 from twinct.scenario import Uncertainty, ViewErrors, load_scenario
 from twinct.trajectory import panel_axes
 from twinct.uncertainty import TrueCell
+from twinct.uncertainty.nominal_scan import NominalScan
 
 SCENARIO = Path(__file__).parents[1] / "scenarios" / "balls.yaml"
 SHADOW_PX = 0.01
@@ -91,7 +92,7 @@ def nominal(chains, joints):
         yield [Pose.from_matrix(at[:3, 3], at[:3, :3]) for at in chain.tools(own)]
 
 
-def seen_in(executed, joints, phantom, uncertainty, rng):
+def seen_in(executed, joints, phantom, own, rng):
     """What the shadows of a phantom off by its tolerance tell of each view."""
     centres = phantom.centres + rng.normal(0, TOLERANCE_MM, phantom.centres.shape)
     known, kept = [], []
@@ -110,9 +111,10 @@ def seen_in(executed, joints, phantom, uncertainty, rng):
         except CalibrationError:
             continue
         kept.append(view)
-    own = view_covariance(uncertainty)
     covariance = np.stack([one.covariance + own for one in known])
-    return Seen(joints[kept], ScanGeometry.joined([one.geometry for one in known]), covariance)
+    return PhantomViews(
+        joints[kept], ScanGeometry.joined([one.geometry for one in known]), covariance
+    )
 
 
 def off_mm(executed, source, detector):
@@ -172,8 +174,10 @@ def main() -> None:
     section = Uncertainty.model_validate({"preset": asked.preset})
     quiet = section.model_copy(update={"views": ViewErrors()})
     step = np.radians(section.encoder_step_deg)
-    of_source, of_detector = (arm_prior(section, chain) for chain in chains)
-    priors = of_source, of_detector
+    home = np.zeros((1, sum(map(len, chains))))
+    still = NominalScan.of_arms(chains, home, home, np.zeros(1))
+    motions = still.motion(0), still.motion(1)
+    priors = arm_prior(section, motions[0]), arm_prior(section, motions[1])
     errors = {views: [] for views in asked.views}
     for seed in range(asked.seeds):
         rng = np.random.default_rng(seed)
@@ -186,7 +190,9 @@ def main() -> None:
         for views in asked.views:
             executed = executed_of(cells[0], chains, joints[:views], panel, 0)
             begun = time.perf_counter()
-            seen = seen_in(executed, encoders[:views], phantom, section, rng)
+            seen = seen_in(
+                executed, encoders[:views], phantom, view_covariance(section, motions), rng
+            )
             half = time.perf_counter()
             found = calibrated_arms(chains, seen, priors, gear_periods=section.arms.gear_periods)
             seconds = half - begun, time.perf_counter() - half

@@ -79,9 +79,9 @@ def scene(path: Path, views: int) -> tuple[ScanGeometry, list[SceneBody], float]
     for part in builder.specimen.parts:
         mesh, mu = split(part.mesh, edge), float(part.material.mu_per_mm(energy))
         bodies.append(SceneBody(np.asarray(mesh.vertices), np.asarray(mesh.faces), mu))
-    asked = builder.asked
-    chosen = np.linspace(0, len(asked) - 1, min(views, len(asked))).astype(int)
-    geometry = builder.specimen.world_from_specimen.inverse() @ asked[chosen]
+    requested = builder.requested
+    chosen = np.linspace(0, len(requested) - 1, min(views, len(requested))).astype(int)
+    geometry = builder.specimen.world_from_specimen.inverse() @ requested[chosen]
     return geometry, bodies, float(material("bone").mu_per_mm(energy))
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.robots.cell import build_cell
 from twinct.robots.motion import RobotSimulation, plan_motion
 from twinct.scenario import Cell, Detector, Motion, load_scenario
@@ -32,7 +32,7 @@ FINE_IK = {"position_tolerance_mm": 0.01, "rotation_tolerance_deg": 0.01}
 def paper_targets(views: int) -> list[Target]:
     panel = Detector().panel
     geometry = commanded_views(SinusoidTrajectory(kind="sinusoid", views=views), panel)
-    return PosePairs.from_geometry(geometry).targets()
+    return targets_of(geometry)
 
 
 def measure(views: int, trigger: str, scheme: str) -> dict[str, object]:

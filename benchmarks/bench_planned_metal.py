@@ -210,11 +210,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--floor", action="store_true")
+    parser.add_argument("--best", help="compare this circle, chosen before; plan nothing")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4, 5])
     options = parser.parse_args()
     bench = Bench(options.out, options.full)
     circles = [f"circle_{tilt:g}_{axis:g}" for tilt in TILTS_DEG for axis in AXES_DEG]
     untilted = "circle_0_0"
+    if options.best:
+        bench.seen_by_all([untilted, options.best])
+        compare(bench, circles_of(untilted, options.best), options.seeds)
+        return
     planned = [bench.plan(weight) for weight in WEIGHTS]
     bench.seen_by_all([untilted, *circles, *planned])
     if options.floor:
@@ -225,16 +230,29 @@ def main() -> None:
         tuned[path] = bench.excess(path, TUNED_ON)
         print(f"{path}: excess {100 * tuned[path]:.2f} % (seed {TUNED_ON})", flush=True)
     tilted, chosen = min(circles, key=tuned.__getitem__), min(planned, key=tuned.__getitem__)
-    ways = {"untilted": (untilted, "sart"), "best tilted": (tilted, "sart")}
+    ways = circles_of(untilted, tilted)
     ways |= {"planned": (chosen, "sart"), "planned, NMAR": (chosen, "nmar")}
-    ways |= {"best tilted, NMAR": (tilted, "nmar")}
+    compare(bench, ways, options.seeds)
+
+
+def circles_of(untilted: str, tilted: str) -> dict[str, tuple[str, str]]:
+    """Circles without and with NMAR, which those that are planned with it are compared with."""
+    circles = {"untilted": untilted, "best tilted": tilted}
+    ways = {name: (path, "sart") for name, path in circles.items()}
+    return ways | {f"{name}, NMAR": (path, "nmar") for name, path in circles.items()}
+
+
+def compare(bench: Bench, ways: Mapping[str, tuple[str, str]], seeds: Sequence[int]) -> None:
+    """Print the excess of each path."""
     found = {
-        name: np.array([bench.excess(path, seed, way) for seed in options.seeds])
+        name: np.array([bench.excess(path, seed, way) for seed in seeds])
         for name, (path, way) in ways.items()
     }
     for name, each in found.items():
-        bare = [bench.error(ways[name][0], seed, False) for seed in options.seeds]
-        over = {base: (each / found[base]).mean() for base in ("best tilted", "untilted")}
+        bare = [bench.error(ways[name][0], seed, False) for seed in seeds]
+        of = ["best tilted", "untilted"]
+        of += [f"{base}, NMAR" for base in of] if name.endswith("NMAR") else []
+        over = {base: each.mean() / max(found[base].mean(), 1e-9) for base in of}
         print(
             f"{name} ({ways[name][0]}): excess {100 * each.mean():.2f} +- "
             f"{100 * each.std():.2f} %, "

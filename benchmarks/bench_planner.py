@@ -24,7 +24,7 @@ from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion.branches import Branches, matrices
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.path_planner import SEARCHES, Detours
-from twinct.robots.motion.path_search import find_joint_path, kept_mm
+from twinct.robots.motion.path_search import find_joint_path, required_gap_mm
 from twinct.scenario import Cell, Detector, InverseKinematics, Motion
 from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views, on_sphere
 from twinct.trajectory.orbit import orbit_views
@@ -74,7 +74,7 @@ def judged(cell: CellModel, poses: Floats, arm: int) -> dict[str, float]:
     found = branches.of(poses)
     joints = np.zeros((len(found.joints), len(cell.joint_names)))
     joints[:, cell.arm_joints[arm]] = found.joints
-    clear = room.clear(joints, kept_mm(MOTION))
+    clear = room.clear(joints, required_gap_mm(MOTION))
     seconds = time.process_time() - begin
     return {
         "candidates": len(joints),
@@ -96,7 +96,7 @@ def detours(cell: CellModel, number: int) -> dict[str, object]:
     for view in range(len(views)):
         both = [found.joints[found.pose == view] for found in of_arms]
         pairs = np.array([np.hstack([a, b]) for a in both[0] for b in both[1]])
-        if len(pairs) and (clear := room.clear(pairs, kept_mm(MOTION))).any():
+        if len(pairs) and (clear := room.clear(pairs, required_gap_mm(MOTION))).any():
             good = pairs[clear]
             joints.append(good[rng.integers(len(good))])
     planner = Detours(cell, room, np.ptp(cell.joint_ranges, axis=1) > 3 * np.pi, 0)
@@ -104,10 +104,10 @@ def detours(cell: CellModel, number: int) -> dict[str, object]:
     for a, b in zip(joints[:-1], joints[1:], strict=True):
         if len(seconds) == number:
             break
-        if room.straight(a[None], b[None], kept_mm(MOTION))[0]:
+        if room.straight(a[None], b[None], required_gap_mm(MOTION))[0]:
             continue
         begin = time.process_time()
-        ways = (planner.between(a, b, kept_mm(MOTION), k) for k in range(len(SEARCHES)))
+        ways = (planner.between(a, b, required_gap_mm(MOTION), k) for k in range(len(SEARCHES)))
         found += any(way is not None for way in ways)
         seconds.append(time.process_time() - begin)
     return {

@@ -35,7 +35,7 @@ from twinct.recon.resolution import binned
 from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
 from twinct.runs.reconstruction import load_scan
-from twinct.runs.volumes import line_integrals
+from twinct.scan import line_integrals
 
 MARGIN_MM, COARSE_MM = 50.0, 2.5
 """Of the surroundings: the defaults; the skulls reach 25 mm beyond the paper's grid."""

@@ -22,10 +22,10 @@ from referee import Referee
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.robots.cell import CellModel
 from twinct.robots.motion import JointPath, find_joint_path
-from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.motion.path_search import required_gap_mm
 from twinct.robots.motion.plan import timed
 from twinct.scenario import Cell
 from twinct.trajectory import ArcTrajectory, on_sphere
@@ -53,7 +53,7 @@ def drawn(index: int, within_deg: tuple[float, float]) -> Target:
         sdd_mm=sod + rng.uniform(250, 350),
     )
     source = on_sphere(np.array([longitude]), np.array([latitude]), sod)
-    return PosePairs.from_geometry(orbit_views(section, PANEL, source)).targets()[0]
+    return targets_of(orbit_views(section, PANEL, source))[0]
 
 
 def right(cell: CellModel, way: JointPath, referee: Referee) -> bool:
@@ -93,7 +93,7 @@ def compare(
 ) -> dict[str, Any]:
     """Verdicts of both on as many views as it takes."""
     model = cell.cell.source_arm.model
-    referee = Referee(cell, kept_mm(MOTION), MOTION.ik)
+    referee = Referee(cell, required_gap_mm(MOTION), MOTION.ik)
     told = [line for line in told_in(results) if line["cell"] == mark(cell)]
     while sum(line["held"] for line in told) < positives:
         target = drawn(len(told), WITHIN_DEG[model or "ur10e"])

@@ -32,7 +32,7 @@ from twinct.recon import fast, sart, without_surroundings
 from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.stopping import error_change
 from twinct.runs.reconstruction import derive_geometry
-from twinct.runs.volumes import line_integrals
+from twinct.scan import line_integrals
 from twinct.scenario import load_scenario
 
 PAPER = Path(__file__).parents[1] / "scenarios" / "paper.yaml"

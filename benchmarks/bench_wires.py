@@ -29,7 +29,7 @@ from twinct.geometry import ScanGeometry
 from twinct.recon import Projector, sart
 from twinct.recon.surroundings import without_surroundings
 from twinct.runs import simulate
-from twinct.runs.volumes import line_integrals
+from twinct.scan import line_integrals
 from twinct.scenario import Scenario, parse_scenario
 from twinct.uncertainty.correlation import view_normals
 

@@ -26,7 +26,7 @@ from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.branches import Branches
 from twinct.robots.motion.feasible import Feasible
-from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.motion.path_search import required_gap_mm
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Motion, load_scenario
 
@@ -43,7 +43,7 @@ class Judge:
     """Of one cell, at one clearance."""
 
     def __init__(self, cell: CellModel, motion: Motion) -> None:
-        self._cell, self._least_mm = cell, kept_mm(motion)
+        self._cell, self._least_mm = cell, required_gap_mm(motion)
         self._data, self._line = mujoco.MjData(cell.model), np.zeros(6)
         self._branches = [Branches(cell, arm, motion.ik) for arm in range(2)]
         self._alone = [Feasible(cell, "source"), Feasible(cell, "detector")]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats, Panel
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.trajectory import (
     ArcTrajectory,
     SinusoidTrajectory,
@@ -107,7 +107,7 @@ def _sinusoid(rng: np.random.Generator, views: int) -> SinusoidTrajectory:
 
 
 def _commanded(section: TrajectorySettings, panel: Panel) -> list[Target]:
-    return PosePairs.from_geometry(commanded_views(section, panel)).targets()
+    return targets_of(commanded_views(section, panel))
 
 
 def _about(panel: Panel, longitude_deg: Floats, latitude_deg: Floats) -> list[Target]:
@@ -116,6 +116,4 @@ def _about(panel: Panel, longitude_deg: Floats, latitude_deg: Floats) -> list[Ta
 
 def _from(panel: Panel, directions: Floats) -> list[Target]:
     section = ArcTrajectory(kind="arc", views=len(directions))
-    return PosePairs.from_geometry(
-        orbit_views(section, panel, section.sod_mm * directions)
-    ).targets()
+    return targets_of(orbit_views(section, panel, section.sod_mm * directions))

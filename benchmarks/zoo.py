@@ -25,6 +25,8 @@ from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, TUNING, Made
 
 from twinct.recon import cgls, fast, sart, without_surroundings
 from twinct.recon.denoise import lower_variation
+from twinct.recon.surroundings import signs_beyond
+from twinct.runs.volumes import MUCH_BESIDE, UNEQUAL
 
 PASSES, RELAXATIONS = 20, (0.1, 0.3, 1.0)
 DENOISED = (1, 2, 3, 4, 6, 8, 12, 16, 20)
@@ -37,8 +39,6 @@ MARGIN_MM, COARSE_MM = 60.0, 2.0
 
 def without_rest(made):
     """Return the line integrals of the grid alone."""
-    if not made.case.truncated:
-        return made.p
     return without_surroundings(made.A, made.p, margin_mm=MARGIN_MM, voxel_mm=COARSE_MM)
 
 
@@ -63,7 +63,7 @@ def passes_of(made, p, relaxation, *, nonnegative, watch=lambda number, x: None)
 
 def baselines(made):
     """Return the best passes of SART and CGLS."""
-    found, p = {}, without_rest(made)
+    found, p = {}, without_rest(made) if made.case.truncated else made.p
     least, at_auto, best = np.inf, None, []
 
     def denoised(number, x):
@@ -99,17 +99,25 @@ def baselines(made):
 
 
 def of_fast(made):
-    """Return the error of ``fast`` with its defaults, and its seconds."""
+    """Return the error of ``fast`` with its defaults, its seconds, and whether a run warns.
+
+    Where a run warns that the object reaches beyond the grid, its cure is applied.
+    """
+    beside, ratio = signs_beyond(made.A, made.p)
+    warned = beside > MUCH_BESIDE or ratio > UNEQUAL
+    p = without_rest(made) if warned else made.p
     start = time.process_time()
-    volume = fast(made.A, made.p)
+    volume = fast(made.A, p, photons=made.case.photons)
     seconds = time.process_time() - start
-    return {"fast": {"error": made.error(volume.array), "seconds": seconds}}
+    found = {"error": made.error(volume.array), "seconds": seconds, "warned": bool(warned)}
+    return {"fast": found | {"denoising": volume.extras["denoising"]}}
 
 
 def of_auto(made):
     """Return the error where ``stop: auto`` ends."""
     keys = {"iterations": PASSES, "relaxation": AUTO, "nonnegative": True, "stop": "auto"}
-    volume = sart(made.A, without_rest(made), **keys)
+    p = without_rest(made) if made.case.truncated else made.p
+    volume = sart(made.A, p, **keys)
     return {"auto": {"error": made.error(volume.array), "passes": volume.extras["passes"]}}
 
 

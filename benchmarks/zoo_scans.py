@@ -10,6 +10,7 @@ from scipy import ndimage
 from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
+from twinct.recon.few_photons import integrals_of_photons
 from twinct.specimen.materials import Material
 
 SPAN_MM = 64.0
@@ -223,7 +224,7 @@ class Made:
             counts = rng.poisson(photons * light)
             # As the chain does it: no pixel has less than half a photon.
             light = np.maximum(counts, 0.5) / photons
-        p = -np.log(light)
+        p = -np.log(light) if photons is None else integrals_of_photons(light, photons)
         if self.case.main is not None:
             p = self._linearised(p)
         return counts, p.astype(np.float32)

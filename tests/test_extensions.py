@@ -109,6 +109,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     points += "[twinct.figures]\nhidden = hopeless:IT\nmtf = hopeless:IT\n"
     points += "[twinct.parts]\nghost = hopeless:IT\nsphere = hopeless:IT\n"
     points += "[twinct.xray_engines]\ndark = hopeless:IT\n"
+    points += "[twinct.errors]\nwobble = hopeless:IT\n"
+    points += "[twinct.arms]\nlame = hopeless:IT\nur10e = hopeless:IT\n"
     distribution(target, "hopeless", "0.3", points, "raise OSError('its library is gone')\n")
     return target
 
@@ -217,7 +219,9 @@ def test_an_objective_that_does_not_fit_the_task_is_left_out(
     assert broken == {name: f"the objective {name!r} cannot be used: {reason}"}
 
 
-@pytest.mark.parametrize(("module", "page"), [("tails", "figures"), ("ring", "specimen")])
+@pytest.mark.parametrize(
+    ("module", "page"), [("tails", "figures"), ("ring", "specimen"), ("sag", "uncertainty")]
+)
 def test_the_page_shows_the_code_that_is_tested(module: str, page: str) -> None:
     code = (HERE / "extension" / "twinct_tiny" / f"{module}.py").read_text(encoding="utf-8")
     page = (HERE.parent / "docs" / f"{page}.md").read_text(encoding="utf-8")
@@ -325,6 +329,7 @@ def test_who_names_an_engine_that_cannot_be_used_is_told_why(
 @pytest.mark.process
 def test_who_names_a_broken_one_is_told_why(installed: Path, scenario: Path) -> None:
     given = "reconstruction.algorithm=hopeless", "trajectory.kind=nowhere", "evaluation.hidden=[]"
+    given += "uncertainty.wobble={}", "cell.source_arm.model=lame"
     refused = twinct(installed, "check", scenario, *(f"--set={one}" for one in given))
     assert refused.returncode == 2
     for place in (f"{one}: " for one in given):
@@ -360,3 +365,71 @@ def test_a_foreign_part_is_checked_imaged_and_judged(installed: Path, tmp_path: 
     volume = truth.get_fdata().sum() / truth.get_fdata().max() * np.prod(truth.header.get_zooms())
     assert volume == pytest.approx(2 * np.pi**2 * 30 * 10**2, rel=POLYGON)
     assert "ring" in (out / "report.html").read_text(encoding="utf-8")
+
+
+SAG_STUDY = """\
+scenario: {file}
+axes: [{{key: uncertainty.sag.mm, values: [0.5, 1]}}]
+figures: [image.rmse_rel]
+"""
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_a_foreign_error_is_checked_drawn_propagated_and_varied(
+    installed: Path, tmp_path: Path
+) -> None:
+    file, out = tmp_path / "sag.yaml", tmp_path / "out"
+    file.write_text(
+        f"extends: {HERE}/same_bytes/small.yaml\n"
+        "trajectory: {views: 3}\n"
+        "cell: {kind: gantry}\n"
+        "xray: {engine: mesh}\n"
+        "uncertainty: {sag: {mm: 2, spread: 0}, source: {sigma_mm: 0}, detector: {sigma_mm: 0}}\n"
+    )
+    refused = twinct(installed, "check", file, "--set", "uncertainty.sag.spread=2")
+    assert refused.returncode == 2 and "uncertainty.sag.spread" in refused.stderr
+    assert twinct(installed, "check", file).returncode == 0
+    told = twinct(installed, "uncertainty", file, "--draws", "2", "--out", out / "told")
+    assert told.returncode == 0, told.stderr
+    [term] = json.loads((out / "told" / "uncertainty.json").read_text())["terms"]
+    assert term["term"] == "sag, mean"
+    done = twinct(installed, "run", file, "--out", out / "run", "--link", "local")
+    assert done.returncode == 0, done.stderr
+    # A level beam sinks by 2 mm; the path rises to 5 deg.
+    found = json.loads((out / "run" / "metrics.json").read_text())["pose_error"]["source"][
+        "position_mm"
+    ]
+    assert found["mean"] == pytest.approx(term["source_mm"], rel=1e-3)
+    assert found["mean"] == pytest.approx(2.0, rel=0.01)
+    study = tmp_path / "study.yaml"
+    study.write_text(SAG_STUDY.format(file=file))
+    varied = twinct(installed, "study", study, "--out", out / "study", "--jobs", "1")
+    assert varied.returncode == 0, varied.stderr
+    assert "uncertainty.sag.mm" in (out / "study" / "study.html").read_text(encoding="utf-8")
+    # Unused, it leaves no trace: the scenario can be read where it is not installed.
+    unused = "--set", "uncertainty.sag=null"
+    done = twinct(installed, "run", file, "--out", out / "none", "--link", "local", *unused)
+    assert done.returncode == 0, done.stderr
+    assert "sag" not in (out / "none" / "scenario.yaml").read_text()
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_a_foreign_arm_is_checked_and_moved(installed: Path, tmp_path: Path) -> None:
+    file, out = tmp_path / "six.yaml", tmp_path / "out"
+    file.write_text(
+        f"extends: {HERE}/same_bytes/small.yaml\n"
+        "trajectory: {views: 3}\n"
+        "xray: {engine: mesh}\n"
+        "cell: {source_arm: {model: six}}\n"
+    )
+    refused = twinct(installed, "check", file, "--set", "cell.source_arm.model=sixx")
+    assert refused.returncode == 2
+    assert "did you mean 'six'? (known: ur10e, lbr_iiwa14, six, and menagerie" in refused.stderr
+    checked = twinct(installed, "check", file)
+    assert checked.returncode == 0, checked.stderr
+    done = twinct(installed, "run", file, "--out", out, "--link", "local")
+    assert done.returncode == 0, done.stderr
+    assert json.loads((out / "metrics.json").read_text())["clearance_mm"]["min"] > 12
+    assert "model: six" in (out / "scenario.yaml").read_text()

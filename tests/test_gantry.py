@@ -9,7 +9,7 @@ import pytest
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Panel, Pose
-from twinct.geometry.wire import PosePairs, Reached, Target
+from twinct.geometry.wire import Reached, Target, targets_of
 from twinct.robots.gantry import Gantry
 from twinct.scenario import GantryCell, Source, parse_scenario
 from twinct.trajectory import commanded_views
@@ -23,7 +23,7 @@ def targets(**trajectory: object) -> list[Target]:
     specimen = {"parts": [{"shape": {"kind": "sphere", "radius_mm": 1}}]}
     scenario = parse_scenario({"trajectory": trajectory, "specimen": specimen})
     geometry = commanded_views(scenario.trajectory, Panel(4, 5, 1.0, 1.0))
-    return PosePairs.from_geometry(geometry).targets()
+    return targets_of(geometry)
 
 
 def gantry(samples: int = 1, exposure_ms: float = 10.0, view_s: float = 2.0) -> Gantry:

@@ -49,7 +49,8 @@ OLD = """
 import warnings
 from twinct.scan import SimulationBuilder
 warnings.simplefilter("error")
-for old in ("import twinct.motion.way", "from twinct.scan import Workshop"):
+names = "from twinct.scan import Workshop", "SimulationBuilder(None).asked"
+for old in ("import twinct.motion.way", *names):
     try:
         exec(old)
     except DeprecationWarning as warning:
@@ -71,6 +72,7 @@ def test_old_names_import_the_same_things_with_a_warning() -> None:
     assert result.stdout.splitlines() == [
         "twinct.motion is now twinct.robots.motion",
         "twinct.scan.Workshop is now twinct.scan.SimulationBuilder",
+        "SimulationBuilder.asked is now SimulationBuilder.requested",
         "twinct.robots.motion.path_search twinct.view_planning.planner twinct.core.errors",
         "True",
     ], result.stderr

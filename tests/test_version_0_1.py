@@ -17,7 +17,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
 from twinct.recon.volume import Volume
-from twinct.runs import reconstruct_again, report_again
+from twinct.runs import reconstruct_run, rewrite_report
 from twinct.scan import reported
 from twinct.scenario import load_scenario
 
@@ -60,7 +60,7 @@ def test_its_volume_is_what_it_was(folder: Path) -> None:
 @pytest.mark.parametrize("folder", ["ros2", "local"], indirect=True)
 def test_it_is_reported_reconstructed_once_more_and_exported(folder: Path) -> None:
     then = json.loads((folder / "metrics.json").read_text())
-    assert reconstruct_again(folder, ["reconstruction.algorithm=sirt"]).path.is_dir()
+    assert reconstruct_run(folder, ["reconstruction.algorithm=sirt"]).path.is_dir()
     now = json.loads((folder / "metrics.json").read_text())
     for figure in ("rmse_rel", "ssim", "mean_bone_rel"):
         assert now["image"][figure] == pytest.approx(then["image"][figure], rel=1e-4)
@@ -74,18 +74,17 @@ def test_a_volume_of_other_settings_is_no_result_of_it(folder: Path) -> None:
     file = folder / "scenario.yaml"
     file.write_text(file.read_text().replace("iterations: 2", "iterations: 3"))
     with pytest.raises(InputError, match="made with settings other than those"):
-        report_again(folder)
+        rewrite_report(folder)
 
 
 def test_ten_seeds_of_one_scan_are_ten_scans_of_then() -> None:
     kept, demo = np.load(KEPT / "believed.npz"), load_scenario(DEMO)
     executed = PosePairs(*(poses(rows) for rows in kept["executed"].swapaxes(0, 1)))
-    names = tuple(kept["joint_names"].tolist())
     assert len(executed) == 100 and len(kept["believed_mm"]) == 10
     for seed, then in enumerate(kept["believed_mm"]):
         section = demo.uncertainty.model_copy(update={"seed": seed})
         scenario = demo.model_copy(update={"uncertainty": section})
-        now = reported(scenario, names, kept["joints"], executed, executed).poses
+        now = reported(scenario, kept["joints"], executed, executed).poses
         for view, pair in enumerate(then):
             for pose, position, moved in zip(now[view], pair, executed[view], strict=True):
                 assert (pose.position == position).all() and (pose.quat == moved.quat).all()

@@ -2,8 +2,9 @@
 
     python tools/compile_kernels.py
 
-``make setup`` calls this script. Two processes compile in parallel: each kernel of the plain engine
-has one cache beside its source and another one below the cache of the vector engine.
+``make setup`` calls this script. Three processes compile in parallel: each kernel of the plain
+engine has one cache beside its source and another one below the cache of the vector engine, and
+Warp keeps the kernels of a card in its own.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ import sys
 
 import numpy as np
 
-PARTS = ("vector", "rest")
+PARTS = ("vector", "rest", "card")
 
 
 def main() -> int:
     """Compile one part, or each part in its own process, and return the exit code."""
     logging.getLogger("twinct").setLevel(logging.ERROR)  # make setup has announced the compilation
     if len(sys.argv) > 1:
-        {"vector": compile_vector, "rest": compile_rest}[sys.argv[1]]()
+        {"vector": compile_vector, "rest": compile_rest, "card": compile_card}[sys.argv[1]]()
         return 0
     workers = [subprocess.Popen([sys.executable, __file__, part]) for part in PARTS]
     return max(worker.wait() for worker in workers)
@@ -47,6 +48,16 @@ def compile_rest() -> None:
     _judge()
 
 
+def compile_card() -> None:
+    """Compile the kernels of a card for the processor, on which the tests run them."""
+    from twinct.core.card import DEVICE_VARIABLE
+    from twinct.xray.cuda_mesh import CudaMeshEngine
+
+    os.environ[DEVICE_VARIABLE] = "cpu"
+    _reconstruct("cuda")
+    _expose_mesh(CudaMeshEngine())
+
+
 def _reconstruct(engine: str) -> None:
     """Call every kernel of an engine through the algorithms that use it."""
     from twinct.geometry import Panel, Pose, VolumeGrid
@@ -63,6 +74,8 @@ def _reconstruct(engine: str) -> None:
     sart(projector, projections, iterations=1, relaxation=0.5)
     fista_tv(projector, projections, iterations=1, regularisation=0.01)
     fdk(projector, projections)
+    if engine == "cuda":
+        return
     still = Deformation(np.zeros_like, Pose.identity())
     moving = MovingProjector(geometry, projector.grid, [still] * 4, engine)
     moving.T(moving(np.ones(moving.domain_shape, np.float32)))
@@ -139,19 +152,30 @@ def _cross() -> None:
     from twinct.geometry import Panel, VolumeGrid
     from twinct.specimen import GreyField
     from twinct.specimen.materials import material
-    from twinct.xray.engine import SceneBody, SceneView
+    from twinct.xray.engine import SceneView
     from twinct.xray.grey import GreyCaster
     from twinct.xray.mesh import MeshEngine
 
-    mesh, panel, (x, y, z) = _specimen().parts[0].mesh, Panel(8, 9, 10.0, 10.0), np.eye(3)
-    engine, image = MeshEngine(), np.empty(panel.shape, np.float32)
-    engine.acquire([SceneBody(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.05)], panel)
-    view = SceneView(200 * x, -200 * x, y, z)
-    engine.expose(view, image)
-    engine.path_lengths(view, 0, image)
+    panel, (x, y, z) = Panel(8, 9, 10.0, 10.0), np.eye(3)
+    _expose_mesh(MeshEngine())
     grid, substance = VolumeGrid((4, 5, 6), 10.0), material("water")
     field = GreyField((substance,), np.ones((*grid.shape, 1), np.float32), grid)
-    GreyCaster(field, panel).cast(view)
+    GreyCaster(field, panel).cast(SceneView(200 * x, -200 * x, y, z))
+
+
+def _expose_mesh(engine) -> None:
+    """Render a ball in front of the source, and one around it."""
+    from twinct.geometry import Panel
+    from twinct.xray.engine import SceneBody, SceneView
+
+    mesh, panel, (x, y, z) = _specimen().parts[0].mesh, Panel(8, 9, 10.0, 10.0), np.eye(3)
+    image = np.empty(panel.shape, np.float32)
+    engine.acquire([SceneBody(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.05)], panel)
+    for distance in (200.0, 10.0):
+        view = SceneView(distance * x, -200 * x, y, z)
+        engine.expose(view, image)
+        engine.path_lengths(view, 0, image)
+    engine.release()
 
 
 def _expose() -> None:

@@ -58,9 +58,9 @@ images with noise or random bad pixels, a volume in random order, executed poses
 
 EXTENSIONS = """## Extensions of your own
 
-Your package can add algorithms, trajectories, objectives of a plan, figures, X-ray engines and
-export formats. It names them as entry points. Once it is installed (`pip install .` in its folder),
-the command line, the ROS 2 nodes and Python all know them:
+Your package can add algorithms, trajectories, objectives of a plan, figures, error terms, X-ray
+engines and export formats. It names them as entry points. Once it is installed (`pip install .` in
+its folder), the command line, the ROS 2 nodes and Python all know them:
 
 ```toml
 [project.entry-points."twinct.algorithms"]
@@ -73,6 +73,8 @@ level = "my_package.level:LEVEL"
 tails = "my_package.tails:TAILS"
 [project.entry-points."twinct.xray_engines"]
 analytic = "my_package.analytic:ANALYTIC"
+[project.entry-points."twinct.errors"]
+sag = "my_package.sag:SAG"
 [project.entry-points."twinct.exports"]
 mine = "my_package.mine:MINE"
 ```

@@ -27,6 +27,7 @@ ORDER = (
     "ctsimu",
     "reconstruction",
     "quality",
+    "cuda",
     "figures",
     "uncertainty",
     "calibration",

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from soft_balls import CENTRES, MU, RADII, images
 
-from twinct.calibration.epipolar import EMPTY, SeenPlanes, epipolar_consistent
+from twinct.calibration.epipolar import EMPTY, PlaneDerivatives, epipolar_consistent
 from twinct.calibration.freedom import PosePrior
 from twinct.calibration.modes import aligned
 from twinct.calibration.plane_integrals import PlaneIntegrals
@@ -292,7 +292,7 @@ def test_a_few_planes_that_happen_to_agree_do_not_outweigh_all_others() -> None:
     complete[0, :5] = True
     told[0, complete] = 1e-6
     every = np.ones_like(complete)
-    seen = SeenPlanes(views, pairs, told, np.zeros((*told.shape, 3)), every, every, complete)
+    seen = PlaneDerivatives(views, pairs, told, np.zeros((*told.shape, 3)), every, every, complete)
     weights = seen.weights()
     assert weights[complete].max() == pytest.approx(weights.max())
     # One standard deviation of the differences, 30 of which count as one.

@@ -9,16 +9,23 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from drawn_arms import deviations, still, true_tools
 
-from twinct.calibration import CalibratedArms, KinematicCalibration, Seen, calibrated_arms, moved
+from twinct.calibration import (
+    CalibratedArms,
+    KinematicCalibration,
+    PhantomViews,
+    calibrated_arms,
+    moved,
+)
 from twinct.calibration.arm_calibration import arm_prior
 from twinct.calibration.kinematics import ArmPrior, minimal_from_full
 from twinct.core.errors import CalibrationError, InputError
 from twinct.geometry import Chain, Floats, Misfit, Panel, Pose, ScanGeometry
 from twinct.robots.cell import CellModel, chains_of
 from twinct.scenario import Uncertainty
-from twinct.uncertainty.arms import Moment, drawn, true_tools
 
+SIDES = ("source", "detector")
 PANEL = Panel(240, 320, 1.0, 1.0)
 SECTION = Uncertainty.model_validate({"preset": "collaborative", "arms": {"drift_mm": 0}})
 COVARIANCE = np.diag([0.02, 0.02, 0.1] * 2 + [2e-4, 2e-4, 2e-5]) ** 2
@@ -46,7 +53,11 @@ def arms(cell: CellModel) -> Arms:
 def priors(
     chains: tuple[Chain, Chain], section: Uncertainty = SECTION
 ) -> tuple[ArmPrior, ArmPrior]:
-    return arm_prior(section, chains[0]), arm_prior(section, chains[1])
+    source, panel = (
+        arm_prior(section, still(chain, side, np.zeros((1, len(chain)))))
+        for chain, side in zip(chains, SIDES, strict=True)
+    )
+    return source, panel
 
 
 def facing(chains: tuple[Chain, Chain], joints: Floats) -> np.ndarray:
@@ -61,18 +72,14 @@ def true(
     chains: tuple[Chain, Chain], joints: Floats, section: Uncertainty = SECTION
 ) -> tuple[Floats, Floats]:
     """Tools of true arms at rest, without repeatability."""
-    found = []
-    for side, chain, own in zip(
-        ("source", "detector"), chains, np.split(joints, 2, axis=1), strict=True
-    ):
-        moment = Moment(own, np.zeros_like(own), np.zeros(len(own)))
-        late = np.zeros((1, len(own)))
-        deviation = drawn(section.arms, chain, 5, side)
-        found.append(true_tools(section.arms, chain, deviation, moment, late)[0])
-    return found[0], found[1]
+    source, panel = (
+        true_tools(section, chain, 5, side, own)
+        for side, chain, own in zip(SIDES, chains, np.split(joints, 2, axis=1), strict=True)
+    )
+    return source, panel
 
 
-def seen(arms: Arms, views: slice, rng: np.random.Generator | None = None) -> Seen:
+def seen(arms: Arms, views: slice, rng: np.random.Generator | None = None) -> PhantomViews:
     """What the views tell, each number off by its spread where there is a generator."""
     source, panel = (tools[views] for tools in arms.true)
     geometry = ScanGeometry(
@@ -83,7 +90,9 @@ def seen(arms: Arms, views: slice, rng: np.random.Generator | None = None) -> Se
         geometry = ScanGeometry.joined(
             [moved(view, change) for view, change in zip(geometry, off, strict=True)]
         )
-    return Seen(arms.joints[views], geometry, np.broadcast_to(COVARIANCE, (len(source), 9, 9)))
+    return PhantomViews(
+        arms.joints[views], geometry, np.broadcast_to(COVARIANCE, (len(source), 9, 9))
+    )
 
 
 def off_mm(arms: Arms, found: tuple[Floats, Floats], views: slice) -> list[float]:
@@ -149,11 +158,10 @@ def test_unseen_poses_are_predicted_and_the_spread_of_parameters_is_told(arms: A
     found = calibrated_arms(arms.chains, seen(arms, FITTED, np.random.default_rng(1)), arms.priors)
     assert max(off_mm(arms, found.arms.tools(arms.joints), UNSEEN)) < 0.12
     assert 0.85 < found.misfit < 1.15
-    deviations = [
-        drawn(SECTION.arms, chain, 5, side)
-        for chain, side in zip(arms.chains, ("source", "detector"), strict=True)
+    drawn = [
+        deviations(SECTION, chain, 5, side) for chain, side in zip(arms.chains, SIDES, strict=True)
     ]
-    behind = [np.concatenate([one.compliance[0], one.gear[0].ravel()]) for one in deviations]
+    behind = [np.concatenate([one.compliance[0], one.gear[0].ravel()]) for one in drawn]
     where = [i for i, name in enumerate(found.names) if "compliance" in name or "gear" in name]
     sigma = np.sqrt(np.diag(found.covariance)[where])
     apart = (found.parameters[where] - np.concatenate(behind)) / sigma
@@ -162,19 +170,19 @@ def test_unseen_poses_are_predicted_and_the_spread_of_parameters_is_told(arms: A
 
 
 def names_of(found: KinematicCalibration, arm: str) -> frozenset[str]:
-    return frozenset(part for one in found.untold if one.arm == arm for part in one.parts)
+    return frozenset(part for one in found.undetermined if one.arm == arm for part in one.parts)
 
 
 def test_combinations_that_no_view_can_tell_are_named(arms: Arms) -> None:
     """A vertical hinge carries nothing; what turns a point on its own axis moves nothing."""
     found = calibrated_arms(arms.chains, seen(arms, FITTED), arms.priors)
     for arm in ("source", "detector"):
-        assert f"{arm} arm: +1.0 joint 1 compliance" in map(str, found.untold)
+        assert f"{arm} arm: +1.0 joint 1 compliance" in map(str, found.undetermined)
         assert "joint 2 compliance" not in names_of(found, arm)
     for part in ("cos", "sin"):
-        assert f"source arm: +1.0 joint 6 gear {part}" in map(str, found.untold)
+        assert f"source arm: +1.0 joint 6 gear {part}" in map(str, found.undetermined)
     assert not {"joint 6 gear cos", "joint 6 gear sin"} & names_of(found, "detector")
-    assert all(0.7 < one.left <= 1 for one in found.untold)
+    assert all(0.7 < one.left <= 1 for one in found.undetermined)
 
 
 def test_views_along_one_arc_leave_what_does_not_move_untold(arms: Arms) -> None:
@@ -186,7 +194,9 @@ def test_views_along_one_arc_leave_what_does_not_move_untold(arms: Arms) -> None
     found = calibrated_arms(arms.chains, seen(along, slice(None)), arms.priors)
     everywhere = calibrated_arms(arms.chains, seen(arms, FITTED), arms.priors)
     for arm in ("source", "detector"):
-        more, few = ([one for one in of.untold if one.arm == arm] for of in (found, everywhere))
+        more, few = (
+            [one for one in of.undetermined if one.arm == arm] for of in (found, everywhere)
+        )
         assert len(more) > len(few) + 10
         assert {"joint 3 compliance", "joint 4 about x"} <= names_of(found, arm)
         unseen = [set(one.parts) for one in more if one.left > 0.999]
@@ -224,7 +234,7 @@ def test_too_few_views_are_refused(arms: Arms) -> None:
     with pytest.raises(CalibrationError, match=r"8 views show the arms, but at least 9 are needed"):
         calibrated_arms(arms.chains, seen(arms, slice(0, 8)), arms.priors)
     found = calibrated_arms(arms.chains, seen(arms, slice(0, 9)), arms.priors)
-    assert len(found.untold) > 20
+    assert len(found.undetermined) > 20
 
 
 def test_arms_are_kept_in_a_file_of_their_cell(arms: Arms, tmp_path: Path) -> None:
@@ -250,4 +260,4 @@ def test_arms_are_kept_in_a_file_of_their_cell(arms: Arms, tmp_path: Path) -> No
 
 def test_arms_that_are_not_off_are_nothing_to_calibrate(arms: Arms) -> None:
     with pytest.raises(InputError, match="nothing to calibrate"):
-        arm_prior(Uncertainty(), arms.chains[0])
+        priors(arms.chains, Uncertainty())

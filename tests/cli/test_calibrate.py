@@ -72,7 +72,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
         "calibrate_beads": SimpleNamespace(views=[view], problems={}),
         "calibrate_balls": SimpleNamespace(**told, found=seen),
         "calibrate_self": SimpleNamespace(**told, found=moved),
-        "calibrate_kinematics": SimpleNamespace(**arms, untold=[]),
+        "calibrate_kinematics": SimpleNamespace(**arms, undetermined=[]),
         "apply_kinematics": None,
     }
 

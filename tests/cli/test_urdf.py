@@ -31,7 +31,7 @@ def test_the_room_is_written_with_meshes_and_camera(tmp_path: Path) -> None:
 
     # The camera is at the source of the first view: 600 mm before the panel, upside down.
     builder = SimulationBuilder(load_scenario(DEMO, [BALL]))
-    source, detector = PosePairs.from_geometry(builder.asked)[0]
+    source, detector = PosePairs.from_geometry(builder.requested)[0]
     found = detector.matrix @ _mm(urdf.get_transform("detector_optical", "detector"))
     np.testing.assert_allclose(found[:3, 3], source.position, atol=1e-6)
     np.testing.assert_allclose(found[:3, :3] @ [1, 0, 0], detector.rotation[:, 0], atol=1e-9)

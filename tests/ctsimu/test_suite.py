@@ -110,7 +110,7 @@ def test_iron_at_one_energy_is_no_pass(tmp_path):
     assert {name: v.passed for name, v in found.items()} == {
         "D2_Al_50": True, "D2_Fe_100": None, "D2_Fe_200": None,
     }  # fmt: skip
-    assert "taken from this reference" in found["D2_Fe_100"].asked
+    assert "taken from this reference" in found["D2_Fe_100"].required
 
 
 def test_the_toolbox_runs_as_it_is_but_for_the_edge_it_shears(tmp_path, monkeypatch):

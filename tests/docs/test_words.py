@@ -37,9 +37,11 @@ OTHER_PROGRAMS = {
 }
 """Options of programs that are not twinct."""
 FILES_AND_MODULES = re.compile(
-    r"\.(script|zarr|mcap|json|png|csv)$|^(uncertainty|xray|trajectory)\.(executed|fam|rep|im|pa|me|tu)"
+    r"\.(script|zarr|mcap|json|png|csv)$"
+    r"|^(uncertainty|xray|trajectory)\.(executed|fam|rep|im|pa|me|tu|te|cuda|arm_)"
+    r"|^motion\.(joints|speeds|time_s)$"
 )
-"""Words with a dot that are no keys: names of files, and modules on the architecture's page."""
+"""Words with a dot that are no keys: names of files, modules, and attributes in Python."""
 
 
 def _text(page: Path) -> str:

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from twinct.core.errors import TwinctError
-from twinct.geometry.wire import PosePairs
+from twinct.geometry.wire import targets_of
 from twinct.link import RosRig, heartbeat
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
@@ -13,7 +13,7 @@ from twinct.trajectory import commanded_views
 heartbeat.SILENCE_S = float(os.environ.get("FAKE_SILENCE_S", heartbeat.SILENCE_S))
 scenario = load_scenario(sys.argv[1])
 geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
-targets = PosePairs.from_geometry(geometry).targets()
+targets = targets_of(geometry)
 command = sys.executable, str(Path(__file__).with_name("fake_node.py"))
 try:
     with RosRig(scenario, node_command=command, log_dir=Path(sys.argv[2])) as rig:

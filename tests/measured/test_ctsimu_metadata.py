@@ -7,53 +7,24 @@ import json
 import numpy as np
 import pytest
 import tifffile
+from small_ctsimu import small_scenario
 
 from twinct.core.errors import InputError
 from twinct.ctsimu import load_ctsimu
+from twinct.ctsimu.writing import quantity
 from twinct.measured import description_of
 
 
 @pytest.fixture
 def scan(tmp_path):
     """A scenario with few pixels, its images with and without correction, and a metadata file."""
-    from twinct.ctsimu.writing import header, placed, quantity
-
-    scenario = {
-        "file": header("small", "for tests"),
-        "environment": {"material_id": None},
-        "geometry": {
-            "detector": placed((400, 0, 0), (0, -1, 0), (1, 0, 0)),
-            "source": {"type": "cone"} | placed((0, 0, 0), (0, -1, 0), (1, 0, 0)),
-            "stage": placed((200, 0, 0), (1, 0, 0), (0, 0, 1)),
-        },
-        "detector": {
-            "type": "ideal",
-            "columns": quantity(8, "px"),
-            "rows": quantity(6, "px"),
-            "pixel_pitch": {"u": quantity(2.0, "mm"), "v": quantity(2.0, "mm")},
-            "bit_depth": quantity(16),
-            "integration_time": quantity(1.0, "s"),
-            "gray_value": {"imax": quantity(60000), "imin": quantity(0)},
-        },
-        "source": {
-            "voltage": quantity(80.0, "kV"),
-            "current": quantity(1.0, "mA"),
-            "spectrum": {"monochromatic": True},
-        },
-        "samples": [],
-        "acquisition": {
-            "start_angle": quantity(0.0, "deg"),
-            "stop_angle": quantity(360.0, "deg"),
-            "direction": "CCW",
-            "scan_mode": "stop+go",
-            "number_of_projections": 3,
-            "include_final_angle": False,
-            "frame_average": 1,
-            "dark_field": {"number": 1},
-            "flat_field": {"number": 2},
-            "scattering": False,
-        },
-        "materials": [],
+    scenario = small_scenario() | {"samples": [], "materials": []}
+    scenario["detector"] |= {"columns": quantity(8, "px"), "rows": quantity(6, "px")}
+    scenario["acquisition"] |= {
+        "stop_angle": quantity(360.0, "deg"),
+        "include_final_angle": False,
+        "dark_field": {"number": 1},
+        "flat_field": {"number": 2},
     }
     (tmp_path / "small.json").write_text(json.dumps(scenario))
     return tmp_path

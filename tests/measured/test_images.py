@@ -9,9 +9,11 @@ from ball_scan import COLUMNS, ROWS, VIEWS, ball_images, orbit
 from soft_balls import circle_of, images
 
 from twinct.core.errors import InputError, ScenarioError
+from twinct.measured import import_measured
 from twinct.measured.corrections import filled, unlike
 from twinct.measured.description import Files
 from twinct.measured.stack import open_stack
+from twinct.scan import ScanStore
 
 SHAPE = (VIEWS, ROWS, COLUMNS)
 COUNTS = np.random.default_rng(0).integers(0, 60000, (3, 5, 7)).astype(np.uint16)
@@ -273,3 +275,21 @@ def test_an_import_never_overwrites(circle, stored, tmp_path):
     import_measured(source, tmp_path / "out")
     with pytest.raises(ScanExistsError):
         import_measured(source, tmp_path / "out")
+
+
+@pytest.mark.parametrize("own_folder", [False, True])
+def test_an_import_cut_short_leaves_nothing(stored, circle, tmp_path, monkeypatch, own_folder):
+    def stop(*_args, **_keys) -> None:
+        raise KeyboardInterrupt
+
+    source = {"name": "ball", "images": stored(ball_images(orbit())), "geometry": circle}
+    out = tmp_path / "out"
+    if own_folder:
+        out.mkdir()
+    with monkeypatch.context() as patch:
+        patch.setattr(ScanStore, "write", stop)
+        with pytest.raises(KeyboardInterrupt):
+            import_measured(source, out)
+    assert out.exists() == own_folder
+    assert not own_folder or not list(out.iterdir())
+    assert import_measured(source, out).folder == out

@@ -214,10 +214,14 @@ def test_an_interrupted_prediction_keeps_its_reconstruction(scan, monkeypatch) -
         with pytest.raises(KeyboardInterrupt) as stopped:
             predict(folder, keys)
     assert "goes on from the last checkpoint" in stopped.value.__notes__[-1]
+    # The run's own checkpoints hold nothing of it, such as for the live page.
+    assert not (folder / "checkpoints").exists()
+    assert [p.name for p in (folder / "predictions").iterdir()] == [prediction.CHECKPOINTS]
     iterations = []
     heard = Observer(iterations.append, (IterationDone,), lossless=True)
     assert predict(folder, keys, observers=[heard]).residuals.rms_rel < 0.5
-    assert not iterations and not (folder / "checkpoints").exists()
+    assert not iterations
+    assert [p.name for p in (folder / "predictions").iterdir()] == ["volume"]
 
 
 def test_the_scan_of_a_breathing_patient_is_predicted_by_its_own_volume(

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.robots.cell import CellModel
 from twinct.robots.motion import MotionPlan, plan_motion
 from twinct.scenario import Detector, Motion
@@ -19,7 +19,7 @@ def paper_targets() -> list[Target]:
     """All 399 views of the paper."""
     panel = Detector().panel
     geometry = commanded_views(SinusoidTrajectory(kind="sinusoid", views=399), panel)
-    return PosePairs.from_geometry(geometry).targets()
+    return targets_of(geometry)
 
 
 @pytest.fixture(scope="session")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.core.errors import NoWayError, TargetRefusedError, TrajectoryError
+from twinct.core.errors import NoPathError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion import MotionPlan, RobotSimulation, plan_motion
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.path_planner import Detours
-from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
+from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
 from twinct.robots.motion.refusals import arms_in
 from twinct.robots.motion.return_path import path_home
 from twinct.scenario import Motion
@@ -108,7 +108,7 @@ def test_the_way_home_goes_round_what_stands_between(cell: CellModel, plan: Moti
     assert way.views.tolist() == [-1] * (len(way.joints) - 1) + [0]
     legs = [np.linspace(a, b, 200) for a, b in zip(way.joints[:-1], way.joints[1:], strict=True)]
     assert len(legs) > 1
-    assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
+    assert Clearance(cell).over(np.vstack(legs)).distance_mm >= required_gap_mm(PLANNED) - 0.2
     again = path_home(cell, PLANNED, start, plan.home, NOT_KNOWN)
     assert np.array_equal(again.joints, way.joints)
 
@@ -125,7 +125,7 @@ def test_the_way_home_is_the_way_that_was_come_but_shorter(
     assert {knot.tobytes() for knot in way} <= known - {spec.tobytes()}
     assert 2 < len(way) <= len(direct)
     legs = [np.linspace(a, b, 200) for a, b in zip(way[:-1], way[1:], strict=True)]
-    assert Clearance(cell).over(np.vstack(legs)).distance_mm >= kept_mm(PLANNED) - 0.2
+    assert Clearance(cell).over(np.vstack(legs)).distance_mm >= required_gap_mm(PLANNED) - 0.2
 
 
 def test_a_search_ends_by_its_count(
@@ -140,7 +140,7 @@ def test_a_search_ends_by_its_count(
     touching = plan.home.copy()
     touching[2] = 3.0  # the elbow
     detours = Detours(cell, Feasible(cell), np.zeros(12, bool), seed=0)
-    assert detours.between(plan.home, touching, kept_mm(PLANNED), 0) is None
+    assert detours.between(plan.home, touching, required_gap_mm(PLANNED), 0) is None
     assert detours.looked < 10
 
 
@@ -155,7 +155,7 @@ def test_where_no_way_is_found_one_over_home_is(
 
     def from_home_only(*args: object, start: Floats, **keys: object) -> JointPath:
         if not np.array_equal(start, plan.home):
-            raise NoWayError("no path found")
+            raise NoPathError("no path found")
         return find_joint_path(*args, start=start, **keys)
 
     simulation = RobotSimulation(cell, PLANNED, plan)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import RobotSimulation, plan_motion
 from twinct.scenario import Cell, Detector, Motion
@@ -32,7 +32,7 @@ def room(*homes: tuple[float, ...] | None) -> CellModel:
 @pytest.fixture(scope="module")
 def targets() -> list[Target]:
     arc = ArcTrajectory(kind="arc", views=3, longitude_range_deg=15)
-    return PosePairs.from_geometry(commanded_views(arc, Detector().panel)).targets()
+    return targets_of(commanded_views(arc, Detector().panel))
 
 
 @pytest.mark.parametrize("scheme", ["planned", "reactive"])

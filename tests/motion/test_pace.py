@@ -11,8 +11,8 @@ from twinct.core.errors import ScenarioError, TargetRefusedError, TrajectoryErro
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel
 from twinct.robots.motion import (
-    Asked,
     MotionPlan,
+    RequestedViews,
     RobotSimulation,
     Shutter,
     checked_plan,
@@ -67,7 +67,7 @@ def test_a_plan_that_is_too_fast_is_refused_and_says_why_a_view_is_missed(
     few, shutter = targets[:10], Shutter(exposure_s=0.06, samples=2)
     plan = plan_motion(cell, FREE, few)
     with pytest.raises(TrajectoryError, match=r"p: views 2 to 8: .* ms after .*exposure_ms = 60"):
-        checked_plan(plan, cell, FREE, Asked(few, shutter=shutter), "p")
+        checked_plan(plan, cell, FREE, RequestedViews(few, shutter=shutter), "p")
     robots = RobotSimulation(cell, FREE, plan, shutter)
     with pytest.raises(TargetRefusedError, match=r"ready again, source.exposure_ms = 60\)"):
         for view, target in enumerate(few):

@@ -11,7 +11,7 @@ import trimesh
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import Kinematics, MotionPlan, plan_motion
 from twinct.scenario import Cell, Detector, InverseKinematics, Motion
@@ -138,7 +138,7 @@ def test_iiwa_reaches_the_arc_that_the_docs_give_it(head: trimesh.Trimesh) -> No
     )
     cell = build_cell(section, head, Pose.identity(), panel)
     arc = ArcTrajectory(kind="arc", views=25, longitude_range_deg=120)
-    targets = PosePairs.from_geometry(commanded_views(arc, panel)).targets()
+    targets = targets_of(commanded_views(arc, panel))
     plan = plan_motion(cell, Motion(), targets)
     assert plan.clearance_mm.min() >= 10
     assert max(off(cell, q, t)[0] for q, t in zip(plan.joints, targets, strict=True)) <= 0.1 + 1e-6
@@ -162,7 +162,7 @@ def test_arms_of_six_and_of_seven_joints_follow_one_plan(head: trimesh.Trimesh) 
     )
     cell = build_cell(section, head, Pose.identity(), panel)
     arc = ArcTrajectory(kind="arc", views=3, longitude_range_deg=20)
-    targets = PosePairs.from_geometry(commanded_views(arc, panel)).targets()
+    targets = targets_of(commanded_views(arc, panel))
     plan = plan_motion(cell, Motion(), targets)
     assert plan.state.shape[1:] == (3, 13) and len(plan.joint_names) == 13
     assert max(off(cell, q, t)[0] for q, t in zip(plan.joints, targets, strict=True)) <= 0.1 + 1e-6

@@ -12,7 +12,7 @@ from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel, build_cell
-from twinct.robots.motion import Asked, MotionPlan, checked_plan
+from twinct.robots.motion import MotionPlan, RequestedViews, checked_plan
 from twinct.robots.motion.plan_check import _moving
 from twinct.scenario import Cell, Detector, Motion
 
@@ -31,7 +31,7 @@ def test_a_good_plan_is_taken_and_its_clearance_measured_anew(
     cell: CellModel, plan: MotionPlan, targets: list[Target]
 ) -> None:
     boasting = replace(plan, clearance_mm=plan.clearance_mm + 100)
-    found = checked_plan(boasting, cell, AS_IN_THE_PAPER, Asked(targets), "p.npz")
+    found = checked_plan(boasting, cell, AS_IN_THE_PAPER, RequestedViews(targets), "p.npz")
     assert found.digest == plan.digest
     np.testing.assert_array_equal(found.clearance_mm, plan.clearance_mm)
 
@@ -41,14 +41,14 @@ def test_roll_and_order_count_where_they_are_not_free(
 ) -> None:
     rolled = [turned(target, 20) for target in targets]
     with pytest.raises(TrajectoryError, match="p.npz: views 0 to 23: .*poses of the plan differ"):
-        checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(rolled), "p.npz")
-    checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(rolled, (False, True)), "p.npz")
+        checked_plan(plan, cell, AS_IN_THE_PAPER, RequestedViews(rolled), "p.npz")
+    checked_plan(plan, cell, AS_IN_THE_PAPER, RequestedViews(rolled, (False, True)), "p.npz")
     mixed = [targets[1], targets[0], *targets[2:]]
     with pytest.raises(TrajectoryError, match="p.npz: views 0 to 1: .*poses of the plan differ"):
-        checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(mixed), "p.npz")
-    checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(mixed, any_order=True), "p.npz")
+        checked_plan(plan, cell, AS_IN_THE_PAPER, RequestedViews(mixed), "p.npz")
+    checked_plan(plan, cell, AS_IN_THE_PAPER, RequestedViews(mixed, any_order=True), "p.npz")
     with pytest.raises(TrajectoryError, match="the plan has 24 views, but the trajectory has 23"):
-        checked_plan(plan, cell, AS_IN_THE_PAPER, Asked(targets[:-1]), "p.npz")
+        checked_plan(plan, cell, AS_IN_THE_PAPER, RequestedViews(targets[:-1]), "p.npz")
 
 
 def test_a_plan_of_another_cell_is_refused(
@@ -62,10 +62,10 @@ def test_a_plan_of_another_cell_is_refused(
     there = section.model_copy(update={"source_arm": moved})
     other = build_cell(there, head, Pose.identity(), Detector().panel)
     with pytest.raises(TrajectoryError, match=r"for another cell: .* the source 5\.0 mm and 0\.00"):
-        checked_plan(plan, other, AS_IN_THE_PAPER, Asked(targets), "p.npz")
+        checked_plan(plan, other, AS_IN_THE_PAPER, RequestedViews(targets), "p.npz")
     renamed = replace(plan, joint_names=("turn", *plan.joint_names[1:]))
     with pytest.raises(TrajectoryError, match="for another cell: it moves turn"):
-        checked_plan(renamed, cell, AS_IN_THE_PAPER, Asked(targets), "p.npz")
+        checked_plan(renamed, cell, AS_IN_THE_PAPER, RequestedViews(targets), "p.npz")
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_limits_count(
     state = plan.state * np.array([1.0, faster, faster**2])[:, None]
     hurried = replace(plan, time_s=plan.time_s / faster, state=state)
     with pytest.raises(TrajectoryError, match=said):
-        checked_plan(hurried, cell, motion, Asked(targets), "p.npz")
+        checked_plan(hurried, cell, motion, RequestedViews(targets), "p.npz")
 
 
 def test_rounding_is_no_motion(plan: MotionPlan) -> None:
@@ -106,4 +106,6 @@ def test_a_joint_outside_its_range_is_named(
     state = plan.state.copy()
     state[:, 0, 3] += 4 * np.pi * np.sign(state[0, 0, 3])
     with pytest.raises(TrajectoryError, match="source_wrist_1_joint goes .* beyond its range"):
-        checked_plan(replace(plan, state=state), cell, AS_IN_THE_PAPER, Asked(targets), "p.npz")
+        checked_plan(
+            replace(plan, state=state), cell, AS_IN_THE_PAPER, RequestedViews(targets), "p.npz"
+        )

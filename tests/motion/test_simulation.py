@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from twinct.core.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import JointSample, PosePairs, Reached, Target
+from twinct.geometry.wire import JointSample, Reached, Target, targets_of
 from twinct.robots.cell import CellModel, Clearance, build_cell
 from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter, plan_motion
 from twinct.robots.motion.kinematics import Kinematics, site_pose
@@ -107,7 +107,7 @@ def test_settled_views_within_the_tolerance_of_each_other_are_each_taken_at_thei
     cell: CellModel,
 ) -> None:
     arc = ArcTrajectory(kind="arc", views=5, longitude_range_deg=0.4)  # 0.5 mm apart
-    near = PosePairs.from_geometry(commanded_views(arc, Detector().panel)).targets()
+    near = targets_of(commanded_views(arc, Detector().panel))
     motion = Motion.model_validate({"scheme": "planned", "trigger": "settled", "ik": FINE_IK})
     plan = plan_motion(cell, motion, near)
     simulation = RobotSimulation(cell, motion, plan)

@@ -10,9 +10,9 @@ import pytest
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import Target, targets_of
 from twinct.robots.cell import CellModel, Clearance
-from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
+from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
 from twinct.robots.motion.refusals import sample_of
 from twinct.scenario import Detector, Motion
 from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views
@@ -20,8 +20,8 @@ from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views
 MOTION = Motion(trigger="settled")
 
 
-def targets_of(section: ArcTrajectory | SinusoidTrajectory) -> list[Target]:
-    return PosePairs.from_geometry(commanded_views(section, Detector().panel)).targets()
+def targets_on(section: ArcTrajectory | SinusoidTrajectory) -> list[Target]:
+    return targets_of(commanded_views(section, Detector().panel))
 
 
 def checked(
@@ -50,7 +50,7 @@ def checked(
     shares = np.linspace(0, 1, 80)[:, None]
     dense = [a + shares * (b - a) for a, b in zip(way.joints[:-1], way.joints[1:], strict=True)]
     # SHORTFALL_MM of a straight path.
-    assert Clearance(cell).over(np.vstack(dense)).distance_mm >= kept_mm(motion) - 0.1
+    assert Clearance(cell).over(np.vstack(dense)).distance_mm >= required_gap_mm(motion) - 0.1
     return way
 
 
@@ -64,14 +64,14 @@ def test_the_papers_path_is_one_branch(cell: CellModel, paper_targets: list[Targ
 
 
 def test_a_shuffled_arc(cell: CellModel) -> None:
-    targets = targets_of(ArcTrajectory(kind="arc", views=12, longitude_range_deg=120))
+    targets = targets_on(ArcTrajectory(kind="arc", views=12, longitude_range_deg=120))
     targets = [targets[k] for k in np.random.default_rng(1).permutation(12)]
     way = checked(cell, find_joint_path(cell, MOTION, targets), targets)
     assert [v for v in way.views if v >= 0] == list(range(12))
 
 
 def test_a_tour_moves_less_than_a_shuffled_order(cell: CellModel) -> None:
-    targets = targets_of(ArcTrajectory(kind="arc", views=12, longitude_range_deg=120))
+    targets = targets_on(ArcTrajectory(kind="arc", views=12, longitude_range_deg=120))
     targets = [targets[k] for k in np.random.default_rng(1).permutation(12)]
     motion = Motion(trigger="settled", order="shortest")
     way = checked(cell, find_joint_path(cell, motion, targets), targets)
@@ -83,7 +83,7 @@ def test_a_tour_moves_less_than_a_shuffled_order(cell: CellModel) -> None:
 
 
 def test_the_free_roll_is_told_in_the_targets(cell: CellModel) -> None:
-    targets = targets_of(ArcTrajectory(kind="arc", views=3, longitude_range_deg=30))
+    targets = targets_on(ArcTrajectory(kind="arc", views=3, longitude_range_deg=30))
     turned = [
         Target.from_poses(t.source, _turned(t.detector, angle))
         for t, angle in zip(targets, (0, 180, 0), strict=True)
@@ -105,7 +105,7 @@ def _turned(pose: Pose, degrees: float) -> Pose:
 
 def test_from_where_the_arms_are_to_one_target(cell: CellModel, targets: list[Target]) -> None:
     start = find_joint_path(cell, MOTION, targets[:2]).joints[0]
-    goal = targets_of(ArcTrajectory(kind="arc", views=1, centre_longitude_deg=60))
+    goal = targets_on(ArcTrajectory(kind="arc", views=1, centre_longitude_deg=60))
     way = checked(cell, find_joint_path(cell, MOTION, goal, start=start), goal)
     np.testing.assert_array_equal(way.joints[0], start)
     assert way.views[0] == -1 and way.views[-1] == 0
@@ -142,7 +142,7 @@ def test_a_start_that_overlaps_is_refused(cell: CellModel, targets: list[Target]
 
 
 def test_three_views_over_210_degrees_and_the_same_bytes_again(cell: CellModel) -> None:
-    few = targets_of(SinusoidTrajectory(kind="sinusoid", views=3))
+    few = targets_on(SinusoidTrajectory(kind="sinusoid", views=3))
     way = checked(cell, find_joint_path(cell, MOTION, few, seed=4), few)
     find_joint_path(cell, MOTION, few[:2], seed=9)
     np.testing.assert_array_equal(way.joints, find_joint_path(cell, MOTION, few, seed=4).joints)

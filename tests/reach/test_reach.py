@@ -17,7 +17,7 @@ from twinct.geometry import fibonacci_directions
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion import Kinematics
 from twinct.robots.motion.feasible import Feasible
-from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.motion.path_search import required_gap_mm
 from twinct.robots.reach import Holder, Reach, poses_of, reach
 from twinct.robots.reach.connected import joined
 from twinct.robots.reach.results import draw_room, draw_sphere, write_tables
@@ -52,7 +52,7 @@ def test_what_is_held_is_held(cell: CellModel, found: Reach) -> None:
         assert np.allclose(panel.rotation[:, 2], direction, atol=2e-3)
         gap = clearance.over(q[None]).distance_mm
         assert gap == pytest.approx(found.clearance_mm[0, k])
-        assert gap >= kept_mm(MOTION)
+        assert gap >= required_gap_mm(MOTION)
         ends = np.degrees(cell.joint_ranges.T - q)
         assert np.abs(ends).min() == pytest.approx(found.margin_deg[0, k])
 
@@ -102,7 +102,7 @@ def test_all_pairs_are_clear(cell: CellModel) -> None:
     holder = Holder(cell, MOTION)
     pairs = holder.pairs(holder.alone(poses.source, 0), holder.alone(poses.detector, 1), 0, 12)
     assert len(pairs) >= 12
-    assert Feasible(cell).clear(pairs, kept_mm(MOTION)).all()
+    assert Feasible(cell).clear(pairs, required_gap_mm(MOTION)).all()
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
 from twinct.recon.air import air_noise, noise_like
 from twinct.recon.algorithms import BUILT_IN
-from twinct.recon.denoise import SHARE_OF_PHOTONS, lower_variation, noise
+from twinct.recon.denoise import SHARE_IN_THIN_PARTS, lower_variation, noise
 from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
-from twinct.report import with_found
+from twinct.report import with_results
 
 
 @pytest.fixture
@@ -159,7 +159,7 @@ def plates(circle):
 
 def test_noise_of_air_is_found_and_propagated(plates):
     A, clean, _ = plates
-    p = clean + noise_like(clean, 0.02)
+    p = clean + noise_like(clean, np.full(48, 0.02))
     assert air_noise(clean, None) == pytest.approx(0, abs=1e-6)
     assert air_noise(p, None) == pytest.approx(0.02, rel=0.05)
     left_out = np.ones(A.range_shape[1:], np.bool_)
@@ -171,12 +171,12 @@ def test_noise_of_air_is_found_and_propagated(plates):
     keys = {"denoising": 0, "nonnegative": False}
     left = fast(A, p, **keys).array - fast(A, clean, **keys).array
     deviation = left[5:35, 5:35, 5:35].std()
-    assert found["strength"] == pytest.approx(SHARE_OF_PHOTONS * deviation, rel=0.15)
+    assert found["strength"] == pytest.approx(SHARE_IN_THIN_PARTS * deviation, rel=0.15)
 
 
 def test_noise_of_a_large_scan_is_that_of_a_smaller_one(plates, monkeypatch):
     A, clean, _ = plates
-    p = clean + noise_like(clean, 0.02)
+    p = clean + noise_like(clean, np.full(48, 0.02))
     whole = fast(A, p).extras["denoising"]["strength"]
     # The package's name ``fast`` is the function.
     monkeypatch.setattr(import_module("twinct.recon.fast"), "SMALL", 20)
@@ -185,9 +185,26 @@ def test_noise_of_a_large_scan_is_that_of_a_smaller_one(plates, monkeypatch):
     assert reduced == pytest.approx(whole, rel=0.2)
 
 
+def test_photons_tell_the_noise_where_no_air_does(plates):
+    A, clean, _ = plates
+    p = clean + noise_like(clean, np.full(48, 0.02))
+    of_air = fast(A, p).extras["denoising"]["strength"]
+    pixels = np.ones(A.range_shape[1:], np.bool_)
+    assert fast(A, p, photons=2500.0).extras["denoising"]["from"] == "photons"
+    pixels[:, ::2] = False  # no pixel with all of its neighbours: no air
+    found = fast(A, p, mask=pixels, photons=2500.0).extras["denoising"]
+    assert found["from"] == "photons"
+    assert found["strength"] > 0
+    # Views of a quarter of the photons have twice the noise.
+    every = fast(A, p, photons=2500.0).extras["denoising"]["strength"]
+    assert every == pytest.approx(of_air, rel=0.1)
+    few = fast(A, p, photons=np.full(48, 625.0)).extras["denoising"]["strength"]
+    assert few == pytest.approx(2 * every, rel=1e-3)
+
+
 def test_thin_parts_are_not_smoothed_away(plates):
     A, clean, truth = plates
-    p = clean + noise_like(clean, 0.02)
+    p = clean + noise_like(clean, np.full(48, 0.02))
     error = np.square(fast(A, p).array - truth).mean()
     assert error < 1.02 * np.square(fast(A, p, denoising=0).array - truth).mean()
 
@@ -200,4 +217,4 @@ def test_nothing_is_denoised_where_the_noise_is_unknown(plates, caplog):
     assert volume.extras["denoising"] == {"strength": 0.0, "from": None}
     assert "not denoised" in caplog.text
     np.testing.assert_array_equal(volume, fast(A, p, mask=pixels, denoising=0))
-    assert "not denoised, since the noise is unknown" in with_found("fast", volume.extras)
+    assert "not denoised, since the noise is unknown" in with_results("fast", volume.extras)

@@ -21,7 +21,7 @@ import zarr
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.geometry import Pose, VolumeGrid
 from twinct.recon.volume import Volume
-from twinct.recon.volume_formats import Told, volume_formats
+from twinct.recon.volume_formats import VolumeFacts, volume_formats
 from twinct.recon.volume_formats.dicom_volume import rescale_step
 from twinct.scenario import HuLine
 from twinct.specimen.volumes import read_ct
@@ -58,7 +58,7 @@ def of_itk(image) -> tuple[np.ndarray, np.ndarray]:
 
 def hu_series(volume: Volume, folder: Path) -> Volume:
     hu = volume.in_hu(WATER)
-    hu.write(folder, to="dicom", told=Told(unit="HU", scan="demo", kvp=120))
+    hu.write(folder, to="dicom", told=VolumeFacts(unit="HU", scan="demo", kvp=120))
     return hu
 
 
@@ -76,7 +76,7 @@ def test_dicom_series_by_itk_pydicom_and_our_reader(volume, tmp_path, unit) -> N
     ref = hu_series(volume, folder) if unit == "HU" else volume
     if unit == "1/mm":
         volume.write(folder, to="dicom")
-    step = rescale_step(ref.array, Told(unit=unit))
+    step = rescale_step(ref.array, VolumeFacts(unit=unit))
     reader = SimpleITK.ImageSeriesReader()
     reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder)))
     found = [off(*of_itk(reader.Execute()), ref)]
@@ -112,7 +112,7 @@ def test_dicom_names_no_patient_and_is_the_same_each_time(volume, tmp_path) -> N
     assert str(first.PatientName) == "Phantom^Anonymous" and first.KVP == 120
     assert not (first.PatientBirthDate or first.PatientSex or first.StudyDate)
     upright = Volume(volume.array, VolumeGrid(GRID.shape, 1.0)).in_hu(WATER)
-    upright.write(tmp_path / "upright", to="dicom", told=Told(unit="HU"))
+    upright.write(tmp_path / "upright", to="dicom", told=VolumeFacts(unit="HU"))
     image = pydicom.dcmread(tmp_path / "upright" / "slice_0001.dcm")
     assert list(image.ImageOrientationPatient) == [1, 0, 0, 0, 1, 0]
     assert image.StudyInstanceUID != first.StudyInstanceUID
@@ -169,7 +169,7 @@ def test_water_is_zero_and_air_is_minus_a_thousand(volume) -> None:
 @pytest.mark.parametrize("top", [1e-9, 0.0499, 3.0, 32767.0, 32768.0, 1e9])
 def test_steps_reach_all_values_and_fit_in_a_decimal_text(top: float) -> None:
     for unit in ("HU", "1/mm"):
-        step = rescale_step(np.array([-top, top], np.float32), Told(unit=unit))
+        step = rescale_step(np.array([-top, top], np.float32), VolumeFacts(unit=unit))
         assert top / step <= 32767 * (1 + 1e-6)
         assert step == float(f"{step:.0e}") and (unit == "1/mm" or step >= 1)
 

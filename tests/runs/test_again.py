@@ -14,7 +14,7 @@ import pytest
 from twinct import load_scan, reconstruct, run
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.recon.algorithms import algorithms
-from twinct.runs import Run, derive_geometry, reconstruct_again, report_again, verify
+from twinct.runs import Run, derive_geometry, reconstruct_run, rewrite_report, verify
 from twinct.runs.reconstruction_folder import Reconstruction
 from twinct.scan import NamedGeometry
 from twinct.scenario import SECTIONS, Scenario, load_scenario
@@ -36,7 +36,7 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
 ) -> None:
     before = (folder / "volume.nii").read_bytes()
     keys = ["reconstruction.algorithm=cgls", "reconstruction.grid={voxels: 12, voxel_mm: 12}"]
-    made = reconstruct_again(folder, keys, geometry="executed")
+    made = reconstruct_run(folder, keys, geometry="executed")
     assert (made.name, made.geometry) == ("cgls-executed", "executed")
     assert (folder / "volume.nii").read_bytes() == before
     assert not (folder / "checkpoints").exists()
@@ -56,10 +56,10 @@ def test_another_reconstruction_stands_beside_the_first_and_in_the_report(
     assert "the file written for cgls-executed" in verify(folder).problems[0]
     (made.path / "volume.nii").write_bytes(whole)
     # The very same is not made twice, another must have another name.
-    again = reconstruct_again(folder, keys, geometry="executed")
+    again = reconstruct_run(folder, keys, geometry="executed")
     assert (again.name, again.digest, again.seconds) == (made.name, made.digest, made.seconds)
     with pytest.raises(ScanExistsError, match="cgls-executed is another reconstruction"):
-        reconstruct_again(folder, geometry="executed", name="cgls-executed")
+        reconstruct_run(folder, geometry="executed", name="cgls-executed")
 
 
 def test_a_report_that_was_interrupted_is_completed(
@@ -70,13 +70,13 @@ def test_a_report_that_was_interrupted_is_completed(
 
     keys = ["reconstruction.algorithm=cgls"]
     with monkeypatch.context() as patch:
-        patch.setattr("twinct.runs.reconstruction.report_again", interrupted)
+        patch.setattr("twinct.runs.reconstruction.rewrite_report", interrupted)
         with pytest.raises(KeyboardInterrupt) as stop:
-            reconstruct_again(folder, keys)
+            reconstruct_run(folder, keys)
     (told,) = stop.value.__notes__
     assert told == f"{folder}/reconstructions/cgls is kept; the same command completes the report"
     made = (folder / "reconstructions/cgls/volume.nii").stat().st_mtime_ns
-    reconstruct_again(folder, keys)
+    reconstruct_run(folder, keys)
     assert json.loads((folder / "metrics.json").read_text())["reconstructions"]["cgls"]
     assert "<b>cgls</b>" in (folder / "report.html").read_text()
     assert (folder / "reconstructions/cgls/volume.nii").stat().st_mtime_ns == made
@@ -86,7 +86,7 @@ STOPPING = ["reconstruction.stop=auto", "reconstruction.iterations=20"]
 
 
 def test_passes_that_another_reconstruction_made_are_told(folder: Path) -> None:
-    made = reconstruct_again(folder, STOPPING, geometry="executed", name="stopped")
+    made = reconstruct_run(folder, STOPPING, geometry="executed", name="stopped")
     passes = made.found["passes"]
     assert 1 <= passes < 20 and len(made.residuals) == passes
     assert made.told.endswith(f"stop auto: {passes} were best")
@@ -107,12 +107,12 @@ def test_a_run_that_stops_by_itself_tells_of_its_passes(
         figures = json.loads((folder / "metrics.json").read_text())
         assert 1 <= figures["passes"] == len(figures["residuals"]["believed"]) < 20
         assert f"stop auto: {figures['passes']} were best" in (folder / "report.html").read_text()
-        report_again(folder)
+        rewrite_report(folder)
 
 
 def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> None:
     keys = ["reconstruction.iterations=1"]
-    made = reconstruct_again(folder, keys, geometry="executed", name="one")
+    made = reconstruct_run(folder, keys, geometry="executed", name="one")
     assert made.found == {}
     screw = {"name": "screw", "position_mm": [1.0, 2.0, 3.0]}
     known = replace(made, name="two", path=made.path.with_name("two"), found={"implants": [screw]})
@@ -133,10 +133,10 @@ def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> Non
 @pytest.mark.tutorial
 def test_a_zoom_is_free_of_what_lies_around_it(folder: Path) -> None:
     zoom = "reconstruction.zoom={centre_mm: [0, 0, 20], size_mm: 60, voxel_mm: 4}"
-    near = reconstruct_again(folder, ["reconstruction.iterations=5", zoom], name="near")
+    near = reconstruct_run(folder, ["reconstruction.iterations=5", zoom], name="near")
     np.testing.assert_allclose(near.volume.grid.voxel, 4)
     alone = "reconstruction.grid={centre_mm: [0, 0, 20], voxels: 15, voxel_mm: 4}"
-    bare = reconstruct_again(folder, ["reconstruction.iterations=5", alone], name="bare")
+    bare = reconstruct_run(folder, ["reconstruction.iterations=5", alone], name="bare")
     assert near.figures.rmse_rel < 0.5 * bare.figures.rmse_rel
 
 
@@ -202,13 +202,13 @@ def test_what_cannot_be_asked_is_said_and_nothing_is_written(
     folder = finished.paths.path
     before = sorted(folder.rglob("*"))
     with pytest.raises(InputError, match=said):
-        reconstruct_again(folder, overrides, **options)
+        reconstruct_run(folder, overrides, **options)
     assert sorted(folder.rglob("*")) == before
 
 
 def test_where_there_is_no_run_it_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no finished run"):
-        reconstruct_again(tmp_path)
+        reconstruct_run(tmp_path)
     with pytest.raises(InputError, match="not a run folder"):
         load_scan(tmp_path)
     with pytest.raises(InputError, match="not a reconstruction of a run"):
@@ -252,7 +252,7 @@ def test_each_algorithm_gives_the_volume_of_a_fresh_run(
     asked = run(load_scenario(DEMO, [*tiny_keys, *circle]), tmp_path / "asked", link="local")
     # What is written of a result is the other tests' matter.
     monkeypatch.setattr("twinct.runs.job.write_results", lambda *_: None)
-    monkeypatch.setattr("twinct.runs.reconstruction.report_again", lambda *_: None)
+    monkeypatch.setattr("twinct.runs.reconstruction.rewrite_report", lambda *_: None)
     names = sorted(algorithms())
     assert len(names) >= 7
     for name in names:
@@ -267,7 +267,7 @@ def test_each_algorithm_gives_the_volume_of_a_fresh_run(
         out = tmp_path / name
         shutil.copytree(asked.paths.scan, out / "scan.zarr")
         wanted = run(fresh, out, link="local", resume=True).volume
-        made = reconstruct_again(asked.paths.path, more).volume
+        made = reconstruct_run(asked.paths.path, more).volume
         np.testing.assert_array_equal(made.array, wanted.array, err_msg=name)
         grid = fresh.reconstruction.grid.volume_grid
         assert made.grid.shape == grid.shape
@@ -277,7 +277,7 @@ def test_each_algorithm_gives_the_volume_of_a_fresh_run(
 def test_a_reconstruction_that_cannot_be_written_leaves_no_draft(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = reconstruct_again(folder, ["reconstruction.iterations=1"], name="whole")
+    made = reconstruct_run(folder, ["reconstruction.iterations=1"], name="whole")
 
     def fail(*_: object) -> None:
         raise OSError("no space")

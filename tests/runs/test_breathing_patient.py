@@ -69,7 +69,7 @@ def test_a_moved_body_is_that_of_a_specimen_that_stands_in_this_state(scan: Scan
     built = builder.specimen
     assert built.motion is not None
     breath = built.motion.at(float(scan.middle_s[5]))
-    stands = SimulationBuilder(small(), kept_specimen=built.at(breath))
+    stands = SimulationBuilder(small(), given_specimen=built.at(breath))
     with stands.imager() as imager:
         image = imager.expose([(builder.commanded[5], built.world_from_specimen)], 5)
     assert np.array_equal(image, scan.transmission[5])
@@ -158,7 +158,7 @@ def test_fields_of_the_users_own_move_the_patient(tmp_path: Path) -> None:
     place = np.array([[40.0, -40, -280 + 80 * 3]])
     moved = motion.deformation(Breath(0.5)).from_reference(place) - place
     assert moved[0] == pytest.approx([0, 0, 10 * np.sin(3)], abs=1e-6)
-    assert not motion.ways_mm(place, Breath(0.0)).any()
+    assert not motion.displacements_mm(place, Breath(0.0)).any()
 
 
 @pytest.mark.parametrize(

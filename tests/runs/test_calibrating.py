@@ -13,7 +13,7 @@ from twinct.calibration import PosePrior
 from twinct.calibration.scan_calibration import calibrate_balls, calibrate_beads, calibrate_self
 from twinct.cli import run_command
 from twinct.core.errors import CalibrationError, InputError
-from twinct.runs import load_scan, reconstruct_again
+from twinct.runs import load_scan, reconstruct_run
 from twinct.scenario import load_scenario
 
 from .conftest import no_report
@@ -58,7 +58,7 @@ def test_a_phantoms_scan_gets_its_geometry_and_so_does_another_of_its_views(ball
         scan = load_scan(folder)
         assert off_px(scan, "beads") < 0.01 < 0.15 < off_px(scan, "believed")
         assert scan.derived["beads"].made_by["model"] == "beads"
-    assert reconstruct_again(other, geometry="beads").geometry == "beads"
+    assert reconstruct_run(other, geometry="beads").geometry == "beads"
 
 
 def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(balls, finished):

@@ -12,7 +12,7 @@ import pytest
 from twinct import compare
 from twinct.core.errors import InputError
 from twinct.report import cross_sections
-from twinct.runs import Run, reconstruct_again
+from twinct.runs import Run, reconstruct_run
 
 GRID = "{voxels: 12, voxel_mm: 12}"
 
@@ -23,8 +23,8 @@ def folder(finished: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = shutil.copytree(finished.paths.path, tmp_path_factory.mktemp("compare") / "a" / "out")
     keys = ["reconstruction.algorithm=cgls", f"reconstruction.grid={GRID}"]
     with pytest.MonkeyPatch.context() as patch:  # its report is not needed
-        patch.setattr("twinct.runs.reconstruction.report_again", lambda *_: None)
-        reconstruct_again(out, keys, geometry="executed", name="other")
+        patch.setattr("twinct.runs.reconstruction.rewrite_report", lambda *_: None)
+        reconstruct_run(out, keys, geometry="executed", name="other")
     return out
 
 

@@ -14,7 +14,7 @@ import pytest
 from twinct.core.errors import DamagedError, InputError
 from twinct.runs import Run, verify
 from twinct.scan import ScanStore
-from twinct.scan.damage import make_way
+from twinct.scan.damage import clear_paths
 from twinct.scan.manifest import FRAME_FILE, digest_of, sealed, unsealed
 
 STATE, IMAGE = "state/c.4.0", "transmission/c.2.0.0"
@@ -175,7 +175,7 @@ def test_a_file_where_a_folder_has_to_be_is_left_too(path: Path) -> None:
     with pytest.raises(DamagedError) as error:
         ScanStore(path)
     with pytest.raises(DamagedError, match="joints: a file stands in the way: move it"):
-        make_way(path, error.value.found)
+        clear_paths(path, error.value.found)
     assert (path / "joints").read_text() == "mine"
 
 

@@ -60,7 +60,7 @@ def test_over_ros_too(tiny: Callable[..., Scenario], tmp_path: Path) -> None:
 def test_none_are_kept_unasked(tiny: Callable[..., Scenario], tmp_path: Path) -> None:
     scenario = tiny(*KEYS[:2], "detector.readout={}", "detector.keep=[raw]")
     store = acquire_to_store(SimulationBuilder(scenario), tmp_path / "s", local_rig, resume=False)
-    assert store.kept == ("raw",)
+    assert store.stored_frames == ("raw",)
     with pytest.raises(InputError, match=r"keeps raw and no 'dark' images; .* detector\.keep"):
         store.frame("dark", 0)
     with pytest.raises(InputError, match=r"detector\.keep: an ideal source and detector"):

@@ -14,7 +14,7 @@ import pytest
 from twinct import run
 from twinct.core.errors import InputError
 from twinct.geometry.wire import Target
-from twinct.runs import Run, acquire_to_store, findings, report_again
+from twinct.runs import Run, acquire_to_store, findings, rewrite_report
 from twinct.scan import ScanStore, SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario
 
@@ -80,7 +80,7 @@ def test_the_report_is_complete_with_and_without_what_draws(finished: Run, tmp_p
     assert "operating room" not in text and "smallest clearance" not in text
     json.loads(finished.paths.metrics.read_text(encoding="utf-8"), parse_constant=pytest.fail)
     shutil.copytree(finished.paths.path, tmp_path / "out")
-    drawn = report_again(tmp_path / "out").paths.report.read_text(encoding="utf-8")
+    drawn = rewrite_report(tmp_path / "out").paths.report.read_text(encoding="utf-8")
     assert "The operating room at the middle view" in drawn
 
 

@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
+from still_scans import chords, still_scan, views_of
 
 from twinct.core.errors import InputError
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs
 from twinct.recon.known_components import FoundImplant
 from twinct.recon.shadow import Rays
 from twinct.runs import reconstruct, require_feasible
-from twinct.runs.implants import TakenOut, check_implants, known_implants
+from twinct.runs.implants import WithoutImplants, check_implants, known_implants
 from twinct.runs.volumes import memory_needed
-from twinct.scan import Scan
 from twinct.scenario import parse_scenario
 from twinct.specimen import material
 from twinct.trajectory import commanded_views
@@ -52,31 +51,17 @@ def scan():
 
     def make(**reconstruction):
         scenario = settings(**reconstruction)
-        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        geometry = views_of(scenario)
         images = np.zeros((len(geometry), *geometry.panel.shape), np.float32)
         section = {"method": "known", "implants": [{"part": "screw"}]}
         (screw,) = known_implants(scenario, settings(metal=section).reconstruction.metal)
         body, pose = screw.implant.body, screw.implant.world_from_implant
         rays = Rays(geometry)
         for view, image in enumerate(images):
-            ray = geometry.pixel_centres(view) - geometry.source[view]
-            ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-            far = geometry.source[view] @ geometry.source[view] - (ray @ geometry.source[view]) ** 2
-            image += TISSUE * 2 * np.sqrt(np.maximum(35.0**2 - far, 0))
+            image += TISSUE * chords(geometry, view, 35.0)[0]
             box, lengths, _ = rays.shadow(body, pose, view)
             image[box] += (screw.material.mu_per_mm(80.0) - TISSUE) * lengths
-        poses, views = PosePairs.from_geometry(geometry), len(geometry)
-        return Scan(
-            scenario=scenario,
-            transmission=np.exp(-images),
-            commanded=poses,
-            executed=poses,
-            executed_object=(),
-            joint_names=(),
-            joints=np.zeros((views, 0)),
-            simulated_s=np.arange(views, dtype=float),
-            clearance_mm=np.full(views, 50.0),
-        )
+        return still_scan(scenario, np.exp(-images))
 
     return make
 
@@ -105,7 +90,7 @@ def test_standard_deviations_of_positions_are_along_the_specimens_axes():
     found = FoundImplant(known[0].implant.world_from_implant, own, 1.0, np.zeros((2, 3)))
     stands = Pose.from_euler((1, 2, 3), (0, 0, 90))
     for of, expected in ((Pose.identity(), [0.2, 0.1, 0.3]), (stands, [0.1, 0.2, 0.3])):
-        (told,) = TakenOut(np.empty(0, np.float32), known, [found], of, 80.0).told()
+        (told,) = WithoutImplants(np.empty(0, np.float32), known, [found], of, 80.0).told()
         np.testing.assert_allclose(told["position_sigma_mm"], expected, atol=1e-12)
         np.testing.assert_allclose(np.radians(told["rotation_sigma_deg"]), [0.01, 0.02, 0.03])
 

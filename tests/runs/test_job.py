@@ -20,7 +20,7 @@ from twinct import run
 from twinct.core.errors import FolderInUseError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
 from twinct.recon.volume import Volume
-from twinct.runs import Run, report_again, truth_of
+from twinct.runs import Run, rewrite_report, truth_of
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
 
@@ -76,7 +76,7 @@ def test_a_volume_of_other_settings_is_not_reported(finished: Run, tmp_path: Pat
     file = tmp_path / "out" / finished.paths.scenario.name
     file.write_text(file.read_text().replace("relaxation: 0.3", "relaxation: 0.4"))
     with pytest.raises(InputError, match="made with settings other than those"):
-        report_again(tmp_path / "out")
+        rewrite_report(tmp_path / "out")
 
 
 def test_another_process_in_the_folder_is_named(tiny: Tiny, finished: Run) -> None:
@@ -85,7 +85,7 @@ def test_another_process_in_the_folder_is_named(tiny: Tiny, finished: Run) -> No
     with sole_owner(finished.paths.lock):
         for work in (
             lambda: run(other, finished.paths.path, link="local", resume=True),
-            lambda: report_again(finished.paths.path),
+            lambda: rewrite_report(finished.paths.path),
         ):
             with pytest.raises(FolderInUseError, match=f"process {os.getpid()} on "):
                 work()

@@ -57,6 +57,6 @@ def test_mas_stay_with_their_views_where_the_plan_chooses_the_order(tmp_path):
         given.model_dump(mode="json", exclude={"cell"}) | {"motion": {"order": "shortest"}}
     )
     turned = SimulationBuilder(given).targets[::-1]
-    builder = SimulationBuilder(arms, kept_plan=cast(Any, SimpleNamespace(targets=tuple(turned))))
+    builder = SimulationBuilder(arms, given_plan=cast(Any, SimpleNamespace(targets=tuple(turned))))
     assert builder.plan_chooses
     np.testing.assert_array_equal(builder.mas, MAS[::-1])

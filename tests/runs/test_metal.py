@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
+from still_scans import chords, still_scan, views_of
 
 from twinct.core.errors import InputError
-from twinct.geometry.wire import PosePairs
 from twinct.observers import Observer, Said
 from twinct.recon import Projector, sart, without_metal
 from twinct.runs import line_integrals, reconstruct
 from twinct.runs.metal_reduction import check_metal
 from twinct.runs.volumes import memory_needed
-from twinct.scan import Scan
 from twinct.scenario import parse_scenario
 from twinct.specimen import material
-from twinct.trajectory import commanded_views
 
 TISSUE, METAL = 0.02, 0.2
 NMAR = {"method": "nmar", "metal": "titanium", "first_iterations": 2}
@@ -38,26 +36,13 @@ def scan():
 
     def make(metal_mm=9.0, **reconstruction):
         scenario = settings(**reconstruction)
-        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        geometry = views_of(scenario)
         images = np.zeros((len(geometry), *geometry.panel.shape), np.float32)
         for view, image in enumerate(images):
-            ray = geometry.pixel_centres(view) - geometry.source[view]
-            ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-            far = geometry.source[view] @ geometry.source[view] - (ray @ geometry.source[view]) ** 2
-            for radius, mu in ((35.0, TISSUE), (metal_mm, METAL)):
-                image += mu * 2 * np.sqrt(np.maximum(radius**2 - far, 0))
-        poses, views = PosePairs.from_geometry(geometry), len(geometry)
-        return Scan(
-            scenario=scenario,
-            transmission=np.exp(-images),
-            commanded=poses,
-            executed=poses,
-            executed_object=(),
-            joint_names=(),
-            joints=np.zeros((views, 0)),
-            simulated_s=np.arange(views, dtype=float),
-            clearance_mm=np.full(views, 50.0),
-        )
+            of_tissue, of_metal = chords(geometry, view, 35.0, metal_mm)
+            image += TISSUE * of_tissue
+            image += METAL * of_metal
+        return still_scan(scenario, np.exp(-images))
 
     return make
 

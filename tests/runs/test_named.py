@@ -17,7 +17,7 @@ from twinct import run
 from twinct.core.errors import InputError
 from twinct.evaluation import figure_kinds
 from twinct.geometry import Pose, VolumeGrid
-from twinct.runs import Run, reconstruct_again, report_again
+from twinct.runs import Run, reconstruct_run, rewrite_report
 from twinct.runs.checks import check_places
 from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
@@ -205,15 +205,15 @@ def test_other_figures_make_no_volume_anew(
 ) -> None:
     monkeypatch.setattr("twinct.runs.job.reconstruct", lambda *_, **__: 1 / 0)
     monkeypatch.setattr(
-        "twinct.runs.reconstruction.report_again", lambda *_: None
+        "twinct.runs.reconstruction.rewrite_report", lambda *_: None
     )  # which takes seconds
     monkeypatch.setattr("twinct.runs.reporting._room", lambda _: None)
     out = shutil.copytree(finished.paths.path, tmp_path / "out")
     beside = ["reconstruction.algorithm=cgls", "reconstruction.grid={voxels: 12, voxel_mm: 12}"]
-    reconstruct_again(out, beside, name="beside")
+    reconstruct_run(out, beside, name="beside")
     volumes = [out / "volume.nii", out / "reconstructions" / "beside" / "volume.nii"]
     before = [path.read_bytes() for path in volumes]
-    again = report_again(out, overrides=[ASKED])
+    again = rewrite_report(out, overrides=[ASKED])
     for figures in (again.figures["image"], again.figures["reconstructions"]["beside"]["image"]):
         assert 0.5 < figures["regions"]["middle"]["mean_rel"] < 1.5
     assert again.figures["image"]["rmse_rel"] == finished.figures["image"]["rmse_rel"]
@@ -231,9 +231,9 @@ def test_other_figures_make_no_volume_anew(
     told = json.loads(resumed.paths.metrics.read_text())
     assert told["image"] == image
     with pytest.raises(InputError, match="only keys of evaluation can be changed here"):
-        report_again(out, overrides=["reconstruction.iterations=3"])
+        rewrite_report(out, overrides=["reconstruction.iterations=3"])
     with pytest.raises(InputError, match="unknown region 'x'"):
-        report_again(out, overrides=["evaluation.nps=[{region: x}]"])
+        rewrite_report(out, overrides=["evaluation.nps=[{region: x}]"])
 
 
 def test_figures_that_every_run_has(finished: Run) -> None:

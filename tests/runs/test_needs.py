@@ -12,7 +12,7 @@ import pytest
 from twinct import needs
 from twinct.core.errors import MemoryShortageError
 from twinct.runs import require_memory
-from twinct.scenario import load_scenario
+from twinct.scenario import GreyVolume, load_scenario
 from twinct.specimen.shapes import shape_surface, triangles
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
@@ -104,3 +104,14 @@ def test_a_ball_has_the_triangles_that_are_counted() -> None:
         scenario = load_scenario(DEMO, [f"specimen.parts=[{{shape: {text}}}]"])
         shape = scenario.specimen.parts[0].shape
         assert triangles(shape) == len(shape_surface(shape, "x").faces)
+
+
+def test_a_breathing_patient_has_its_voxels_twice() -> None:
+    breathing = load_scenario("patient_breathing")
+    still = breathing.with_({"specimen.motion": None, "reconstruction.motion": None})
+    shape = breathing.specimen.parts[0].shape
+    assert isinstance(shape, GreyVolume)
+    voxels = 338 * 238 * 480 / shape.voxel_mm**3
+    for stage in ("views", "truth"):
+        more = needs(breathing)[stage].memory_bytes - needs(still)[stage].memory_bytes
+        assert more == pytest.approx(12 * voxels, rel=0.01)

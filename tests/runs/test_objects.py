@@ -12,7 +12,7 @@ import trimesh
 import twinct
 from twinct.core.errors import InputError, ScenarioError, SpecimenError
 from twinct.geometry import Panel, ScanGeometry
-from twinct.runs import report_again
+from twinct.runs import rewrite_report
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario, specimen_digest, stage_digests
 from twinct.trajectory import commanded_views
@@ -127,7 +127,7 @@ def test_a_run_keeps_its_objects_and_moves_with_them(gantry: Scenario, tmp_path:
     assert {file: file.read_bytes() for file in out.rglob("*") if file.is_file()} == before
 
     moved = shutil.move(out, tmp_path / "moved")
-    files = {file.parent for file in report_again(moved).scenario.files().values()}
+    files = {file.parent for file in rewrite_report(moved).scenario.files().values()}
     assert files == {moved / "inputs"}
     twice = twinct.run(moved / "scenario.yaml", tmp_path / "twice", link="local")
     np.testing.assert_array_equal(twice.scan.transmission, scan.transmission)

@@ -11,7 +11,7 @@ import pytest
 
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs
-from twinct.runs import acquire_to_store, report_again, run
+from twinct.runs import acquire_to_store, rewrite_report, run
 from twinct.scan import Scan, ScanStore, SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import write_views
@@ -57,12 +57,12 @@ def test_commanded_poses_are_those_the_plan_chose(
 ) -> None:
     """Every view that was asked for once, source and panel where they were asked for."""
     commanded = scan[1].commanded
-    asked = 300 * directions()
+    requested = 300 * directions()
     taken = np.array([pose.position for pose in commanded.source])
-    found = [int(np.linalg.norm(asked - place, axis=1).argmin()) for place in taken]
+    found = [int(np.linalg.norm(requested - place, axis=1).argmin()) for place in taken]
     assert sorted(found) == list(range(VIEWS)) and found != list(range(VIEWS))
-    np.testing.assert_allclose(taken, asked[found], atol=1e-6)
-    upright = PosePairs.from_geometry(SimulationBuilder(scenario).asked[found])
+    np.testing.assert_allclose(taken, requested[found], atol=1e-6)
+    upright = PosePairs.from_geometry(SimulationBuilder(scenario).requested[found])
     turned = [
         here.angle_deg(pose)
         for view in range(VIEWS)
@@ -143,7 +143,7 @@ def test_a_run_goes_on_with_the_plan_it_has(
     shutil.copytree(scan[0], tmp_path / "out" / "scan.zarr")
     monkeypatch.setattr("twinct.robots.motion.plan_motion", None)
     finished = run(scenario, tmp_path / "out", link="local", resume=True)
-    assert report_again(tmp_path / "out").figures["views"] == finished.figures["views"] == VIEWS
+    assert rewrite_report(tmp_path / "out").figures["views"] == finished.figures["views"] == VIEWS
 
 
 def test_a_scan_of_before_plans_is_a_reactive_one(scan: tuple[Path, Scan], tmp_path: Path) -> None:
@@ -163,8 +163,8 @@ def test_a_scan_of_before_plans_is_a_reactive_one(scan: tuple[Path, Scan], tmp_p
 
 def test_a_file_of_axes_is_taken_as_it_is(scenario: Scenario, tmp_path: Path) -> None:
     file = tmp_path / "axes.csv"
-    asked = SimulationBuilder(scenario).asked
-    write_views(file, asked)
+    requested = SimulationBuilder(scenario).requested
+    write_views(file, requested)
     fixed = load_scenario(
         DEMO, [f"trajectory={{kind: file, path: {file}}}", "motion.scheme=planned"]
     )

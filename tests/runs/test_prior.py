@@ -2,15 +2,14 @@
 
 import numpy as np
 import pytest
+from still_scans import still_scan, views_of
 
 from twinct.core.errors import InputError, ScenarioError
 from twinct.geometry import Pose, VolumeGrid
-from twinct.geometry.wire import PosePairs
 from twinct.recon import Projector, prior_tv, without_surroundings
 from twinct.recon.registration import moved, registered, resampled
 from twinct.recon.volume import Volume
 from twinct.runs import line_integrals, reconstruct, require_feasible
-from twinct.scan import Scan
 from twinct.scenario import load_scenario, parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
 
@@ -44,19 +43,7 @@ def file(tmp_path):
 
 def scan_of(scenario):
     """Of the tissue, from where the scenario commands, in the whole grid's voxels."""
-    geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
-    poses = PosePairs.from_geometry(geometry)
-    return Scan(
-        scenario=scenario,
-        transmission=np.exp(-Projector(geometry, GRID)(TISSUE)),
-        commanded=poses,
-        executed=poses,
-        executed_object=(),
-        joint_names=(),
-        joints=np.zeros((8, 0)),
-        simulated_s=np.arange(8, dtype=float),
-        clearance_mm=np.full(8, 50.0),
-    )
+    return still_scan(scenario, np.exp(-Projector(views_of(scenario), GRID)(TISSUE)))
 
 
 def test_the_scenario_says_all_of_it(file):

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from twinct import run
-from twinct.core.kept import forget, once
+from twinct.core.cached import forget, once
 from twinct.recon.volume import Volume
-from twinct.runs import reconstruct_again, report_again
+from twinct.runs import reconstruct_run, rewrite_report
 from twinct.scenario import Scenario
 from twinct.specimen import BuiltSpecimen
 
@@ -56,11 +56,11 @@ def test_further_volumes_share_everything(
     scenario = tiny("cell={kind: gantry}", "reconstruction.geometry=[believed, executed]")
     made = run(scenario, tmp_path / "out", link="local")
     assert calls == once_each
-    reconstruct_again(tmp_path / "out", ["reconstruction.iterations=3"])
+    reconstruct_run(tmp_path / "out", ["reconstruction.iterations=3"])
     assert calls == once_each
     before = made.figures["image"]
     forget("truth")  # as in another process
-    again = report_again(tmp_path / "out").figures["image"]
+    again = rewrite_report(tmp_path / "out").figures["image"]
     assert again == before
     assert calls == {**dict.fromkeys(once_each, 2), "truth": 1, "specimen": 1}
 
@@ -79,7 +79,7 @@ def test_a_file_that_holds_another_truth_is_replaced(
     ):
         damage()
         forget("truth")
-        assert report_again(tmp_path / "out").figures["image"] == before
+        assert rewrite_report(tmp_path / "out").figures["image"] == before
         np.testing.assert_array_equal(Volume.read(file), right[0])
     assert calls["truth"] == 4
 

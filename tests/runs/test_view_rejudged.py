@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn_arms import deviations
 
 from twinct.calibration import CalibratedArms
 from twinct.cli import main
@@ -16,7 +17,6 @@ from twinct.robots.cell import nominal_chains
 from twinct.runs.propagating import nominal_scan
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
-from twinct.uncertainty.arms import drawn
 from twinct.view_planning.goals_with_errors import _blur_mm, rejudged
 from twinct.view_planning.planner import plan_views
 
@@ -111,9 +111,8 @@ def arms(planned: Path) -> tuple[Path, CalibratedArms]:
     section = scenario.uncertainty.arms
     changes = []
     for chain, side in ((source, "source"), (detector, "detector")):
-        true = drawn(section, chain, scenario.arms_seed, side)
-        links, tool = true.misfit.links[0], true.misfit.tool[0]
-        changes.append(Change(links, tool, true.compliance[0], true.gear[0]))
+        true = deviations(scenario.uncertainty, chain, scenario.arms_seed, side)
+        changes.append(Change(*(array[0] for array in true)))
     found = CalibratedArms(
         (source, detector), tuple(changes), section.gear_periods, Pose.identity(), {}
     )

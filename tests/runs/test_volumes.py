@@ -5,15 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from still_scans import chords, still_scan, views_of
 
 from twinct.core.errors import InputError, MemoryShortageError
-from twinct.geometry.wire import PosePairs
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
 from twinct.runs import line_integrals, reconstruct, require_feasible, volumes
 from twinct.runs.integrals import hardening_corrected
 from twinct.runs.volumes import memory_needed
-from twinct.scan import Scan
 from twinct.scenario import parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
 
@@ -42,27 +41,11 @@ def scan():
 
     def make(radius_mm=40.0, **reconstruction):
         scenario = settings(**reconstruction)
-        geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
+        geometry = views_of(scenario)
         images = np.empty((len(geometry), *geometry.panel.shape), np.float32)
         for view, image in enumerate(images):
-            ray = geometry.pixel_centres(view) - geometry.source[view]
-            ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
-            along = ray @ geometry.source[view]
-            square = radius_mm**2 - geometry.source[view] @ geometry.source[view] + along**2
-            image[:] = np.exp(-MU * 2 * np.sqrt(np.maximum(square, 0)))
-        poses = PosePairs.from_geometry(geometry)
-        views = len(geometry)
-        return Scan(
-            scenario=scenario,
-            transmission=images,
-            commanded=poses,
-            executed=poses,
-            executed_object=(),
-            joint_names=(),
-            joints=np.zeros((views, 0)),
-            simulated_s=np.arange(views, dtype=float),
-            clearance_mm=np.full(views, 50.0),
-        )
+            image[:] = np.exp(-MU * chords(geometry, view, radius_mm)[0])
+        return still_scan(scenario, images)
 
     return make
 
@@ -211,7 +194,9 @@ def test_an_engine_that_is_none_is_refused_before_any_work(monkeypatch):
     views = commanded_views(scenario.trajectory, scenario.detector.panel)
     require_feasible(scenario, views)
     monkeypatch.setenv("TWINCT_ENGINE", "fast")
-    with pytest.raises(InputError, match="TWINCT_ENGINE is 'fast'; it must be vector or plain"):
+    with pytest.raises(
+        InputError, match="TWINCT_ENGINE is 'fast'; it must be vector, plain or cuda"
+    ):
         require_feasible(scenario, views)
 
 

@@ -46,11 +46,11 @@ KEYS = [
     }""",
 ]
 
-Told = dict[str, Any]
+VolumeFacts = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def judged() -> Callable[[np.ndarray], Told]:
+def judged() -> Callable[[np.ndarray], VolumeFacts]:
     """Return the figures, as in metrics.json, of volumes that a function makes of the truth."""
     scenario = load_scenario(DEMO, KEYS)
     builder = SimulationBuilder(scenario)
@@ -62,7 +62,7 @@ def judged() -> Callable[[np.ndarray], Told]:
     )
     truth = truth_of(cast(Scan, scan), builder)
 
-    def told(make: Callable[[Truth], Any]) -> Told:
+    def told(make: Callable[[Truth], Any]) -> VolumeFacts:
         volume = Volume(np.broadcast_to(make(truth), truth.grid.shape), truth.grid)
         return plain(judge(cast(Scan, scan), volume, truth, builder.specimen).as_dict())
 
@@ -75,7 +75,7 @@ def noise(truth: Truth, size: float) -> Any:
 
 
 @pytest.fixture(scope="module")
-def decent(judged: Any) -> Told:
+def decent(judged: Any) -> VolumeFacts:
     """Blurred by a voxel, with noise and bands."""
 
     def make(truth: Truth) -> Any:
@@ -96,7 +96,7 @@ NOTHING: dict[str, Callable[[Truth], Any]] = {
 }
 
 
-def figures(told: Told) -> Iterator[tuple[str, Figure]]:
+def figures(told: VolumeFacts) -> Iterator[tuple[str, Figure]]:
     """Yield the dotted names of all built-in figures among those of a volume."""
     yield from ((one.key, one) for one in IMAGE_FIGURES)
     for kind in BUILT_IN.values():
@@ -111,7 +111,7 @@ def test_each_figure_says_what_is_good_and_what_nothing_scores() -> None:
         assert one.good and one.without_signal in ("null", "worse", "any"), one.key
 
 
-def test_a_decent_volume_has_all_figures(decent: Told) -> None:
+def test_a_decent_volume_has_all_figures(decent: VolumeFacts) -> None:
     missing = [name for name, _ in figures(decent) if nested(decent, name) is None]
     assert missing == []
     assert len(decent["mtf"]["ball"]["mtf"]) > 9
@@ -120,7 +120,7 @@ def test_a_decent_volume_has_all_figures(decent: Told) -> None:
 
 @pytest.mark.parametrize("name", NOTHING)
 def test_nothing_scores_no_better_than_a_decent_volume(
-    judged: Any, decent: Told, name: str
+    judged: Any, decent: VolumeFacts, name: str
 ) -> None:
     told = judged(NOTHING[name])
     assert abs(told["signal_rel"]) < 0.02
@@ -138,7 +138,9 @@ def test_nothing_scores_no_better_than_a_decent_volume(
     assert "mtf" not in told["mtf"]["ball"] and "nps_mm3" not in told["nps"]["box"]
 
 
-def test_without_the_rule_nothing_would_win(judged: Any, decent: Told, monkeypatch: Any) -> None:
+def test_without_the_rule_nothing_would_win(
+    judged: Any, decent: VolumeFacts, monkeypatch: Any
+) -> None:
     """The rule is needed: so many figures of an empty volume are better than decent ones."""
     for module in ("image", "figure_kind"):
         monkeypatch.setattr(f"twinct.evaluation.{module}.has_signal", lambda _: True)

@@ -11,8 +11,11 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
+from twinct.core.arm_files import ArmFile
+from twinct.core.settings import FILE_KEYS, is_file
 from twinct.scenario import Scenario, Source, load_scenario, parse_scenario, stage_digests
-from twinct.scenario.digests import COUNT_FOR_NONE, STAGES, declared, readers
+from twinct.scenario.cell import ARMS
+from twinct.scenario.digests import STAGES, declared, readers
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -190,6 +193,13 @@ def models(annotation: Any) -> list[type[BaseModel]]:
     return [model for arg in typing.get_args(annotation) for model in models(arg)]
 
 
+COUNT_FOR_NONE = (
+    *("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset"),
+    *("task", "cell.objects.name", "cell.objects.colour"),
+)
+"""Keys and sections that affect neither scan nor truth nor volume."""
+
+
 def test_every_key_is_read_by_a_stage_or_counts_for_none() -> None:
     everything = set(keys(Scenario))
     assert "specimen.parts.shape.radius_mm" in everything
@@ -201,6 +211,45 @@ def test_every_key_is_read_by_a_stage_or_counts_for_none() -> None:
     assert all(any(f"{key}.".startswith(f"{one}.") for key in for_none) for one in COUNT_FOR_NONE)
 
 
+def test_keys_of_files_have_the_names_by_which_paths_are_made_absolute() -> None:
+    def names(model: type[BaseModel]) -> Iterator[str]:
+        for name, info in model.model_fields.items():
+            if is_file(info):
+                yield name
+            for section in models(info.annotation):
+                yield from names(section)
+
+    assert set(names(Scenario)) == set(FILE_KEYS)
+
+
+def test_the_file_of_an_arm_of_another_package_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "arm.xml"
+    monkeypatch.setitem(ARMS, "mine", ArmFile("mine", file))
+    file.write_text("1")
+    one = digests("cell.source_arm.model=mine")
+    file.write_text("2")
+    assert changed(digests("cell.source_arm.model=mine"), one) == PLANNED
+
+
+def test_calibrated_arms_count_by_their_content(tmp_path: Path) -> None:
+    file = tmp_path / "arms.json"
+    file.write_text("1")
+    one = digests(f"uncertainty.calibration={file}")
+    file.write_text("2")
+    assert changed(digests(f"uncertainty.calibration={file}"), one) == {"believed", "volume"}
+
+
 def test_every_reader_that_a_key_declares_is_a_stage() -> None:
     named = {stage for _, stages in declared(Scenario) for stage in stages}
     assert named == set(STAGES)
+
+
+def test_volumes_of_scans_with_noise_have_another_version(monkeypatch) -> None:
+    """Photons count for them since the version was raised; others keep their digests."""
+    noisy = ["detector.noise={kind: snr, snr: 100}"]
+    plain, before = digests(), digests(*noisy)
+    monkeypatch.setattr("twinct.scenario.digests._SINCE_PHOTONS", 99)
+    assert digests() == plain
+    assert changed(before, digests(*noisy)) == {"volume"}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twinct.study.timings import Book
+from twinct.study.timings import TrialTimings
 
 
 @pytest.fixture(autouse=True)
@@ -16,17 +16,17 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_means_are_kept() -> None:
-    book = Book.open()
+    book = TrialTimings.open()
     assert book.mean("scan") is None
     for seconds in (1.0, 3.0):
         book.add("scan", seconds)
     book.write()
-    assert Book.open().mean("scan") == 2.0
+    assert TrialTimings.open().mean("scan") == 2.0
 
 
 def test_a_book_that_cannot_be_read_or_written_stops_nobody(cache: Path) -> None:
     cache.write_text("a file where the folder should be")
-    book = Book.open()
+    book = TrialTimings.open()
     book.add("scan", 1.0)
     book.write()
-    assert Book.open().mean("scan") is None
+    assert TrialTimings.open().mean("scan") is None

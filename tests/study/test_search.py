@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from twinct.study.search import Tried, asked, choice_of
+from twinct.study.search import Tried, next_values, trial_of
 from twinct.study.settings import Search
 
 
@@ -26,7 +26,7 @@ def bowl(values) -> float:
 def searched(what: Search, judge=bowl) -> list[Tried]:
     tried: list[Tried] = []
     while len(tried) < what.trials:
-        tried += [(values, judge(values)) for values in asked(what, tried)]
+        tried += [(values, judge(values)) for values in next_values(what, tried)]
     return tried
 
 
@@ -35,18 +35,18 @@ def test_the_same_is_asked_after_the_same() -> None:
     tried = searched(what)
     assert len(tried) == 10
     for number in (0, 4, 8):  # a new process, which knows what was told alone
-        asked_again = asked(what, tried[:number])
+        asked_again = next_values(what, tried[:number])
         assert asked_again == [values for values, _ in tried[number : number + 4]]
-    assert len(asked(what, tried[:8])) == 2 and asked(what, tried) == []
+    assert len(next_values(what, tried[:8])) == 2 and next_values(what, tried) == []
     longer = search(X, Y, trials=12)
-    assert asked(longer, tried[:8])[:2] == [values for values, _ in tried[8:]]
+    assert next_values(longer, tried[:8])[:2] == [values for values, _ in tried[8:]]
 
 
 def test_batches_and_seeds_are_told_apart() -> None:
-    first = asked(search(X, Y, seed=0), [])
-    assert asked(search(X, Y, seed=1), []) != first
+    first = next_values(search(X, Y, seed=0), [])
+    assert next_values(search(X, Y, seed=1), []) != first
     failed: list[Tried] = [(values, None) for values in first]
-    second = asked(search(X, Y, seed=0), failed)
+    second = next_values(search(X, Y, seed=0), failed)
     assert not {v["x"] for v in first} & {v["x"] for v in second}
     assert len({v["x"] for v in first}) == len(first) == 4
 
@@ -59,16 +59,16 @@ def test_values_are_of_their_kind_and_within_their_ends() -> None:
         {"key": ["d", "e"], "low": 0, "high": 1},
     ]
     what = search(*keys, trials=200, batch=200)
-    values = asked(what, [])
+    values = next_values(what, [])
     a = np.array([v["a"] for v in values])
     assert 0.01 <= a.min() < a.max() <= 100
     assert 0.35 < np.mean(a < 1) < 0.65  # half of the logarithms
     assert {v["b"] for v in values} == {1, 2, 3, 4}
     assert all(type(v["b"]) is int for v in values)
     assert {str(v["c"]) for v in values} == {"fdk", "3", "True"}
-    choice = choice_of(what, values[0])
+    choice = trial_of(what, values[0])
     assert set(choice.changes) == {"a", "b", "c", "d", "e"}
-    assert choice.changes["d"] == choice.changes["e"] == choice.labels["d, e"]
+    assert choice.changes["d"] == choice.changes["e"] == choice.axes["d, e"]
 
 
 @pytest.mark.parametrize(("direction", "sign"), [("minimize", 1), ("maximize", -1)])

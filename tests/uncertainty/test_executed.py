@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drawn_arms import deviations
 
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Instant, PosePairs, to_seven
 from twinct.robots.cell import CellModel, chains_of
-from twinct.scan.encoder_model import seen_from
+from twinct.scan.encoder_model import relative_to_specimen
 from twinct.scenario import ArmErrors, Uncertainty
 from twinct.uncertainty import TrueCell
-from twinct.uncertainty.arms import drawn
 
 STANDS = Pose.from_euler((5, -3, 2), (0, 0, 40))
 SEED, ARMS_SEED = 4, 9
@@ -95,8 +95,9 @@ def test_an_image_comes_late_by_the_way_of_the_arms(cell: CellModel, joints: Flo
 
 def test_a_gear_goes_round_and_arms_warm_up(cell: CellModel, joints: Floats) -> None:
     chain = chains_of(cell)[0]
+    section = Uncertainty(arms=ArmErrors(gear_deg=0.02))
     gear = true_cell(cell, arms={"gear_deg": 0.02, "gear_periods": 2})
-    phases = drawn(ArmErrors(gear_deg=0.02), chain, ARMS_SEED, "source").gear[0]
+    phases = deviations(section, chain, ARMS_SEED, "source").gear[0]
     assert np.hypot(*phases.T) == pytest.approx(np.radians(0.02))
     turned = joints[0].copy()
     own = joints[0, : len(chain)]
@@ -136,7 +137,7 @@ def test_a_patient_nods_and_jerks_and_is_followed() -> None:
     # After a whole period it is back, but for the jerk.
     assert at_s[8.0].distance_mm(STANDS) == pytest.approx(1.0, rel=1e-6)
     moved = at_s[4.0]
-    (seen, _) = seen_from(STANDS, (moved,), PosePairs((source,), (panel,)))[0]
+    (seen, _) = relative_to_specimen(STANDS, (moved,), PosePairs((source,), (panel,)))[0]
     point = np.array([10.0, 20.0, 30.0])  # of the specimen
     as_it_was, as_it_is = (
         seen.inverse().apply(STANDS.apply(point)),
@@ -146,10 +147,10 @@ def test_a_patient_nods_and_jerks_and_is_followed() -> None:
 
 
 def test_more_arms_begin_with_the_one_of_the_scan(cell: CellModel) -> None:
-    section = Uncertainty.model_validate({"preset": "collaborative"}).arms
+    section = Uncertainty.model_validate({"preset": "collaborative"})
     chain = chains_of(cell)[0]
-    one, many = (drawn(section, chain, 7, "source", draws) for draws in (1, 5))
-    np.testing.assert_array_equal(one.misfit.links[0], many.misfit.links[0])
+    one, many = (deviations(section, chain, 7, "source", draws) for draws in (1, 5))
+    np.testing.assert_array_equal(one.links[0], many.links[0])
     np.testing.assert_array_equal(one.gear[0], many.gear[0])
-    other = drawn(section, chain, 7, "detector")
-    assert not np.array_equal(one.misfit.tool, other.misfit.tool)
+    other = deviations(section, chain, 7, "detector")
+    assert not np.array_equal(one.tool, other.tool)

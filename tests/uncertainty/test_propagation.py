@@ -118,8 +118,8 @@ def test_the_first_draw_is_the_scan(cell: CellModel, scan: NominalScan) -> None:
     stands = Pose.from_euler((1, 2, 3), (0, 0, 30))
     for view in range(VIEWS):
         at = [Pose.from_matrix(m[:3, 3], m[:3, :3]) for m in scan.poses[:, view]]
-        joints = np.concatenate([moment.joints[view] for moment in scan.moments])
-        speeds = np.concatenate([moment.speeds[view] for moment in scan.moments])
+        joints = np.concatenate([own[view] for own in scan.joints])
+        speeds = np.concatenate([own[view] for own in scan.speeds])
         here = Instant(to_seven(at[0]), to_seven(stands), to_seven(at[1]))
         real = true.at(here, view, float(scan.time_s[view]), joints, speeds)
         back = stands @ real.object.inverse()

@@ -8,7 +8,7 @@ import trimesh
 
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
-from twinct.recon.objectives.metal_paths import metal_lengths, seen_lengths
+from twinct.recon.objectives.metal_paths import lengths_in_metal, metal_lengths
 from twinct.recon.shadow import Body
 from twinct.trajectory import panel_axes
 from twinct.view_planning import metal_paths, spectral_shift, starved_share
@@ -66,7 +66,7 @@ def test_metal_of_a_volume_is_as_long_as_its_mesh(screw) -> None:
     grid, points = VolumeGrid((24, 100, 24), 0.5), [[0.0, 0, 0], [0.0, 12, 0]]
     z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij")
     there = (x * x + z * z < 4) & (abs(y) < 20)
-    seen = seen_lengths(Projector(GEOMETRY, grid), there, points)
+    seen = lengths_in_metal(Projector(GEOMETRY, grid), there, points)
     for of_volume, of_mesh in zip(seen, metal_lengths(GEOMETRY, [screw], points), strict=True):
         assert of_volume == pytest.approx(of_mesh, abs=0.5)
 

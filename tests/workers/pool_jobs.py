@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError, MotionError
-from twinct.workers import Made, Place
+from twinct.workers import Place, WithArtifacts
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def fail(kind: str, place: Place) -> Any:
     if kind == "exit":
         raise SystemExit(3)
     if kind == "missing":
-        return Made(1, {"nothing": place.folder / "nothing"})
+        return WithArtifacts(1, {"nothing": place.folder / "nothing"})
     raise RuntimeError(kind)
 
 
@@ -148,13 +148,13 @@ def hold(argument: None, place: Place) -> None:
         ctypes.PyDLL(None).pause()
 
 
-def write(argument: str, place: Place) -> Made:
+def write(argument: str, place: Place) -> WithArtifacts:
     """A file and a folder."""
     folder = place.folder / f"made-{argument}"
     (folder / "deep").mkdir(parents=True, exist_ok=True)
     (folder / "deep" / "a.txt").write_text(argument)
     (folder / "b.txt").write_text(2 * argument)
-    return Made(argument, {"folder": folder, "file": folder / "b.txt"})
+    return WithArtifacts(argument, {"folder": folder, "file": folder / "b.txt"})
 
 
 def read(argument: str, place: Place) -> tuple[str, str]:

@@ -24,6 +24,7 @@ from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.specimen.materials import material
 from twinct.xray import Imager
 from twinct.xray.build import build_spectrum, effective_energy_kev
+from twinct.xray.photons import free_photons
 
 PANEL = {"columns": 160, "rows": 120, "pixel_pitch_mm": 1.5}
 VIEW = front_view(Detector(**PANEL).panel)
@@ -363,3 +364,30 @@ def test_lag_carries_on_what_the_mas_of_the_view_before_left():
     found = by_mas({"readout": Readout(bits=None), "lag": 0.2}, [3.0, 1.0])
     signal = found[1].raw[60, 10] - 500, found[0].raw[60, 10] - 500
     assert signal[0] / signal[1] == pytest.approx((0.8 * 1 + 0.2 * 3) / 3, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"noise": QuantumNoise(kind="quantum")},
+        {"noise": QuantumNoise(kind="quantum"), "binning": 2},
+        {"noise": SnrNoise(kind="snr", snr=40.0)},
+        {
+            "noise": QuantumNoise(kind="quantum"),
+            "point_spread": GaussianSpread(kind="gaussian", sigma_mm=1.5),
+        },
+    ],
+    ids=["quantum", "binned", "snr", "blurred"],
+)
+def test_photons_of_the_free_beam_have_the_noise_of_its_images(more):
+    source = Source(photons_per_mm2_mas=PHOTONS / 10)
+    photons = free_photons(source, Detector(**PANEL, **more), VIEW)
+    assert photons is not None
+    free = frame(more, {"photons_per_mm2_mas": PHOTONS / 10}).transmission[FREE]
+    # Of 3600 pixels: one deviation of the variance is 2.4 %; the beam falls off to the corners.
+    assert photons.single == pytest.approx(1 / free.var(), rel=0.15)
+    blurred = "point_spread" in more
+    assert (photons.single > 1.5 * photons.number) == blurred
+    sums = free.reshape(20, 6, 5, 6).mean((1, 3))
+    assert photons.number == pytest.approx(1 / (36 * sums.var()), rel=0.5)
+    assert free_photons(source, Detector(**PANEL), VIEW) is None

@@ -1,8 +1,10 @@
-"""The engine mesh against exact numbers, on rays that meet vertices, edges and faces too."""
+"""The engines mesh and cuda_mesh against exact numbers, also on vertices, edges and faces."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from fractions import Fraction
+from functools import partial
 from math import sqrt
 from typing import NamedTuple
 
@@ -14,13 +16,15 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from xray_scenes import random_view, specimen
 
+from twinct.core.card import DEVICE_VARIABLE
 from twinct.core.errors import SpecimenError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.scenario import Detector, Source, Specimen
 from twinct.specimen import build_specimen
 from twinct.xray import Imager, _crossings
 from twinct.xray.engine import SceneBody, SceneView
-from twinct.xray.mesh import MeshEngine
+from twinct.xray.engines import engine_named
+from twinct.xray.mesh import MeshEngine, frame_of
 
 EXACT_MM = 0.01
 """Required, for the worst ray."""
@@ -44,8 +48,24 @@ def seen(view: ScanGeometry) -> SceneView:
     return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
 
 
-def lengths_of(view: SceneView, panel: Panel, solid: Solid) -> NDArray[np.float32]:
-    engine = MeshEngine()
+Lengths = Callable[[SceneView, Panel, Solid], NDArray[np.float32]]
+
+
+@pytest.fixture(params=["mesh", "cuda_mesh"])
+def name(request, monkeypatch) -> str:
+    """Name of an engine; the card's kernels run on the processor."""
+    monkeypatch.setenv(DEVICE_VARIABLE, "cpu")
+    return request.param
+
+
+@pytest.fixture
+def lengths_of(name: str) -> Lengths:
+    """Path lengths in a solid, by either engine."""
+    return partial(_lengths_of, name)
+
+
+def _lengths_of(name: str, view: SceneView, panel: Panel, solid: Solid) -> NDArray[np.float32]:
+    engine = engine_named(name).engine
     engine.acquire([SceneBody(*solid)], panel)
     lengths = np.full(panel.shape, np.nan, np.float32)
     engine.path_lengths(view, 0, lengths)
@@ -105,7 +125,9 @@ def surface_of(filled: NDArray[np.bool_], rng: np.random.Generator) -> Solid:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_rays_along_edges_and_faces_of_lattice_bodies_are_exact(seed: int, figure) -> None:
+def test_rays_along_edges_and_faces_of_lattice_bodies_are_exact(
+    seed: int, lengths_of: Lengths, figure
+) -> None:
     """Each side of each cell lies in rays; the others are cut by rays along their diagonals.
 
     A ray that leaves a body less often than it enters it, or the reverse, is off by at least the
@@ -176,7 +198,9 @@ def summed(solid: Solid) -> tuple[dict[tuple[int, int], Fraction], int]:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_path_lengths_of_stars_are_those_of_fractions(seed: int, figure) -> None:
+def test_path_lengths_of_stars_are_those_of_fractions(
+    seed: int, lengths_of: Lengths, figure
+) -> None:
     rng = np.random.default_rng(100 + seed)
     panel = Panel(120, 160, *rng.choice([0.5, 1.0, 2.0], 2))
     view, lattice = whole_view(rng, panel), star(rng)
@@ -235,7 +259,7 @@ def clipped(view: ScanGeometry, *solids: Floats) -> Floats:
     return share * np.linalg.norm(rays, axis=-1)
 
 
-def test_convex_polyhedra_are_clipped_rays(figure) -> None:
+def test_convex_polyhedra_are_clipped_rays(lengths_of: Lengths, figure) -> None:
     rng = np.random.default_rng(1)
     errors = []
     for _ in range(20):
@@ -248,7 +272,7 @@ def test_convex_polyhedra_are_clipped_rays(figure) -> None:
     assert max(errors) < EXACT_MM
 
 
-def test_bodies_beside_and_behind_the_source_are_clipped_rays(figure) -> None:
+def test_bodies_beside_and_behind_the_source_are_clipped_rays(lengths_of: Lengths, figure) -> None:
     """The plane through the source, parallel to the panel, cuts most of them."""
     rng = np.random.default_rng(2)
     panel = Panel(40, 50, 45.0, 45.0)
@@ -270,7 +294,7 @@ def test_bodies_beside_and_behind_the_source_are_clipped_rays(figure) -> None:
     assert hit > 10 and cut > 20 and max(errors) < EXACT_MM
 
 
-def test_slivers_across_the_panel_are_clipped_rays() -> None:
+def test_slivers_across_the_panel_are_clipped_rays(lengths_of: Lengths) -> None:
     """Long diagonal triangles, whose rows are narrowed."""
     rng = np.random.default_rng(3)
     for _ in range(4):
@@ -293,7 +317,7 @@ def test_results_do_not_depend_on_the_bands_of_threads() -> None:
     view = seen(random_view(rng, PANEL, np.zeros(3)))
     engine, found = MeshEngine(), []
     engine.acquire([SceneBody(ball.vertices, ball.faces)], PANEL)
-    frame, body = engine._frame(view), engine._bodies[0]
+    frame, body = frame_of(view, PANEL), engine._bodies[0]
     places = np.empty((len(body.vertices), 3))
     _crossings.project(body.vertices, frame.seen, places)
     for limits in ([0, 120], [0, 1, 60, 60, 61, 120], list(range(121))):
@@ -321,7 +345,7 @@ def half_spaces(shape: dict, pose: Pose) -> Floats:
 
 
 @pytest.mark.parametrize("pin_last", [True, False])
-def test_where_parts_overlap_the_later_one_wins(pin_last: bool, figure) -> None:
+def test_where_parts_overlap_the_later_one_wins(pin_last: bool, name: str, figure) -> None:
     parts = [BONE, PIN] if pin_last else [PIN, BONE]
     built = build_specimen(Specimen.model_validate({"parts": parts}))
     detector = Detector(columns=PANEL.columns, rows=PANEL.rows, pixel_pitch_mm=(1.5, 1.6))
@@ -333,7 +357,7 @@ def test_where_parts_overlap_the_later_one_wins(pin_last: bool, figure) -> None:
     assert set(mu) == set(planes)
     rng = np.random.default_rng(5)
     errors = []
-    with Imager(Source(), detector, built, engine="mesh") as imager:
+    with Imager(Source(), detector, built, engine=name) as imager:
         for _ in range(5):
             view = random_view(rng, detector.panel, np.zeros(3))
             image = imager.render(view, Pose.identity()).astype(np.float64)

@@ -42,7 +42,7 @@ def _built(path: Path) -> str:
         assert isinstance(scenario.detector.panel, Panel)
         _ = builder.cell
     try:
-        _ = builder.asked
+        _ = builder.requested
     except InputError:
         return "specimen and room"
     return "all"

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from cases import Case
 from mcap.reader import make_reader
+from message_graph import (
+    MEMBERS,
+    STRANGER,
+    FakeImager,
+    Station,
+    decoded,
+    members_in,
+    require_finite,
+)
 from mutations import NASTY_TEXTS, broken
-from numpy.typing import NDArray
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
 from store_files import everything
 from valid_scans import SCANS, make_scans
 
 from twinct import load_scan
-from twinct.core.draws import view_rng
 from twinct.core.errors import InputError, TwinctError
 from twinct.geometry.wire import Reached
 from twinct.link import messages
@@ -28,7 +35,6 @@ from twinct.link.node import Diagnostics
 from twinct.link.recording.bag import Bag
 from twinct.link.rig import RosRig
 from twinct.link.robots_node import RobotsNode, Turns
-from twinct.link.senders import Members, Sender
 from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
     DIAGNOSTICS,
@@ -65,8 +71,6 @@ TEXTS = (
     *("\u0661." + 9 * "\u0660", "1." + 9 * "\u00b2"),  # digits in the sense of str.isdigit
     *NASTY_TEXTS,
 )
-MEMBERS = {SCAN: "11", ROBOTS: "22", XRAY: "33"}
-STRANGER = "99"
 
 
 class Kind:
@@ -116,13 +120,9 @@ class _Recorded:
         told = deserialize_message(self.of(VIEWS)[view], VIEWS.message_class)
         stamp = Stamp.of(told.header.stamp)
         return {
-            topic: next(data for data in self.of(topic) if _stamp(_message(topic, data)) == stamp)
+            topic: next(data for data in self.of(topic) if _stamp(decoded(topic, data)) == stamp)
             for topic in ANSWERS
         }
-
-
-def _message(topic: Topic, data: bytes) -> Any:
-    return deserialize_message(data, topic.message_class)
 
 
 def _stamp(message: Any) -> Stamp | None:
@@ -136,7 +136,7 @@ def _changed(rng: random.Random, topic: Topic, data: bytes) -> tuple[bytes, str]
     if rng.random() < 0.25:
         new, told = broken(rng, data)
         return new, f"{topic.name}: {told}"
-    message, told = _message(topic, data), ""
+    message, told = decoded(topic, data), ""
     for _ in range(rng.choice((1, 1, 2, 3))):
         told = f"{told} {_other_field(rng, message)}"
     return serialize_message(message), f"{topic.name}:{told}"
@@ -188,19 +188,15 @@ def _other_list(rng: random.Random, message: Any, name: str, value: Any) -> str:
     return f"of {len(items)}"
 
 
-def _finite(*arrays: Any) -> None:
-    for numbers in arrays:
-        if not np.isfinite(np.asarray(numbers, dtype=float)).all():
-            raise AssertionError("a number that is not finite was accepted")
-
-
 def _check_reached(reached: Reached, *, arms: bool) -> None:
     for instant in (reached.executed, *reached.path, *([reached.before] if reached.before else [])):
-        _finite(*instant)
+        require_finite(*instant)
         _ = instant.source, instant.object, instant.detector  # raise unless they are poses
-    _finite(reached.position, reached.velocity, reached.effort, reached.state, reached.time_s)
+    require_finite(
+        reached.position, reached.velocity, reached.effort, reached.state, reached.time_s
+    )
     if arms:
-        _finite(reached.clearance_mm)
+        require_finite(reached.clearance_mm)
     if len({len(reached.joint_names), *(map(len, (reached.position, reached.velocity)))}) != 1:
         raise AssertionError("joints of several numbers")
 
@@ -212,24 +208,24 @@ def _decoded(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
 
     def state(message: Any) -> None:
         messages.state_stamp(message)
-        _finite(messages.checked_state(message, arms=True).data)
+        require_finite(messages.checked_state(message, arms=True).data)
 
     def target(message: Any) -> None:
         found = messages.target_of(message)
-        _finite(found.source.matrix, found.detector.matrix)
+        require_finite(found.source.matrix, found.detector.matrix)
 
     def executed(message: Any) -> None:
         found = messages.executed_of(message)
         found.exposure(rng.choice((1, 2, 5)))
-        _finite(*(instant.object.matrix for instant in (found.view, *found.more)))
+        require_finite(*(instant.object.matrix for instant in (found.view, *found.more)))
 
     def joints(message: Any) -> None:
         found = messages.joints_of(messages.checked_joints(message, arms=arms))
-        _finite(found.position, found.velocity, found.effort, found.time_s)
+        require_finite(found.position, found.velocity, found.effort, found.time_s)
 
     reads: dict[Topic, Callable[[Any], object]] = {
         **{TARGET: target, REACHED: executed, JOINTS: joints, STATE: state},
-        IMAGE: lambda m: _finite(messages.image_of(m, rng.choice((panel.shape, None)))),
+        IMAGE: lambda m: require_finite(messages.image_of(m, rng.choice((panel.shape, None)))),
         VIEWS: lambda m: of.epoch.view(Stamp.of(m.time_ref)),
     }
     topic = rng.choice(list(reads))
@@ -237,91 +233,12 @@ def _decoded(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
 
     def act() -> str:
         try:
-            reads[topic](_message(topic, data))
+            reads[topic](decoded(topic, data))
         except (MalformedError, rclpy_implementation.RMWError):
             return "refused"
         return "read"
 
     return told, act
-
-
-class _Out:
-    """A publisher that checks that its messages can be serialised."""
-
-    def __init__(self, topic: Topic) -> None:
-        self.topic, self.sent = topic, list[Any]()
-
-    def publish(self, message: Any) -> None:
-        self.sent.append(deserialize_message(serialize_message(message), self.topic.message_class))
-
-    def get_subscription_count(self) -> int:
-        return 9
-
-    get_publisher_count = get_subscription_count
-
-
-class _Station:
-    """A participant without a ROS graph; the test hands it its messages."""
-
-    name, participant = "fuzzed", "00"
-
-    def __init__(self) -> None:
-        self.out: dict[str, _Out] = {}
-        self.heard: dict[str, list[Callable[[Any, Sender], None]]] = {}
-        self.queue: list[tuple[Topic, bytes, str]] = []
-        self._number = 0
-        self._garbled: Callable[[str, Sender], None] | None = None
-
-    def publisher(self, topic: Topic, **_: Any) -> Any:
-        return self.out.setdefault(topic.name, _Out(topic))
-
-    def listen(self, topic: Topic, callback: Callable[[Any, Sender], None], **_: Any) -> Any:
-        self.heard.setdefault(topic.name, []).append(callback)
-        return _Out(topic)
-
-    def listen_to_all(self, topic: Topic, callback: Callable[[Any, Sender], None]) -> list[Any]:
-        return [self.listen(topic, callback)]
-
-    def serve(self, *_: Any) -> None:
-        pass
-
-    def on_garbled(self, tell: Callable[[str, Sender], None]) -> None:
-        self._garbled = tell
-
-    def name_of(self, topic: str, sender: Sender) -> str:
-        return f"{topic} {sender.publisher}"
-
-    def hear(self, topic: Topic, data: bytes, sender: str) -> None:
-        """Hand a message on as ``SenderExecutor`` does."""
-        self._number += 1
-        who = Sender(f"{sender * 12}{'00' * 4}", self._number)
-        try:
-            message = _message(topic, data)
-        except rclpy_implementation.RMWError:
-            assert self._garbled is not None
-            self._garbled(topic.name, who)
-            return
-        for callback in self.heard.get(topic.name, []):
-            callback(message, who)
-
-    def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
-        del timeout_s
-        while self.queue and not until():
-            self.hear(*self.queue.pop(0))
-        return until()
-
-    @property
-    def told(self) -> list[Any]:
-        """Messages sent on ``/diagnostics``."""
-        return self.out[DIAGNOSTICS.name].sent
-
-
-def _members(folder: Path) -> Members:
-    members = Members(folder)
-    for name, who in MEMBERS.items():
-        members.enter(name, who * 12)
-        members.knows(name)
-    return members
 
 
 def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
@@ -343,15 +260,15 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
     said.insert(rng.randrange(len(said) + 1), changed)
 
     def rig() -> RosRig:
-        rig, station = object.__new__(RosRig), _Station()
+        rig, station = object.__new__(RosRig), Station()
         rig.epoch, rig.domain_id = of.epoch, 0
-        members = _members(folder)
+        members = members_in(folder)
         own: dict[str, Any] = {
             **{"_answer_s": 0.0, "_samples": of.scenario.source.motion_samples, "_nodes": []},
             **{"_shape": of.scenario.detector.panel.shape, "_taken": {}, "_got": {}},
             **{"_joints_until": Stamp(0, 0), "_asked": None, "_ready": {ROBOTS, XRAY}},
             **{"_refusal": None, "_conflict": None, "_ended": [], "_closing": False},
-            **{"_tell_joints": lambda joints: _finite(joints.position, joints.time_s)},
+            **{"_tell_joints": lambda joints: require_finite(joints.position, joints.time_s)},
             **{"_station": station, "_members": members, "_me": MEMBERS[SCAN] * 12},
             "_diagnostics": Diagnostics(station, lambda _: None),  # type: ignore[arg-type]
         }
@@ -371,7 +288,7 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
                 raise AssertionError("a stranger ended the scan") from None
             return "refused"
         _check_reached(reached, arms=of.arms)
-        _finite(image)
+        require_finite(image)
         stored = of.store.transmission(view), of.store.state(view)
         same = [np.array_equal(a, b) for a, b in zip((image, reached.state), stored, strict=True)]
         if stranger and not all(same):
@@ -391,16 +308,16 @@ def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Ca
     data, told = _changed(rng, TARGET, good)
 
     def act() -> str:
-        station: Any = _Station()
+        station: Any = Station()
         turns = Turns(of.epoch, of.targets, 0) if own else None
         said = Diagnostics(station, lambda _: None)
-        members = _members(folder) if own else None
+        members = members_in(folder) if own else None
         RobotsNode(station, said, builder.robots(), turns, members)
         station.hear(TARGET, data, MEMBERS[SCAN])
         reached = station.out[REACHED.name].sent
         if not reached:
             return _refused(station)
-        answered, asked = messages.executed_of(reached[0]).view, _message(TARGET, data)
+        answered, asked = messages.executed_of(reached[0]).view, decoded(TARGET, data)
         expected = [messages.numbers_of(pose) for pose in asked.poses]
         if [answered.source_m, answered.detector_m] != expected:
             raise AssertionError("it went to another pose")
@@ -409,25 +326,11 @@ def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Ca
     return told, act
 
 
-def _refused(station: _Station) -> str:
+def _refused(station: Station) -> str:
     """Return "refused", or raise AssertionError unless a diagnostic message was sent."""
     if not station.told:
         raise AssertionError("dropped without a diagnostic")
     return "refused"
-
-
-class _Imager:
-    """Imager that checks the poses and returns random images."""
-
-    def expose(
-        self, path: Sequence[Any], view: int = 0, before: Any = None, *, time_s: float = 0.0
-    ) -> NDArray[np.float32]:
-        for geometry, specimen in (*path, *([before] if before else [])):
-            _finite(geometry.source, geometry.detector, geometry.u, geometry.v, specimen.matrix)
-        return view_rng(0, "noise", view).random(path[0][0].panel.shape, dtype=np.float32)
-
-    def close(self) -> None:
-        pass
 
 
 def _of_xray(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Callable[[], str]]:
@@ -440,10 +343,10 @@ def _of_xray(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
     sender = STRANGER if rng.random() < 0.2 else MEMBERS[ROBOTS]
 
     def act() -> str:
-        station: Any = _Station()
+        station: Any = Station()
         said = Diagnostics(station, lambda _: None)
-        scan = (of.epoch, _members(folder)) if own else (None, None)
-        XRayNode(station, said, _Imager(), panel, *scan, samples)
+        scan = (of.epoch, members_in(folder)) if own else (None, None)
+        XRayNode(station, said, FakeImager(), panel, *scan, samples)
         for name in (VIEWS, REACHED):
             changed = name == topic
             station.hear(name, data if changed else good[name], sender)
@@ -460,7 +363,7 @@ def _of_xray(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
 
 def _other_stamp(topic: Topic, data: bytes, good: bytes) -> bool:
     try:
-        return _stamp(_message(topic, data)) != _stamp(_message(topic, good))
+        return _stamp(decoded(topic, data)) != _stamp(decoded(topic, good))
     except rclpy_implementation.RMWError:
         return True
 
@@ -474,10 +377,10 @@ def _of_plan(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
     data, told = _changed(rng, topic, good[topic])
 
     def act() -> str:
-        station: Any = _Station()
+        station: Any = Station()
         taken: list[MotionPlan] = []
         said = Diagnostics(station, lambda _: None)
-        listener = PlanListener(station, said, _members(folder), taken.append)
+        listener = PlanListener(station, said, members_in(folder), taken.append)
         try:
             for part in PARTS:
                 station.hear(part, data if part == topic else good[part], MEMBERS[SCAN])

@@ -21,7 +21,7 @@ from twinct import load_scan, reconstruct
 from twinct.core.errors import InputError
 from twinct.runs import Folder, verify
 from twinct.runs.job import finished_run
-from twinct.runs.reconstruction_folder import kept_reconstructions
+from twinct.runs.reconstruction_folder import stored_reconstructions
 from twinct.runs.repair import resumable
 from twinct.scan import Scan, ScanStore
 from twinct.scenario import load_scenario
@@ -128,7 +128,7 @@ def _read(path: Path, whole: bytes | None) -> None:
     found = everything(load_scan(path))
     store = ScanStore(path / "scan.zarr")
     for view in range(store.views):
-        for name in store.kept:
+        for name in store.stored_frames:
             if not np.isfinite(store.frame(name, view)).all():
                 raise AssertionError("a grey value that is not finite was accepted")
     if whole is not None and found != whole:
@@ -138,7 +138,7 @@ def _read(path: Path, whole: bytes | None) -> None:
 def _finished(path: Path) -> None:
     run = finished_run(Folder(path))
     _ = run.figures, run.volume, run.scan.believed
-    kept_reconstructions(run.paths.reconstructions)
+    stored_reconstructions(run.paths.reconstructions)
 
 
 def _reconstructed(path: Path) -> None:

@@ -16,8 +16,8 @@ from twinct.calibration.freedom import PosePrior, What
 from twinct.calibration.kinematics import (
     ArmPrior,
     KinematicCalibration,
-    Seen,
-    Untold,
+    PhantomViews,
+    UndeterminedByArm,
     calibrated_arms,
 )
 from twinct.calibration.modes import Aligned, aligned
@@ -26,6 +26,7 @@ from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.resection import PARAMETERS, Resection, moved, resected
 from twinct.calibration.shadows import Shadows, measured, spots
 from twinct.calibration.tracks import Tracks, tracked
+from twinct.core.renamed import old_names
 from twinct.robots.calibrated_arms import CalibratedArms, Change, frames_of, require_same_arms
 
 __all__ = [
@@ -47,14 +48,14 @@ __all__ = [
     "CircularPrior",
     "EpipolarConsistency",
     "KinematicCalibration",
+    "PhantomViews",
     "PosePrior",
     "Resection",
     "Round",
-    "Seen",
     "SelfCalibration",
     "Shadows",
     "Undetermined",
-    "Untold",
+    "UndeterminedByArm",
     "What",
     "aligned",
     "calibrated",
@@ -71,3 +72,5 @@ __all__ = [
     "self_calibrated",
     "spots",
 ]
+
+__getattr__ = old_names(__name__, {"Seen": "PhantomViews", "Untold": "UndeterminedByArm"})

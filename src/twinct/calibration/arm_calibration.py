@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -12,13 +12,14 @@ from twinct.calibration import (
     ArmPrior,
     CalibratedArms,
     KinematicCalibration,
+    PhantomViews,
     Resection,
-    Seen,
     calibrated_arms,
     frames_of,
     require_same_arms,
 )
-from twinct.calibration.scan_calibration import balls_of, keep, refuse_own
+from twinct.calibration.scan_calibration import balls_of, refuse_own, store_geometries
+from twinct.core.error_terms import CONSTANT, Spread, ToolMotion
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry import Chain, Floats, ScanGeometry
@@ -29,26 +30,36 @@ from twinct.scan import NamedGeometry, Scan
 from twinct.scan.encoder_model import encoders_of
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import Cell, Scenario, Uncertainty
-from twinct.uncertainty.arms import mean_compliance, spreads
-from twinct.uncertainty.executed import view_sigmas
+from twinct.uncertainty.drawn_tool import by_view
+from twinct.uncertainty.nominal_scan import NominalScan
+from twinct.uncertainty.terms.registry import terms_of
+from twinct.uncertainty.terms.windup import mean_compliance
 
 PLACED_MM, PLACED_DEG = 2.0, 1.0
 """Standard deviations of the phantom's pose in the room, after registration by nominal arms."""
 
 
-def arm_prior(uncertainty: Uncertainty, chain: Chain) -> ArmPrior:
+def arm_prior(uncertainty: Uncertainty, motion: ToolMotion) -> ArmPrior:
     """Return the prior of an arm's errors that a scenario states.
+
+    Args:
+        uncertainty: errors of the scenario.
+        motion: motion of the arm during the scan.
 
     Raises:
         InputError: the scenario states no errors of links or tools.
     """
-    section = uncertainty.arms
+    section, chain = uncertainty.arms, motion.chain
     squares = {"base": np.array([PLACED_MM**2] * 3 + [np.radians(PLACED_DEG) ** 2] * 3)}
     squares |= {"links": np.zeros(6), "tool": np.zeros(6)}
-    for spread in spreads(section):
-        squares[spread.frame] += spread.sigma**2
-    # During a scan, a link's missing thermal growth acts like any other error of its length.
-    squares["links"][:3] += section.drift_mm**2
+    for term, settings in terms_of(uncertainty):
+        if term.prior is not None:
+            for place, sigma in term.prior(settings).items():
+                squares[place] += sigma**2
+            continue
+        for spread in term.spreads(settings, motion):
+            if spread.length == CONSTANT and spread.draws != "none":
+                _add_square(squares, spread)
     if not any(squares["links"]) and not any(squares["tool"]):
         raise InputError(
             "uncertainty.arms: links, zeros and tools have no errors, so there is nothing to "
@@ -65,10 +76,32 @@ def arm_prior(uncertainty: Uncertainty, chain: Chain) -> ArmPrior:
     )
 
 
-def view_covariance(uncertainty: Uncertainty) -> Floats:
+def _add_square(squares: dict[str, Floats], spread: Spread) -> None:
+    """Add a spread that is constant over a scan, as a mean over views and joints."""
+    square = by_view(spread) ** 2
+    mean = square.reshape(-1, square.shape[-1]).mean(axis=0)
+    if spread.place == "joints":  # acts like an error of the joints' zeros
+        squares["links"][5] += mean.mean()
+    else:
+        squares["tool" if spread.place == "pose" else spread.place] += mean
+
+
+def view_covariance(uncertainty: Uncertainty, motions: Sequence[ToolMotion]) -> Floats:
     """Return the covariance of each view's own errors, by ``resection.PARAMETERS``, (9, 9)."""
-    source, panel = view_sigmas(uncertainty.views)
-    return np.diag(np.concatenate([source[:3], panel]) ** 2)
+    squares = np.zeros((2, 6))
+    for term, settings in terms_of(uncertainty):
+        for own, motion in zip(squares, motions, strict=True):
+            for spread in term.spreads(settings, motion):
+                if spread.place == "pose" and spread.length != CONSTANT:
+                    own += (by_view(spread) ** 2).mean(axis=0)
+    return np.diag(np.concatenate([squares[0, :3], squares[1]]))
+
+
+def motions_of(scan: Scan, chains: tuple[Chain, Chain]) -> tuple[ToolMotion, ToolMotion]:
+    """Return the motion of both arms by their encoders; each view is taken to stand still."""
+    joints = encoders_of(scan.scenario, scan.joints)
+    nominal = NominalScan.of_arms(chains, joints, np.zeros_like(joints), scan.middle_s)
+    return nominal.motion(0), nominal.motion(1)
 
 
 def chains_of_scan(scenario: Scenario) -> tuple[Chain, Chain]:
@@ -112,7 +145,8 @@ def calibrate_kinematics(
     scans = [load_scan(folder.path) for folder in folders]
     scan, scenario = scans[0], scans[0].scenario
     chains = chains_of_scan(scenario)
-    priors = [arm_prior(scenario.uncertainty, chain) for chain in chains]
+    motions = motions_of(scan, chains)
+    priors = [arm_prior(scenario.uncertainty, motion) for motion in motions]
     for folder, other in zip(folders[1:], scans[1:], strict=True):
         require_same_arms(frames_of(chains), chains_of_scan(other.scenario), str(folder.path))
     with ExitStack() as stack:
@@ -122,7 +156,7 @@ def calibrate_kinematics(
         views = balls_of(scan, audience).views
         found = calibrated_arms(
             chains,
-            seen_by(scan, views),
+            phantom_views(scan, views, motions),
             (priors[0], priors[1]),
             gear_periods=scenario.uncertainty.arms.gear_periods,
         )
@@ -155,11 +189,13 @@ def apply_kinematics(
     return found
 
 
-def seen_by(scan: Scan, views: tuple[Resection | None, ...]) -> Seen:
+def phantom_views(
+    scan: Scan, views: tuple[Resection | None, ...], motions: Sequence[ToolMotion]
+) -> PhantomViews:
     """Return encoder readings, geometry and covariance of the views that could be calibrated."""
     told = [(index, view) for index, view in enumerate(views) if view is not None]
-    own = view_covariance(scan.scenario.uncertainty)
-    return Seen(
+    own = view_covariance(scan.scenario.uncertainty, motions)
+    return PhantomViews(
         encoders_of(scan.scenario, scan.joints)[[index for index, _ in told]],
         ScanGeometry.joined([view.geometry for _, view in told]),
         np.stack([view.covariance + own for _, view in told]),
@@ -172,4 +208,4 @@ def _add(arms: CalibratedArms, name: str, where: list[tuple[Folder, Scan]]) -> N
         poses = arms.poses(encoders_of(scan.scenario, scan.joints))
         made_by = {**arms.made_by, "executed": poses_digest(scan.executed)}
         found.append(NamedGeometry(name, poses, made_by))
-    keep(found, where)
+    store_geometries(found, where)

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from twinct.calibration.circular import CircularCalibration, CircularPrior, circular_consistent
-from twinct.calibration.scan_calibration import keep, refuse_own
+from twinct.calibration.scan_calibration import refuse_own, store_geometries
 from twinct.core.errors import CalibrationError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry.wire import PosePairs
@@ -58,5 +58,5 @@ def calibrate_circle(
             )
         made_by = {"model": "circle", "believed": scan.reported.digest, **asdict(prior)}
         geometry = NamedGeometry(name, PosePairs.from_geometry(found.geometry), made_by)
-        keep([geometry], [(folder, scan)])
+        store_geometries([geometry], [(folder, scan)])
     return found

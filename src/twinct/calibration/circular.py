@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from twinct.calibration.epipolar import SeenPlanes, tangents_of
+from twinct.calibration.epipolar import PlaneDerivatives, tangents_of
 from twinct.calibration.freedom import Freedom
 from twinct.calibration.plane_integrals import PlaneIntegrals
 from twinct.calibration.resection import moved
@@ -218,12 +218,14 @@ class _Pairs:
         """Return the number of pixels along each edge that are binned into one."""
         return max(round(float(np.hypot(*self.believed.panel.shape)) / across), 1)
 
-    def seen(self, change: Floats, across: int) -> SeenPlanes:
+    def seen(self, change: Floats, across: int) -> PlaneDerivatives:
         """Compare all pairs at a resolution."""
         factor = self.factor(across)
         geometry = _moved(self.believed, change).binned(factor, factor)
         coarse, counts = binned(self.p, self.mask, (factor, factor))
-        return SeenPlanes.of(geometry, self.circle.centre, PlaneIntegrals(coarse, geometry, counts))
+        return PlaneDerivatives.of(
+            geometry, self.circle.centre, PlaneIntegrals(coarse, geometry, counts)
+        )
 
     def agreed(
         self, change: Floats, across: int, steps: int, precision: Floats

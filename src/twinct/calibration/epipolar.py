@@ -13,7 +13,7 @@ weighted by its own spread.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,11 +108,11 @@ def epipolar_consistent(
     diagonal = float(np.hypot(*believed.panel.shape))
     residuals: list[float] = []
 
-    def look(pixels_across: int) -> tuple[SeenPlanes, int]:
+    def look(pixels_across: int) -> tuple[PlaneDerivatives, int]:
         factor = max(round(diagonal / pixels_across), 1)
         geometry = free.all(believed, change).binned(factor, factor)
         coarse, counts = binned(p, pixels, (factor, factor))
-        seen = SeenPlanes.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
+        seen = PlaneDerivatives.of(geometry, free.middle, PlaneIntegrals(coarse, geometry, counts))
         residuals.append(seen.spread)
         return seen, factor
 
@@ -167,14 +167,14 @@ def tangents_of(believed: ScanGeometry, free: Freedom, change: Floats, factor: i
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPlanes:
+class PlaneDerivatives:
     """Derivatives of plane integrals in both views of each pair.
 
     Attributes:
         geometry: geometry of all views.
         pairs: pairs of views and their planes.
-        told: derivatives of plane integrals, (2, pairs, planes).
-        by_line: derivatives of ``told`` by the lines, (2, pairs, planes, 3).
+        values: derivatives of plane integrals, (2, pairs, planes).
+        by_line: derivatives of ``values`` by the lines, (2, pairs, planes, 3).
         cut: planes that cut both panels where pixels count, (pairs, planes).
         used: usable planes, (pairs, planes).
         complete: planes whose lines leave both panels beside the specimen, (pairs, planes).
@@ -182,14 +182,16 @@ class SeenPlanes:
 
     geometry: ScanGeometry
     pairs: PlanePairs
-    told: Floats
+    values: Floats
     by_line: Floats
     cut: NDArray[np.bool_]
     used: NDArray[np.bool_]
     complete: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals) -> SeenPlanes:
+    def of(
+        cls, geometry: ScanGeometry, middle: Floats, integrals: PlaneIntegrals
+    ) -> PlaneDerivatives:
         """Compare all pairs of views.
 
         Raises:
@@ -197,17 +199,17 @@ class SeenPlanes:
         """
         pairs = PlanePairs.of(geometry, middle)
         lines = pairs.lines(geometry)
-        told, by_line = np.zeros(lines.shape[:-1]), np.zeros(lines.shape)
-        left = np.zeros(told.shape)
+        values, by_line = np.zeros(lines.shape[:-1]), np.zeros(lines.shape)
+        left = np.zeros(values.shape)
         for view in range(len(geometry)):
             own = pairs.sides == view
-            told[own], by_line[own], left[own] = integrals.at(view, lines[own])
+            values[own], by_line[own], left[own] = integrals.at(view, lines[own])
         cut = np.asarray(np.isfinite(left).all(axis=0))
-        most = np.abs(told).max(axis=0)
+        most = np.abs(values).max(axis=0)
         usual = float(np.sqrt((most[cut] ** 2).mean())) if cut.any() else 0.0
         used = cut & (most > LEAST_TOLD * usual)
         complete = np.asarray(left.max(axis=0) < EMPTY)
-        seen = cls(geometry, pairs, told, by_line, cut, used, complete)
+        seen = cls(geometry, pairs, values, by_line, cut, used, complete)
         if len(problems := seen.problems()) == len(geometry):
             raise CalibrationError(
                 f"no view shares enough planes with others; view 0: {problems[0]}"
@@ -245,11 +247,11 @@ class SeenPlanes:
     @property
     def spread(self) -> float:
         """Spread of the differences between paired views."""
-        return _spread(self.told[0] - self.told[1], self.used)
+        return _spread(self.values[0] - self.values[1], self.used)
 
     def weights(self) -> Floats:
         """Return the weight of each plane's difference, (pairs, planes)."""
-        rest = self.told[0] - self.told[1]
+        rest = self.values[0] - self.values[1]
         weight = np.zeros(rest.shape)
         kinds = [self.used & self.complete, self.used & ~self.complete]
         if min(np.count_nonzero(kind) for kind in kinds) < LEAST_KIND:
@@ -267,15 +269,41 @@ class SeenPlanes:
             weights: weight of each plane, (pairs, planes).
             tangents: derivatives of S, D, u and v, (views, n, 4, 3).
         """
+        rest = self.values[0] - self.values[1]
+        views, size = tangents.shape[:2]
+        normal, right = np.zeros((views, size, views, size)), np.zeros((views, size))
+        for pair, slopes in enumerate(self._slopes(tangents)):
+            own, ends = self.used[pair], self.pairs.sides[:, pair]
+            for one, slope in zip(ends, slopes, strict=True):
+                pulled = (slope * weights[pair, own, None]).T
+                right[one] -= pulled @ rest[pair, own]
+                for other, across in zip(ends, slopes, strict=True):
+                    normal[one, :, other] += pulled @ across
+        return normal.reshape(views * size, -1), right.ravel()
+
+    def shared_equations(self, weights: Floats, tangents: Floats) -> tuple[Floats, Floats]:
+        """Return normal matrices, (pairs, n, n), and right sides, (pairs, n), of shared numbers.
+
+        Args:
+            weights: weight of each plane, (pairs, planes).
+            tangents: derivatives of S, D, u and v of each view by numbers of all views.
+        """
+        rest, size = self.values[0] - self.values[1], tangents.shape[1]
+        normal, right = np.zeros((len(rest), size, size)), np.zeros((len(rest), size))
+        for pair, (first, second) in enumerate(self._slopes(tangents)):
+            own, slope = self.used[pair], first + second
+            pulled = (slope * weights[pair, own, None]).T
+            normal[pair], right[pair] = pulled @ slope, -pulled @ rest[pair, own]
+        return normal, right
+
+    def _slopes(self, tangents: Floats) -> Iterator[list[Floats]]:
+        """Yield the slopes of each pair's differences by both views' numbers, (used planes, n)."""
         sides, normals = self.pairs.sides, self.pairs.normals
         # If the end of a baseline b moves by d, a normal n turns by -b (n.d) / b^2 and no further.
         along = baselines(self.geometry, sides)
         by_normal = np.einsum("spnk,spkx->spnx", self.by_line, axes(self.geometry)[sides])
         turned = -np.einsum("pnx,px->pn", by_normal[0] - by_normal[1], along)
         turned /= (along**2).sum(axis=1)[:, None]
-        rest = self.told[0] - self.told[1]
-        views, size = tangents.shape[:2]
-        normal, right = np.zeros((views, size, views, size)), np.zeros((views, size))
         for pair, ends in enumerate(sides.T):
             own = self.used[pair]
             slopes: list[Floats] = []
@@ -285,12 +313,7 @@ class SeenPlanes:
                 by_vector = sign * np.stack([by_source, -by_height, by_u, by_v], axis=1)
                 moves = np.einsum("nx,kqx->nkq", normals[pair, own], tangents[view])
                 slopes.append(np.einsum("nq,nkq->nk", by_vector, moves))
-            for one, slope in zip(ends, slopes, strict=True):
-                pulled = (slope * weights[pair, own, None]).T
-                right[one] -= pulled @ rest[pair, own]
-                for other, across in zip(ends, slopes, strict=True):
-                    normal[one, :, other] += pulled @ across
-        return normal.reshape(views * size, -1), right.ravel()
+            yield slopes
 
 
 def _spread(rest: Floats, of: NDArray[np.bool_]) -> float:

@@ -67,7 +67,7 @@ class ArmPrior(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class PhantomViews:
     """Calibration data from views of a phantom.
 
     Attributes:
@@ -85,12 +85,12 @@ class Seen:
         """Return the number of views."""
         return len(self.joints)
 
-    def __getitem__(self, views: NDArray[np.bool_]) -> Seen:
+    def __getitem__(self, views: NDArray[np.bool_]) -> PhantomViews:
         """Return the views that a mask selects."""
-        return Seen(self.joints[views], self.geometry[views], self.covariance[views])
+        return PhantomViews(self.joints[views], self.geometry[views], self.covariance[views])
 
 
-class Untold(NamedTuple):
+class UndeterminedByArm(NamedTuple):
     """A combination of parameters that the views determine less well than the prior.
 
     Attributes:
@@ -120,7 +120,7 @@ class KinematicCalibration:
         names: names of the parameters, source arm first.
         parameters: values, mm, rad, rad/(N m).
         covariance: covariance of the parameters.
-        untold: combinations that the prior determines.
+        undetermined: combinations that the prior determines.
         misfit: RMS of the residuals in units of their noise.
         left_mm: RMS distances of source and panel centre from the views' estimates.
         predicted_mm: RMS distances of every fifth view, predicted from the others.
@@ -131,7 +131,7 @@ class KinematicCalibration:
     names: tuple[str, ...]
     parameters: Floats
     covariance: Floats
-    untold: tuple[Untold, ...]
+    undetermined: tuple[UndeterminedByArm, ...]
     misfit: float
     left_mm: tuple[float, float]
     predicted_mm: tuple[float, float]
@@ -171,7 +171,7 @@ class _Arm:
         whole[..., : self._tool] = tool
         return Change(links, whole, compliance, gear.reshape(*lead, count, 2))
 
-    def off(self, z: Floats, seen: Seen, joints: Floats) -> Floats:
+    def off(self, z: Floats, seen: PhantomViews, joints: Floats) -> Floats:
         """Return predicted minus measured in panel axes, (..., views, 3 or 6), mm and rad."""
         tools = changed_tools(self.chain, self.change(z), self._periods, joints)
         view = seen.geometry
@@ -209,7 +209,7 @@ def minimal_from_full(chain: Chain) -> Floats:
 
 def calibrated_arms(
     chains: tuple[Chain, Chain],
-    seen: Seen,
+    seen: PhantomViews,
     priors: tuple[ArmPrior, ArmPrior],
     *,
     gear_periods: int = 1,
@@ -260,7 +260,7 @@ def calibrated_arms(
         names=tuple(f"{arm.side} {name}" for arm in arms for name in arm.names),
         parameters=parameters,
         covariance=factor @ spread @ factor.T,
-        untold=tuple(_untold(arms, told)),
+        undetermined=tuple(_undetermined(arms, told)),
         misfit=float(misfit),
         left_mm=left_mm,
         predicted_mm=_predicted(arms, seen),
@@ -268,7 +268,7 @@ def calibrated_arms(
     )
 
 
-def _require_enough(chains: tuple[Chain, Chain], seen: Seen) -> None:
+def _require_enough(chains: tuple[Chain, Chain], seen: PhantomViews) -> None:
     least = -(-(4 * len(chains[0]) + 3) // 3)
     if len(seen) < least:
         raise CalibrationError(
@@ -281,7 +281,7 @@ def _require_enough(chains: tuple[Chain, Chain], seen: Seen) -> None:
         )
 
 
-def _registered(chains: tuple[Chain, Chain], seen: Seen) -> Pose:
+def _registered(chains: tuple[Chain, Chain], seen: PhantomViews) -> Pose:
     """Return the approximate ``phantom_from_room``, by aligning nominal tools with the views.
 
     The phantom's placement is unknown. To first order, the rest is part of the bases' errors.
@@ -295,7 +295,7 @@ def _registered(chains: tuple[Chain, Chain], seen: Seen) -> Pose:
     return Pose(middles[1] - turn.apply(middles[0]), turn.as_quat())
 
 
-def _fit(arms: Sequence[_Arm], seen: Seen) -> tuple[Floats, Floats, Floats]:
+def _fit(arms: Sequence[_Arm], seen: PhantomViews) -> tuple[Floats, Floats, Floats]:
     """Return the minimum, its Jacobian with the prior's rows last, and the views' residuals."""
     # L^-1 whitens a residual of covariance C = L L'.
     whiten = np.linalg.inv(np.linalg.cholesky(seen.covariance))
@@ -322,14 +322,14 @@ def _fit(arms: Sequence[_Arm], seen: Seen) -> tuple[Floats, Floats, Floats]:
     return found.x, slopes(found.x), left(found.x)[: 9 * len(seen)]
 
 
-def _off(arms: Sequence[_Arm], zs: Sequence[Floats], seen: Seen) -> Floats:
+def _off(arms: Sequence[_Arm], zs: Sequence[Floats], seen: PhantomViews) -> Floats:
     first = len(arms[0].chain)
     joints = seen.joints[:, :first], seen.joints[:, first:]
     off = [arm.off(z, seen, own) for arm, z, own in zip(arms, zs, joints, strict=True)]
     return np.concatenate(off, axis=-1)
 
 
-def _predicted(arms: Sequence[_Arm], seen: Seen) -> tuple[float, float]:
+def _predicted(arms: Sequence[_Arm], seen: PhantomViews) -> tuple[float, float]:
     out = np.arange(len(seen)) % LEFT_OUT == LEFT_OUT - 1
     z = _fit(arms, seen[~out])[0]
     off = _off(arms, np.split(z, [arms[0].factor.shape[1]]), seen[out])
@@ -340,9 +340,9 @@ def _rms(off: Floats) -> float:
     return float(np.sqrt((off**2).sum(axis=-1).mean()))
 
 
-def _untold(arms: Sequence[_Arm], told: Floats) -> list[Untold]:
+def _undetermined(arms: Sequence[_Arm], told: Floats) -> list[UndeterminedByArm]:
     """Return the combinations whose singular values are below 1: the prior knows them better."""
-    found: list[Untold] = []
+    found: list[UndeterminedByArm] = []
     for arm, own in zip(arms, np.split(told, [arms[0].factor.shape[1]], axis=1), strict=True):
         _, values, directions = np.linalg.svd(own)
         values = np.concatenate([values, np.zeros(len(directions) - len(values))])
@@ -358,7 +358,7 @@ def _untold(arms: Sequence[_Arm], told: Floats) -> list[Untold]:
             most = [i for i in order[:PARTS] if abs(weights[i]) > LEAST_WEIGHT]
             parts = tuple(arm.names[i] for i in most)
             left = float(1 / np.sqrt(1 + value**2))
-            found.append(Untold(arm.side, parts, tuple(map(float, weights[most])), left))
+            found.append(UndeterminedByArm(arm.side, parts, tuple(map(float, weights[most])), left))
     return found
 
 

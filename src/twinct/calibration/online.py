@@ -92,10 +92,10 @@ def online_calibrated(
         step()
         balls, pixels = tracks.places, tracks.pixels
         spots = np.broadcast_to(SPOT_PX**2 * np.eye(2), (*pixels.shape[:2], 2, 2))
-        bundle = _told(bundled(believed, balls, pixels, spots, prior))
+        bundle = _determined(bundled(believed, balls, pixels, spots, prior))
         for _ in range(ROUNDS):
             told = _shadows(transmission, bundle, radius_mm, pixels, blur_px)
-            bundle = _told(bundled(believed, bundle.balls, *told, prior))
+            bundle = _determined(bundled(believed, bundle.balls, *told, prior))
             pixels = told[0]
             step()
     seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
@@ -118,7 +118,7 @@ def _reach_px(believed: ScanGeometry, prior: PosePrior, at_middle: Floats) -> fl
     return float(REACH * np.hypot(sigma_mm / panel.pitch_u, SPOT_PX))
 
 
-def _told(bundle: Bundle) -> Bundle:
+def _determined(bundle: Bundle) -> Bundle:
     """Return the bundle unless no view shows enough balls.
 
     Raises:

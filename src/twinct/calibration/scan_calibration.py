@@ -135,7 +135,7 @@ def calibrate_beads(
             "rms_px": round(float(np.nanmedian(found.rms_px)), 4),
         }
         geometry = NamedGeometry(name, PosePairs.from_geometry(found.geometry), made_by)
-        keep([geometry] * len(folders), list(zip(folders, scans, strict=True)))
+        store_geometries([geometry] * len(folders), list(zip(folders, scans, strict=True)))
     return found
 
 
@@ -218,7 +218,7 @@ def calibrate_balls(
                 **asdict(prior),
             },
         )
-        keep([geometry], [(folder, scan)])
+        store_geometries([geometry], [(folder, scan)])
     return OnlineCalibrated(found, aligned(believed, executed, points), at_executed)
 
 
@@ -273,7 +273,7 @@ def calibrate_self(
                 **asdict(prior),
             },
         )
-        keep([geometry], [(folder, scan)])
+        store_geometries([geometry], [(folder, scan)])
     return SelfCalibrated(
         found,
         aligned(believed, executed, points),
@@ -316,7 +316,9 @@ def refuse_own(name: str) -> None:
         )
 
 
-def keep(geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan]]) -> None:
+def store_geometries(
+    geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan]]
+) -> None:
     """Store each geometry beside its scan.
 
     Raises:

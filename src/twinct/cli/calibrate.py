@@ -211,7 +211,7 @@ def kinematics(
         f"fifth view, predicted from the others; residuals {found.misfit:.1f} times their noise; "
         f"stored in {Folder(folder).arms}"
     )
-    for one in found.untold:
+    for one in found.undetermined:
         say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
 
 
@@ -234,8 +234,8 @@ def circle(
     from twinct.calibration import CircularPrior
     from twinct.calibration.circle_calibration import calibrate_circle
 
-    told = {"--sigma-px": sigma_px, "--sigma-deg": sigma_deg, "--sigma-sdd": sigma_sdd}
-    for key, value in told.items():
+    data = {"--sigma-px": sigma_px, "--sigma-deg": sigma_deg, "--sigma-sdd": sigma_sdd}
+    for key, value in data.items():
         if not value > 0:
             raise InputError(f"{key} {value:g}: must be more than 0")
     prior = CircularPrior(sigma_px, sigma_sdd, sigma_deg)

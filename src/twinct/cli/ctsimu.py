@@ -139,7 +139,7 @@ def qualify(
     with keeping(lambda: f"{out} keeps its images; the same command continues"):
         found = qualify(out, tests or TESTS, step=say)
     for v in found:
-        table.add_row(v.test, v.what, v.asked, v.measured, marks[v.passed])
+        table.add_row(v.test, v.what, v.required, v.measured, marks[v.passed])
     console.print(table)
     for name, why in NOT_TAKEN.items():
         console.print(f"{name} is skipped: {why}", highlight=False)

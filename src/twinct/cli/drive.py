@@ -124,7 +124,7 @@ def _drive(
             if not run.sent:  # nothing moved, so the recording tells nothing
                 out.unlink(missing_ok=True)
             raise
-    for sentence in run.told:
+    for sentence in run.notes:
         say(sentence, warning=True)
     heard = ", ".join(f"{count} of {topic}" for topic, count in file.heard.items())
     say(f"the controllers followed the plan; wrote {out} with {heard}")

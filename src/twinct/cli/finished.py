@@ -243,7 +243,7 @@ def report(
         folder: Folder of twinct run --out, or of twinct import of a measured scan.
     """
     from twinct.measured import is_measured_scan
-    from twinct.runs import report_again
+    from twinct.runs import rewrite_report
     from twinct.scenario import named_places
 
     with answering(as_json) as answer:
@@ -251,7 +251,7 @@ def report(
             answer |= _report_measured(folder, set_)
             return
         with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
-            again = report_again(folder, audience, set_)
+            again = rewrite_report(folder, audience, set_)
         say_result(again)
         answer |= {"report": str(again.paths.report), "figures": again.figures}
 
@@ -367,7 +367,7 @@ def reconstruct(
     from twinct.core.errors import InputError
     from twinct.core.threads import limit_threads
     from twinct.measured import is_measured_scan
-    from twinct.runs import reconstruct_again
+    from twinct.runs import reconstruct_run
     from twinct.scenario import named_places
 
     limit_threads(threads)
@@ -377,7 +377,7 @@ def reconstruct(
     if halves:
         raise InputError("--halves: only for a measured scan; this one is judged by its truth")
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
-        made = reconstruct_again(folder, set_, geometry=geometry, name=as_, observers=audience)
+        made = reconstruct_run(folder, set_, geometry=geometry, name=as_, observers=audience)
     rmse, near = (percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
     say(
         f"{made.name}: {made.told}, {made.geometry} geometry; RMSE {rmse}, {near} near "

@@ -29,7 +29,7 @@ from twinct.robots.reach import (
     shown,
 )
 from twinct.robots.reach.results import draw_room, draw_sphere, shares, write_tables
-from twinct.robots.reach.sphere import check_asked
+from twinct.robots.reach.sphere import check_reach_request
 from twinct.runs.longest_arc import longest_arc
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_scenario
@@ -71,7 +71,7 @@ def _orbit(builder: SimulationBuilder) -> tuple[float, float, np.ndarray]:
         sod, sdd = float(section.sod_at(0.5)), float(section.sdd_at(0.5))
         return sod, sdd - sod, np.array(section.isocentre_mm)
     centre = builder.scenario.specimen.world_from_specimen.position
-    views = builder.asked
+    views = builder.requested
     far = [
         np.linalg.norm(points - centre, axis=1).mean() for points in (views.source, views.detector)
     ]
@@ -88,7 +88,7 @@ def reach_command(
     connected: bool,
 ) -> list[dict[str, Any]]:
     """Compute the reach, print and return the shares, and write tables and pictures if asked."""
-    check_asked(directions, radii or (1.0,), 1.0 if odd is None else odd)
+    check_reach_request(directions, radii or (1.0,), 1.0 if odd is None else odd)
     loaded = load_scenario(scenario, set_)
     arms_of(loaded)
     if out is not None:
@@ -201,13 +201,13 @@ def _views_to_serve(
             for count in (SEARCHED_DIRECTIONS, JUDGED_DIRECTIONS)
         )
         return (True, True), searched, judged
-    poses = _asked(builder)
+    poses = _requested(builder)
     some = np.unique(np.linspace(0, len(poses) - 1, SEARCHED_VIEWS).astype(int))
     return builder.roll_free, poses[some], poses
 
 
-def _asked(builder: SimulationBuilder) -> Poses:
-    return Poses.of(builder.asked.source_poses(), builder.asked.detector_poses())
+def _requested(builder: SimulationBuilder) -> Poses:
+    return Poses.of(builder.requested.source_poses(), builder.requested.detector_poses())
 
 
 @contextmanager
@@ -226,7 +226,7 @@ def explained(builder: SimulationBuilder, picture: Path) -> Iterator[None]:
         scenario = builder.scenario
         if not isinstance(scenario.cell, Cell) or scenario.motion.plan is not None:
             raise  # no search was made for a plan from a file
-        poses, free = _asked(builder), builder.roll_free
+        poses, free = _requested(builder), builder.roll_free
         first, *others = list[str](error.problems)
         more = f", and {len(others)} more" if others else ""
         say(f"{first}{more}; looking for a remedy (Ctrl-C skips this)", warning=True)
@@ -269,7 +269,7 @@ def draw_anyway(
     except TrajectoryError as error:
         if not isinstance(builder.scenario.cell, Cell):
             raise
-        one = shown(_holder(builder), _asked(builder), view)
+        one = shown(_holder(builder), _requested(builder), view)
         render_cell(builder.room, path, one.joints, width, height, one.marks)
         return list(one.words or error.problems)
 
@@ -279,7 +279,7 @@ def _pictured(builder: SimulationBuilder, picture: Path, view: int) -> list[str]
     from twinct.robots.cell import render_cell
 
     check_picture(picture)
-    one = shown(_holder(builder), _asked(builder), view)
+    one = shown(_holder(builder), _requested(builder), view)
     with storage_errors(picture):
         picture.parent.mkdir(parents=True, exist_ok=True)
         width, height = PICTURE_PX

@@ -167,7 +167,7 @@ def render(
     require("robots")
     check_drawing()
     builder = SimulationBuilder(loaded)
-    views = len(builder.asked)  # commanded views need a plan, which may not exist
+    views = len(builder.requested)  # commanded views need a plan, which may not exist
     view = views // 2 if view == MIDDLE else view
     if not 0 <= view < views:
         raise InputError(f"--view {view}: the scenario has views 0 to {views - 1}")

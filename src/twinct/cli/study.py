@@ -92,7 +92,7 @@ def _show(found: DryRun) -> None:
     for name in ("trial", *labels, "seed"):
         table.add_column(name)
     for trial in found.trials[:_MOST_SHOWN]:
-        values = [_told(trial.axes[name]) for name in labels]
+        values = [_in_words(trial.axes[name]) for name in labels]
         table.add_row(str(trial.number), *values, "" if trial.seed is None else str(trial.seed))
     console.print(table)
     if len(found.trials) > _MOST_SHOWN:
@@ -117,7 +117,7 @@ def _number(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def _told(value: object) -> str:
+def _in_words(value: object) -> str:
     if value is None:
         return ""
     return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -16,7 +16,7 @@ from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, complete, storage_errors, write_text
 from twinct.core.progress import Progress
 from twinct.report.errors import errors_picture
-from twinct.runs.propagating import errors_of, figures, summary, told_errors
+from twinct.runs.propagating import errors_of, figures, propagation_data, summary
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, named_places
 from twinct.uncertainty.propagation import Propagation
@@ -37,14 +37,14 @@ def uncertainty_command(
     if out is not None:
         check_folder(out)
     builder = SimulationBuilder(loaded)
-    told: dict[str, Any] = {}
+    data: dict[str, Any] = {}
     drawn = None
     # With calibrated arms, no other arms are drawn.
     if not (loaded.uncertainty.calibration and loaded.task):
         with named_places(scenario, set_), explained(builder, picture):
             found = errors_of(builder, draws)
         rows = _of_poses(found, f"{loaded.name}: executed minus believed, {draws} draws")
-        told = told_errors(found, builder)
+        data = propagation_data(found, builder)
         drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed minus believed")
     if loaded.task is not None:
         with (
@@ -52,17 +52,17 @@ def uncertainty_command(
             on_terminal() as audience,
             explained(builder, picture),
         ):
-            told["task"] = _of_the_task(builder, min(draws, TASK_DRAWS), audience)
+            data["task"] = _of_the_task(builder, min(draws, TASK_DRAWS), audience)
     if out is None:
-        return told
+        return data
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-        write_text(out / "uncertainty.json", json.dumps(told) + "\n")
+        write_text(out / "uncertainty.json", json.dumps(data) + "\n")
         if drawn is not None:
             with complete(out / "uncertainty.png") as draft:
                 draft.write_bytes(drawn.content)
     Console().print(f"wrote {out}", highlight=False)
-    return told
+    return data
 
 
 def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:

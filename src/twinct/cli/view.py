@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,7 +44,8 @@ def view_command(
         check_film(movie, "--movie")
     require("view", "robots")
     if len(targets) == 1 and not targets[0].is_dir():
-        _view_scenario(targets[0], host, port, allow_network, export, movie, set_)
+        server = partial(serving, host, port, allow_network)
+        _view_scenario(targets[0], server, (export, movie), set_)
         return
     if set_:
         raise InputError(f"--set {set_[0]}: only a scenario takes --set; a run is shown as it is")
@@ -79,11 +81,8 @@ def view_command(
 
 def _view_scenario(
     file: Path,
-    host: str,
-    port: int,
-    allow_network: bool,
-    export: Path | None,
-    movie: Path | None,
+    served: Callable[[], AbstractContextManager[Server]],
+    files: tuple[Path | None, Path | None],
     set_: Sequence[str],
 ) -> None:
     from twinct.scan import SimulationBuilder
@@ -92,14 +91,14 @@ def _view_scenario(
     from twinct.viewer.planned import planned
 
     builder = SimulationBuilder(load_scenario(file, set_))
-    if export is not None or movie is not None:
+    if any(files):
         with named_places(file, set_):
             show = planned(builder)
-        _write(show, builder, export, movie)
+        _write(show, builder, *files)
         return
     with (
         suppress(KeyboardInterrupt),
-        serving(host, port, allow_network) as server,
+        served() as server,
         closing(Page(server)) as page,
     ):
         page.say("planning")

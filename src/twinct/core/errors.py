@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from twinct.core.foreign_text import stated
+from twinct.core.renamed import old_names
 
 
 class TwinctError(Exception):
@@ -61,7 +62,7 @@ class TrajectoryError(InputError):
     """Views that an arm cannot reach, or that would collide."""
 
 
-class NoWayError(TrajectoryError):
+class NoPathError(TrajectoryError):
     """No path was found from one view to the next, although the arms can reach both."""
 
 
@@ -136,3 +137,6 @@ class TargetRefusedError(MotionError):
 
 class LinkError(TwinctError):
     """The link between the simulations broke: a process died or did not answer."""
+
+
+__getattr__ = old_names(__name__, {"NoWayError": "NoPathError"})

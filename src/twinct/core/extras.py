@@ -11,6 +11,7 @@ from twinct.core.errors import InputError, MissingExtraError
 _IMPORTED: dict[str, tuple[str, ...]] = {
     "robots": ("mujoco", "mink", "daqp", "ruckig", "ompl"),
     "rtk": ("itk",),
+    "cuda": ("warp",),
     "record": ("mcap.writer", "mcap_ros2.writer"),
     "study": ("pandas", "pyarrow.parquet"),
     "ros": (
@@ -39,6 +40,7 @@ its environment when it is imported.
 _CALLED = {
     "gvxrPython3": "gvxr",
     "itk": "itk-rtk",
+    "warp": "warp-lang",
     "mcap_ros2": "mcap-ros2-support",
     "imageio_ffmpeg": "imageio-ffmpeg",
     "fast_simplification": "fast-simplification",
@@ -47,6 +49,7 @@ _CALLED = {
 
 WAY_OUT = {
     "hdf5": "or store the images as .npy or Zarr",
+    "cuda": "or use the engines vector and mesh, which need no card",
     "ros": "or use the link local (--link local)",
     "rtk": "or use reconstruction.algorithm: sart",
     "xray": "or scan with the engine mesh (--set xray.engine=mesh)",

@@ -16,6 +16,7 @@ RENAMED = {
     "twinct.cell": "twinct.robots.cell",
     "twinct.cli.results": "twinct.cli.summary",
     "twinct.cluster": "twinct.workers.cluster",
+    "twinct.core.kept": "twinct.core.cached",
     "twinct.draws": "twinct.core.draws",
     "twinct.errors": "twinct.core.errors",
     "twinct.evaluate": "twinct.evaluation",
@@ -47,6 +48,7 @@ RENAMED = {
     "twinct.reach": "twinct.robots.reach",
     "twinct.recon.known": "twinct.recon.known_components",
     "twinct.recon.settings": "twinct.recon.shared_keys",
+    "twinct.recon.volume_formats.known": "twinct.recon.volume_formats.registry",
     "twinct.record": "twinct.link.recording",
     "twinct.record.messages": "twinct.link.plain",
     "twinct.record.reading": "twinct.link.recording.reader",
@@ -158,6 +160,17 @@ def old_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
         return getattr(sys.modules[module], new)
 
     return found
+
+
+def old_attribute(old: str, new: str) -> Any:
+    """Return a property that gives an attribute with another name now, with a warning."""
+
+    def found(self: object) -> Any:
+        owner = type(self).__name__
+        warnings.warn(f"{owner}.{old} is now {owner}.{new}", DeprecationWarning, stacklevel=2)
+        return getattr(self, new)
+
+    return property(found)
 
 
 def install(package: str) -> None:

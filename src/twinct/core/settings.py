@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import typing
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, create_model
 from pydantic.fields import FieldInfo
 
 from twinct.core.foreign_text import quoted
+
+log = logging.getLogger(__name__)
 
 
 def _sane(least: float, most: float) -> AfterValidator:
@@ -51,6 +56,14 @@ class ReadBy:
     def __init__(self, *stages: str) -> None:
         """Store the names of the stages."""
         self.stages = frozenset(stages)
+
+
+class FileOf:
+    """Mark on a key: the file that a value stands for, if any, whose content counts, too."""
+
+    def __init__(self, find: Callable[[Any], Path | None]) -> None:
+        """Store the function from a value to its file."""
+        self.find = find
 
 
 def read_by(info: FieldInfo) -> frozenset[str]:
@@ -99,8 +112,17 @@ class ConflictError(ValueError):
         self.conflicts = conflicts
 
 
-FILE_KEYS = ("path", "file", "plan")
-"""Keys of input files: paths are made absolute, files must exist, and their content counts."""
+FILE_KEYS = ("path", "file", "plan", "calibration")
+"""Names of the keys of input files: in plain data, their paths are made absolute."""
+
+
+def is_file(info: FieldInfo) -> bool:
+    """Return True for the key of an input file: it must exist, and its content counts."""
+    return _names_a_path(info.annotation)
+
+
+def _names_a_path(annotation: Any) -> bool:
+    return annotation is Path or any(map(_names_a_path, typing.get_args(annotation)))
 
 
 class Section(BaseModel):
@@ -112,3 +134,26 @@ class Section(BaseModel):
 def kind_of(settings: type[Section]) -> str:
     """Return the value of the key ``kind`` of a settings class, a Literal."""
     return str(typing.get_args(settings.model_fields["kind"].annotation)[0])
+
+
+def extended(
+    base: type[Section], name: str, keys: Mapping[str, Callable[[], Any]]
+) -> tuple[Any, dict[str, str]]:
+    """Return a section with the keys of extensions, and the problem of each unusable key.
+
+    Args:
+        base: the section without them, of the module that will have the new class.
+        name: name of the new class in this module.
+        keys: pydantic's definition of each key, made when it is added: any package may raise there.
+    """
+    section, broken = base, dict[str, str]()
+    about: Any = {"__module__": base.__module__, "__doc__": base.__doc__}
+    for key, define in keys.items():
+        try:
+            if hasattr(base, key):
+                raise ValueError("this name is reserved")
+            section = create_model(name, __base__=section, **{key: define()}, **about)
+        except Exception as error:  # settings may come from any package
+            broken[key] = f"the settings of {quoted(key)} cannot be used: {error}"
+            log.warning(broken[key])
+    return create_model(name, __base__=section, **about), broken

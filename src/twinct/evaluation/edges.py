@@ -44,12 +44,12 @@ class Edges:
 
     Attributes:
         points: points on the surface, voxel indices along z, y, x with fractions, (profiles, 3).
-        ways: outward directions, voxels per mm, (profiles, 3).
+        directions: outward directions, voxels per mm, (profiles, 3).
         along: positions on a profile, inside first, mm.
     """
 
     points: Floats
-    ways: Floats
+    directions: Floats
     along: Floats
 
     def width(self, volume: NDArray[np.floating]) -> float:
@@ -61,9 +61,11 @@ class Edges:
         volume = read_only(volume, np.float32)
         parts = math.ceil(len(self.points) / _BLOCK)
         widths = [
-            _widths(_edges.cubic(volume, _on(points, ways, self.along)), self.along)
-            for points, ways in zip(
-                np.array_split(self.points, parts), np.array_split(self.ways, parts), strict=True
+            _widths(_edges.cubic(volume, _on(points, directions, self.along)), self.along)
+            for points, directions in zip(
+                np.array_split(self.points, parts),
+                np.array_split(self.directions, parts),
+                strict=True,
             )
         ]
         return float(np.median(np.concatenate(widths)))
@@ -114,24 +116,24 @@ def edges_of(
     samples = STEPS * math.ceil(reach / float(edges.min()))
     along = np.linspace(-reach, reach, 2 * samples + 1)
     points = _surface_points(truth, region, mu_reference / 2, 3 * MOST_POINTS, seed)
-    points, ways = _with_normals(points, truth, edges)
-    ends = _on(points, ways, along[[0, -1]])
+    points, directions = _with_normals(points, truth, edges)
+    ends = _on(points, directions, along[[0, -1]])
     within = np.all((ends > 2) & (ends < np.array(truth.shape) - 3), axis=(1, 2))
     near = np.rint(ends[within]).astype(np.intp)
     chosen = np.flatnonzero(within)[region[tuple(np.moveaxis(near, -1, 0))].all(axis=1)]
     beyond = np.linspace(_BLUR_VOXELS * float(edges.max()), reach, 9)
     for side in (-beyond, beyond):
-        at = np.moveaxis(_on(points[chosen], ways[chosen], side), -1, 0)
+        at = np.moveaxis(_on(points[chosen], directions[chosen], side), -1, 0)
         values = scipy.ndimage.map_coordinates(truth, at, order=1) / mu_reference
         right = values.max(axis=1) < 0.5 if side[0] > 0 else np.abs(values[:, 0] - 1) <= _PURE
         chosen = chosen[right & (np.ptp(values, axis=1) <= _PURE)]
     chosen = chosen[:MOST_POINTS]
-    return Edges(points[chosen], ways[chosen], along)
+    return Edges(points[chosen], directions[chosen], along)
 
 
-def _on(points: Floats, ways: Floats, s: Floats) -> Floats:
+def _on(points: Floats, directions: Floats, s: Floats) -> Floats:
     """Return positions on profiles, (profiles, s, 3)."""
-    return points[:, None] + ways[:, None] * s[:, None]
+    return points[:, None] + directions[:, None] * s[:, None]
 
 
 def _surface_points(

@@ -85,18 +85,18 @@ def has_signal(signal_rel: float) -> bool:
     return not signal_rel < LEAST_SIGNAL  # NaN: the truth itself is constant
 
 
-def null_without_signal(told: Mapping[str, Any], figures: Iterable[Figure]) -> dict[str, Any]:
+def null_without_signal(data: Mapping[str, Any], figures: Iterable[Figure]) -> dict[str, Any]:
     """Return figures of a volume without signal, NaN where it would be rewarded for that."""
-    found = dict(told)
+    found = dict(data)
     for one in figures:
         if one.without_signal == "null":
             _set_nan(found, one.key.split("."))
     return found
 
 
-def _set_nan(told: dict[str, Any], path: list[str]) -> None:
+def _set_nan(data: dict[str, Any], path: list[str]) -> None:
     first, *others = path
-    if first in told:
-        told[first] = dict(told[first]) if others else math.nan
+    if first in data:
+        data[first] = dict(data[first]) if others else math.nan
         if others:
-            _set_nan(told[first], others)
+            _set_nan(data[first], others)

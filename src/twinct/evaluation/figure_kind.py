@@ -177,7 +177,7 @@ class FigureKind(Generic[SettingsT]):
         rewarded = all(one.without_signal == "null" for one in self.figures)
         found = self.measure(at, entry) if seen or not rewarded else {}
         if not seen:  # curves go, too
-            told = {one.key: found[one.key] for one in self.figures if one.key in found}
-            found = null_without_signal(told, self.figures)
+            data = {one.key: found[one.key] for one in self.figures if one.key in found}
+            found = null_without_signal(data, self.figures)
         scalars = {one.key: float(found.get(one.key, math.nan)) for one in self.figures}
         return scalars | {key: value for key, value in found.items() if key not in scalars}

@@ -75,8 +75,8 @@ class ImageFigures:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures by name."""
-        told = {name: value for name, value in vars(self).items() if name != "further"}
-        return told | dict(self.further)
+        data = {name: value for name, value in vars(self).items() if name != "further"}
+        return data | dict(self.further)
 
     def honest(self) -> ImageFigures:
         """Return the figures; without signal, NaN for those that reward it, see ``Figure``."""
@@ -85,11 +85,11 @@ class ImageFigures:
         return ImageFigures.of(null_without_signal(self.as_dict(), IMAGE_FIGURES))
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> ImageFigures:
+    def of(cls, data: Mapping[str, Any]) -> ImageFigures:
         """Restore figures from the output of ``as_dict``, older versions included."""
         own = [one.name for one in fields(cls) if one.name != "further"]
-        further = {name: value for name, value in told.items() if name not in own}
-        return cls(**{name: told[name] for name in own if name in told}, further=further)
+        further = {name: value for name, value in data.items() if name not in own}
+        return cls(**{name: data[name] for name in own if name in data}, further=further)
 
 
 def image_figures(

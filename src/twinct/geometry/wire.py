@@ -60,6 +60,12 @@ class Target:
         return cls(to_seven(source), to_seven(detector))
 
 
+def targets_of(geometry: ScanGeometry) -> list[Target]:
+    """Return the commanded poses of each view, in wire form."""
+    sides = geometry.source_poses(), geometry.detector_poses()
+    return [Target.from_poses(*pair) for pair in zip(*sides, strict=True)]
+
+
 class Instant(NamedTuple):
     """Executed poses at one instant, in wire form.
 

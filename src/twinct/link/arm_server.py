@@ -209,9 +209,9 @@ class _TooLateError(Exception):
     """A start that is over, or far ahead."""
 
 
-def _tolerances(told: Any, names: tuple[str, ...]) -> Floats:
+def _tolerances(data: Any, names: tuple[str, ...]) -> Floats:
     """Return the largest distance of each joint; 0, -1 and joints that are not named: any."""
-    stated = {tolerance.name: tolerance.position for tolerance in told}
+    stated = {tolerance.name: tolerance.position for tolerance in data}
     return np.array([stated.get(name, 0) if stated.get(name, 0) > 0 else np.inf for name in names])
 
 

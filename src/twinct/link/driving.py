@@ -82,7 +82,7 @@ class Drive:
     """One plan, sent to the controllers of both arms.
 
     Attributes:
-        told: sentences for users, on what could not be checked.
+        notes: sentences for users, on what could not be checked.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Drive:
         self._sent_ns: dict[str, int] = {}
         self._heard_at = 0.0
         self._start: Stamp | None = None
-        self.told: list[str] = []
+        self.notes: list[str] = []
 
     def run(self) -> None:
         """Check, send and watch until all controllers have ended.
@@ -227,7 +227,7 @@ class Drive:
         for name, text in self._limits.items():
             limits |= limits_of(text, name)
         if not limits:
-            self.told.append(
+            self.notes.append(
                 f"nobody publishes {', '.join(self._settings.descriptions)}, so the drivers' "
                 "limits of position and speed were not checked"
             )

@@ -146,8 +146,8 @@ def check_limits(course: Course, limits: Mapping[str, Limit], where: str) -> Non
             (np.abs(velocity).max(), limit.speed, "deg/s"),
         ):
             if (value < bound) if bound == limit.lower else (value > bound):
-                told = f"{np.degrees(value):.2f} {unit}, {where} allows {np.degrees(bound):.2f}"
-                raise InputError(f"{course.action}: the plan brings {name} to {told} {unit}")
+                text = f"{np.degrees(value):.2f} {unit}, {where} allows {np.degrees(bound):.2f}"
+                raise InputError(f"{course.action}: the plan brings {name} to {text} {unit}")
 
 
 def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float) -> None:

@@ -104,7 +104,7 @@ _kept: list[Any] = []
 """Functions and structures that ROS 2 uses for as long as the process lives."""
 
 
-class Made:
+class CompiledMessage:
     """Message of a type that is made here; fields that are not given keep their defaults.
 
     Attributes:
@@ -185,7 +185,7 @@ def _made(name: str) -> Any:
     made = _class(
         name,
         {"KIND": name},
-        Made,
+        CompiledMessage,
         _TYPE_SUPPORT=_capsule(support),
         _CREATE_ROS_MESSAGE=_capsule(_create(memory.create)),
         _DESTROY_ROS_MESSAGE=_capsule(_destroy(memory.destroy)),
@@ -288,7 +288,7 @@ class _Memory:
         self._held[address] = self._held[address][0], data
         return True
 
-    def from_python(self, message: Made, address: int) -> bool:
+    def from_python(self, message: CompiledMessage, address: int) -> bool:
         return self._fill(address, _written(message))
 
     def size(self, address: int) -> int:
@@ -318,7 +318,7 @@ def _cdr(name: str, *arguments: Any) -> Any:
     return function
 
 
-def _written(message: Made) -> bytes:
+def _written(message: CompiledMessage) -> bytes:
     """Return the CDR bytes of a message, without the header."""
     fields = {m.name: getattr(message, m.name) for m in members(message.KIND)}
     if isinstance(goal := fields.get("goal_id"), UUID):
@@ -326,7 +326,7 @@ def _written(message: Made) -> bytes:
     return _encoder(message.KIND)(fields)[len(_CDR_HEADER) :]
 
 
-def _read(made: type[Made], data: bytes) -> Made:
+def _read(made: type[CompiledMessage], data: bytes) -> CompiledMessage:
     """Return the message of CDR bytes; one that is not ``readable`` if they do not fit."""
     message = made()
     try:

@@ -98,8 +98,8 @@ class Station:
             except _WRONG_ARGUMENTS as error:
                 if not ros_arguments:
                     raise
-                told = f"--ros-args {' '.join(ros_arguments)}"
-                raise InputError(f"{told}: {shortened(str(error))}") from None
+                text = f"--ros-args {' '.join(ros_arguments)}"
+                raise InputError(f"{text}: {shortened(str(error))}") from None
             self._node = Node(
                 name,
                 context=self._context,

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from twinct.core.errors import MotionError
-from twinct.geometry.wire import JointSample, PosePairs, Reached, Target
+from twinct.geometry.wire import JointSample, Reached, Target, targets_of
 from twinct.link import messages
 from twinct.link.arm_server import ArmServer
 from twinct.link.frames import Frames
@@ -151,14 +151,14 @@ def spin_robots(
         plan = PlanListener(station, diagnostics, members, take)
         return lambda: plan.taken and node.connected()
 
-    told = {"scenario": scenario.resolved(), "version": __version__}
-    common: dict[str, Any] = {"lifeline": lifeline, "members": members, "parameters": told}
+    data = {"scenario": scenario.resolved(), "version": __version__}
+    common: dict[str, Any] = {"lifeline": lifeline, "members": members, "parameters": data}
     return run_node(ROBOTS, build_simulation, open_node, **common)
 
 
 def _turns(scenario: Scenario, epoch: str, first_view: int) -> Turns:
     geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
-    targets = PosePairs.from_geometry(geometry).targets()
+    targets = targets_of(geometry)
     return Turns(Epoch.parse(epoch), targets, first_view)
 
 

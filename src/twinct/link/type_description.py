@@ -30,9 +30,9 @@ def description(name: str) -> dict[str, Any]:
     }
 
 
-def hash_of(told: dict[str, Any]) -> bytes:
+def hash_of(data: dict[str, Any]) -> bytes:
     """Return the 32 bytes of the hash of a description."""
-    return bytes.fromhex(calculate_type_hash(told).removeprefix("RIHS01_"))
+    return bytes.fromhex(calculate_type_hash(data).removeprefix("RIHS01_"))
 
 
 def _individual(name: str) -> dict[str, Any]:
@@ -109,7 +109,7 @@ def structures(name: str) -> tuple[int, int, int]:
     return ctypes.addressof(number), ctypes.addressof(whole), ctypes.addressof(sources)
 
 
-def _of_individual(told: dict[str, Any]) -> _Individual:
+def _of_individual(data: dict[str, Any]) -> _Individual:
     fields = [
         _Field(
             _text(field["name"]),
@@ -121,9 +121,9 @@ def _of_individual(told: dict[str, Any]) -> _Individual:
             ),
             _text(field["default_value"]),
         )
-        for field in told["fields"]
+        for field in data["fields"]
     ]
-    return _Individual(_text(told["type_name"]), _sequence(_Field, fields))
+    return _Individual(_text(data["type_name"]), _sequence(_Field, fields))
 
 
 def _text(text: str) -> _Sequence:

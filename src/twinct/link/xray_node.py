@@ -129,7 +129,7 @@ class _AsPlanned:
 
     def follow(self, plan: MotionPlan) -> None:
         """Take the commanded geometry from a plan."""
-        self._imager = replace(self._builder, kept_plan=plan).imager()
+        self._imager = replace(self._builder, given_plan=plan).imager()
 
     def expose(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
-from twinct.core.files.writing import complete, draft_of, storage_errors
+from twinct.core.files.writing import complete, draft_of, remove_folder, storage_errors
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.measured.corrections import Corrections, corrections
@@ -82,8 +82,12 @@ def import_measured(
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))
-        folder.inputs.mkdir(parents=True, exist_ok=True)
+        if not folder.path.exists():
+            stack.callback(_remove_empty, folder.path)
+        folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
+        stack.callback(_remove_unfinished, folder)
+        folder.inputs.mkdir(exist_ok=True)
         write_views(folder.inputs / "views.csv", geometry)
         if images.bad.any():
             with complete(folder.inputs / MAP) as draft, draft.open("wb") as stream:
@@ -99,6 +103,18 @@ def import_measured(
     scan = ScanStore(folder.scan).read()
     show(partial(_draw, scan), (10.4, 6.2), folder.imported)
     return Imported(folder.path, scenario, sentences)
+
+
+def _remove_unfinished(folder: Folder) -> None:
+    """Remove the files of an import that was cut short: without its scan nothing needs them."""
+    if not folder.scan.exists():
+        remove_folder(folder.inputs)
+        folder.scenario.unlink(missing_ok=True)
+
+
+def _remove_empty(path: Path) -> None:
+    with suppress(OSError):  # it has files
+        path.rmdir()
 
 
 def _placed(told: Measured, images: Corrections) -> tuple[Placement, tuple[str, ...]]:

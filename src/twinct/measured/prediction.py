@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,6 @@ from twinct.measured.residuals import CAUSES, Residuals, residuals_of
 from twinct.measured.volume_folder import is_measured_scan, measured_volumes, write_page
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon import Projector
-from twinct.recon.volume import Volume
 from twinct.report import plain
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.log import logged_to
@@ -47,11 +46,11 @@ log = logging.getLogger(__name__)
 
 FORMAT = "twinct prediction 1"
 OWN_VOLUME = "volume"
+CHECKPOINTS = ".checkpoints"
+"""Folder of an unfinished reconstruction below ``predictions``; those of a run are beside it."""
+
 SECTIONS = "source", "detector", "specimen", "reconstruction", "xray"
 """Sections of the scenario whose keys a prediction may change."""
-
-CUT_WARNING = 1e-3
-"""Share of the line integrals, root mean square, from which cut negative voxels are told."""
 
 Singles = NDArray[np.float32]
 
@@ -139,16 +138,17 @@ def predict(
         base = OWN_VOLUME if own else Path(mesh).stem if mesh else "specimen"
         target = folder.predictions / free_name(name, base, folder.predictions, "prediction")
         stack.enter_context(logged_to(folder.log))
-        stack.enter_context(keeping(lambda: _kept(folder)))
-        made = _predicted(scan, which, material or "water", folder, target, audience)
-        remove_folder(folder.checkpoints)
+        checkpoints = folder.predictions / CHECKPOINTS
+        stack.enter_context(keeping(lambda: _kept(checkpoints)))
+        made = _predicted(scan, which, material or "water", checkpoints, target, audience)
+        remove_folder(checkpoints)
         if is_measured_scan(folder.path) and (kept := measured_volumes(folder.reconstructions)):
             write_page(load_scan(folder.path), folder, kept)
     return made
 
 
 def _predicted(
-    scan: Scan, which: str, substance: str, folder: Folder, target: Path, audience: Audience
+    scan: Scan, which: str, substance: str, checkpoints: Path, target: Path, audience: Audience
 ) -> Prediction:
     """Make and write a prediction."""
     views, chosen = scan.geometry(which), np.arange(len(scan))
@@ -156,7 +156,7 @@ def _predicted(
         words, specimen = "meshes", SimulationBuilder(scan.scenario).specimen
         counts = np.ones((len(scan), *views.panel.shape), bool)
     else:
-        words, specimen, counts = _own_volume(scan, views, substance, folder, audience)
+        words, specimen, counts = _own_volume(scan, views, substance, checkpoints, audience)
         chosen = chosen[1::2]
     words = f"{words}; {which} geometry; {_beam(scan.scenario)}"
     log.info("prediction %s: %s", target.name, words)
@@ -198,13 +198,18 @@ def _scenario(
     return scenario.with_({**keys, "specimen.unknown": not parts, "evaluation": None})
 
 
-def _kept(folder: Folder) -> str:
-    there = folder.checkpoints.is_dir() and any(folder.checkpoints.iterdir())
-    return "the same command goes on from the last checkpoint" if there else ""
+def _kept(checkpoints: Path) -> str:
+    """Return what an interruption keeps; a folder without a checkpoint goes."""
+    if checkpoints.is_dir() and any(checkpoints.glob("*.npz")):
+        return "the same command goes on from the last checkpoint"
+    remove_folder(checkpoints)
+    with suppress(OSError):  # it has predictions
+        checkpoints.parent.rmdir()
+    return ""
 
 
 def _own_volume(
-    scan: Scan, views: ScanGeometry, substance: str, folder: Folder, audience: Audience
+    scan: Scan, views: ScanGeometry, substance: str, checkpoints: Path, audience: Audience
 ) -> tuple[str, BuiltSpecimen, NDArray[np.bool_]]:
     """Reconstruct the even views, corrected for a stated spectrum.
 
@@ -228,30 +233,12 @@ def _own_volume(
         mas=None if scan.mas is None else scan.mas[::2],
         derived={},
     )
-    volume = reconstruct(
-        even, geometry=views[::2], checkpoints=folder.checkpoints, observers=audience
-    )
+    volume = reconstruct(even, geometry=views[::2], checkpoints=checkpoints, observers=audience)
     A = Projector(views[1::2], volume.grid)
     counts = A(np.ones(volume.shape, np.float32)) > 0
-    _tell_cut(volume, A, scan, audience)
     words = f"{scenario.reconstruction.in_words} of the even views"
     specimen = grey_specimen(volume.array, volume.grid, basis, energy, OWN_VOLUME)
     return (f"{words}, as {substance}" if bent else words), specimen, counts
-
-
-def _tell_cut(volume: Volume, A: Projector, scan: Scan, audience: Audience) -> None:
-    below = np.minimum(volume.array, 0)
-    if not below.any():
-        return
-    whole = float(np.sqrt(np.mean(scan.line_integrals()[1::2] ** 2, dtype=np.float64))) or 1.0
-    share = float(np.sqrt(np.mean(A(below) ** 2, dtype=np.float64))) / whole
-    if share > CUT_WARNING:
-        audience.say(
-            f"negative attenuation counts as 0 in a grey volume, which changes line integrals by "
-            f"{100 * share:.1f} %; another algorithm than "
-            f"{scan.scenario.reconstruction.algorithm} leaves less",
-            warning=True,
-        )
 
 
 def _rendered(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -21,11 +20,18 @@ from twinct.core.files.writing import passing_folder, remove_folder, storage_err
 from twinct.measured.judgement import Judgement, judge_volume
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.report import MeasuredColumn, found_of, plain, with_found, write_measured_report
+from twinct.report import (
+    MeasuredColumn,
+    algorithm_results,
+    plain,
+    with_results,
+    write_measured_report,
+)
 from twinct.report.style import Picture
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.folder import as_yaml, refuse_other_keys
 from twinct.runs.log import logged_to
+from twinct.runs.reconstruction import timed_volume
 from twinct.runs.reconstruction_folder import (
     JUDGEMENT,
     check_files,
@@ -225,16 +231,7 @@ def _made(
     scan: Scan, folder: Folder, which: str, name: str, audience: Audience, *, halves: bool
 ) -> tuple[MeasuredVolume, Volume]:
     section = scan.scenario.reconstruction
-    residuals: list[float] = []
-    start = time.perf_counter()
-    volume = reconstruct(
-        scan,
-        geometry=which,
-        checkpoints=folder.checkpoints,
-        watch=lambda _, residual: residuals.append(residual),
-        observers=audience,
-    )
-    seconds = time.perf_counter() - start
+    volume, residuals, seconds = timed_volume(scan, folder, which, audience)
     parts = None
     if halves:
         first, second = (_half(scan, which, start, audience) for start in (0, 1))
@@ -246,11 +243,11 @@ def _made(
         step()
     made = MeasuredVolume(
         name=name,
-        in_words=with_found(section.in_words, found_of(volume.extras)),
+        in_words=with_results(section.in_words, algorithm_results(volume.extras)),
         geometry=which,
         settings=json.loads(section.model_dump_json()),
         judgement=judged,
-        residuals=tuple(residuals),
+        residuals=residuals,
         seconds=seconds,
         path=folder.reconstructions / name,
     )

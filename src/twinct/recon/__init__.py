@@ -4,6 +4,7 @@ from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.cgls import cgls
 from twinct.recon.fast import fast
 from twinct.recon.fdk import fdk
+from twinct.recon.few_photons import integrals_of_photons
 from twinct.recon.fista_tv import fista_tv
 from twinct.recon.known_components import (
     FoundImplant,
@@ -45,6 +46,7 @@ __all__ = [
     "fdk",
     "fista_tv",
     "fit_circle",
+    "integrals_of_photons",
     "os_sart",
     "peak_bytes",
     "prior_tv",

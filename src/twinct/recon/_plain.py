@@ -18,6 +18,31 @@ OTHERS = ((1, 2), (0, 2), (0, 1))
 """The two other axes for each of x, y, z."""
 
 
+def hold(array):
+    """Return the array itself: the kernels work in the processor's memory."""
+    return array
+
+
+def require(size):
+    """Do nothing: ``recon.memory`` checks the processor's memory."""
+
+
+def room(shape):
+    """Return a float32 array to be overwritten."""
+    return np.empty(shape, np.float32)
+
+
+def bring(held, out):
+    """Copy what is held to ``out``, if it is not ``out`` itself."""
+    if held is not out:
+        out[:] = held
+
+
+def leave_out(length, mask):
+    """Set the lengths of masked pixels to 0."""
+    length[~mask] = 0.0
+
+
 @njit(**OPTIONS)
 def _ray(rays, row, column):
     """Return a ray's source, vector to its pixel, fastest axis, and mm per plane.

@@ -1,12 +1,15 @@
-"""Noise of line integrals, as far as the air beside the object tells of it.
+"""Noise of line integrals, from the number of photons or from the air beside the object.
 
-Air has a line integral of zero in every view: its scatter is noise, whatever the object. Photon
-statistics give the noise elsewhere: the variance of a line integral p is exp(p) times that of air.
+Of N photons in the free beam, a line integral of 0 has a variance of 1 / N. Where N is unknown, air
+shows it: its line integral is zero in every view, so that its scatter is noise, whatever the
+object. Photon statistics give the noise elsewhere: the variance of a line integral p is exp(p)
+times that of air.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -31,8 +34,47 @@ CLEAR = 0.02
 DARKEST = 8.0
 """Line integral up to which photon statistics are believed: beyond, other noise is larger."""
 
+LEAST = 1e-3
+"""Smallest noise of line integrals in air that counts, that of 1e6 photons."""
+
 _MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownNoise:
+    """Standard deviation of the line integrals in the free beam.
+
+    Attributes:
+        in_air: by view, (views,).
+        source: the number of photons, or air in the projections.
+    """
+
+    in_air: NDArray[np.float64]
+    source: Literal["photons", "air"]
+
+    @property
+    def photons(self) -> NDArray[np.float64]:
+        """Number of photons of a pixel that have this noise, (views,)."""
+        return self.in_air**-2.0
+
+
+def known_noise(
+    p: NDArray[Any], mask: Mask | None, photons: NDArray[np.float64] | None
+) -> KnownNoise | None:
+    """Return the noise of the photons, or without them of air; None if air shows none.
+
+    Args:
+        p: line integrals, (views, rows, columns).
+        mask: as in ``air_noise``.
+        photons: photons of a pixel in the free beam, (views,).
+    """
+    if photons is not None:
+        return KnownNoise(photons**-0.5, "photons")
+    found = air_noise(p, mask)
+    if found is None or found < LEAST:
+        return None
+    return KnownNoise(np.full(len(p), found), "air")
 
 
 def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:
@@ -76,11 +118,16 @@ def deviation_of(sizes: NDArray[Any]) -> float:
     return float(np.median(sizes)) / _MEDIAN_OF_NORMAL
 
 
-def noise_like(p: Singles, in_air: float) -> Singles:
-    """Draw noise of photon statistics, (views, rows, columns), the same in every call."""
+def noise_like(p: Singles, in_air: NDArray[np.float64]) -> Singles:
+    """Draw noise of photon statistics, (views, rows, columns), the same in every call.
+
+    Args:
+        p: line integrals, (views, rows, columns).
+        in_air: standard deviation of each view's line integrals in air, (views,).
+    """
     drawn = np.empty_like(p)
     for view, image in enumerate(p):
         rng = view_rng(0, "noise of line integrals", view)
-        drawn[view] = in_air * np.exp(np.clip(image, 0, DARKEST) / 2)
+        drawn[view] = in_air[view] * np.exp(np.clip(image, 0, DARKEST) / 2)
         drawn[view] *= rng.standard_normal(drawn.shape[1:], dtype=np.float32)
     return drawn

@@ -44,6 +44,7 @@ class Problem:
         rng: generator or seed for random draws.
         callback: called after each update; see ``Step``.
         exposures: mAs of each view, (views,), in one unit for all; None: equal exposures.
+        photons: photons of a pixel in the free beam, by view, (views,); None: unknown.
     """
 
     projector: Projector
@@ -54,6 +55,7 @@ class Problem:
     rng: np.random.Generator | int = 0
     callback: Callback | None = None
     exposures: NDArray[np.float64] | None = None
+    photons: NDArray[np.float64] | None = None
 
     @property
     def counts(self) -> NDArray[np.float32]:

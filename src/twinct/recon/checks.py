@@ -94,6 +94,21 @@ class Checks:
             self.problems.append("the weights must be 0 or more, with at least one above 0")
         return w
 
+    def photons(self, photons: ArrayLike | None) -> NDArray[np.float64] | None:
+        """Return the photons of a pixel in the free beam, (views,), or None."""
+        if photons is None:
+            return None
+        numbers, views = np.asarray(photons, dtype=np.float64), self.range_shape[0]
+        if numbers.shape not in ((), (views,)):
+            self.problems.append(
+                f"photons has shape {numbers.shape}; it must be one number, or one for each of "
+                f"{views} views"
+            )
+            return None
+        if not (np.isfinite(numbers) & (numbers > 0)).all():
+            self.problems.append(f"photons is {quoted(photons)}; it must be positive and finite")
+        return np.broadcast_to(numbers, views)
+
     def count(self, name: str, value: int, at_most: float = math.inf) -> int:
         """Return a whole number of at least 1."""
         limit = "" if math.isinf(at_most) else f" and at most {at_most}"

@@ -96,7 +96,7 @@ def inverse(displacement: Displacement, points: Floats) -> Floats:
         found[left] -= np.linalg.solve(slopes, rest[:, :, None])[:, :, 0]
     worst = int(np.abs(rest).max(axis=1).argmax())
     raise InputError(
-        f"the displacement has no inverse near {_told(points[left[worst]])} mm: after "
+        f"the displacement has no inverse near {_in_words(points[left[worst]])} mm: after "
         f"{MOST_STEPS} steps {np.abs(rest[worst]).max():.3g} mm are left"
     )
 
@@ -128,11 +128,11 @@ def require_no_fold(displacement: Displacement, points: Floats, where: str) -> f
     worst = int(determinants.argmin())
     if not determinants[worst] > 0:
         raise InputError(
-            f"{where} folds at {_told(points[worst])} mm: the determinant of its "
+            f"{where} folds at {_in_words(points[worst])} mm: the determinant of its "
             f"Jacobian is {determinants[worst]:.3g}; it must be above 0"
         )
     return float(determinants[worst])
 
 
-def _told(point: Floats) -> str:
+def _in_words(point: Floats) -> str:
     return "(" + ", ".join(f"{at:.1f}" for at in point) + ")"

@@ -31,8 +31,17 @@ SHARE = 0.85
 The noise is that of the volume (``noise``), with the streaks that any volume has.
 """
 
-SHARE_OF_PHOTONS = 0.5
-"""The same for the noise of the photons alone; from the zoo (benchmarks/zoo.py)."""
+SHARE_IN_THIN_PARTS = 0.2
+"""The same for the noise of the photons alone, in volumes without homogeneous parts.
+
+From the zoo (benchmarks/zoo.py), where sheets of a quarter to two voxels are best with 0 to 0.3.
+"""
+
+MOST_OF_PHOTONS = 2.5
+"""Largest strength per noise of the photons: more is texture.
+
+Skulls are best with 2, foam and soft tissue with 0.9.
+"""
 
 FEWEST_BLOCKS = 40
 """Smallest number of blocks without a border from which the noise of a volume is taken."""
@@ -64,16 +73,18 @@ def lower_variation(
         last = min(first + planes, len(x))
         slab = np.concatenate([below, x[first : min(last + around, len(x))]])
         lowered = np.empty_like(slab)
-        weight = np.ones_like(slab)
-        dual = np.zeros((3, *slab.shape), np.float32)
+        held, lowering = kernels.hold(slab), kernels.hold(lowered)
+        weight = kernels.hold(np.ones_like(slab))
+        dual = kernels.hold(np.zeros((3, *slab.shape), np.float32))
         for _ in range(STEPS):
-            kernels.primal(slab, weight, dual, inverse, np.float32(floor), lowered)
-            kernels.ascend(lowered, weight, inverse, strength, STEP, dual)
-        kernels.primal(slab, weight, dual, inverse, np.float32(floor), lowered)
+            kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)
+            kernels.ascend(lowering, weight, inverse, strength, STEP, dual)
+        kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)
+        kernels.bring(lowering, lowered)
         own = slice(len(below), len(below) + last - first)
         below = slab[max(own.stop - around, 0) : own.stop].copy()
         x[first:last] = lowered[own]
-        del slab, lowered, weight, dual  # free memory for the next slab
+        del slab, lowered, held, lowering, weight, dual  # free memory for the next slab
 
 
 def noise(x: Singles) -> float | None:

@@ -1,9 +1,9 @@
-"""Engines: the kernels behind a projector, vector or plain.
+"""Engines: the kernels behind a projector, vector, plain or cuda.
 
 ``vector`` is written for speed, eight samples at a time; ``plain`` computes the same in readable
-loops. They agree to float32 rounding. The argument of ``Projector`` selects the engine, otherwise
-the environment variable ``TWINCT_ENGINE``. The default is ``vector``, or ``plain`` where ``vector``
-does not compile.
+loops; ``cuda`` computes it on a card. They agree to float32 rounding. The argument of ``Projector``
+selects the engine, otherwise the environment variable ``TWINCT_ENGINE``. The default is ``vector``,
+or ``plain`` where ``vector`` does not compile.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import logging
 import os
 from functools import cache
 from importlib import import_module
-from typing import Literal, NamedTuple, Protocol, cast, get_args
+from typing import Any, Literal, NamedTuple, Protocol, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 Singles = NDArray[np.float32]
 """Float32, the type of all images and voxels."""
 
-EngineName = Literal["vector", "plain"]
+EngineName = Literal["vector", "plain", "cuda"]
 ENGINE_VARIABLE = "TWINCT_ENGINE"
 
 
@@ -48,10 +48,10 @@ class Ratio(NamedTuple):
     missing: NDArray[np.int32]
 
     @classmethod
-    def room(cls, rows: int, columns: int) -> Ratio:
-        """Allocate arrays that are to be overwritten."""
-        image = np.empty((rows + 2, columns + 2), np.float32)
-        return cls(image, np.empty_like(image), np.empty((rows + 3, columns + 3), np.int32))
+    def room(cls, kernels: Kernels, rows: int, columns: int) -> Ratio:
+        """Allocate arrays that are to be overwritten, where the kernels work."""
+        image, counts = (kernels.room((rows + 2, columns + 2)) for _ in range(2))
+        return cls(image, counts, np.empty((rows + 3, columns + 3), np.int32))
 
 
 class Kernels(Protocol):
@@ -59,7 +59,30 @@ class Kernels(Protocol):
 
     ``rays`` and ``pixels`` describe the view in voxel indices, as in ``projector``. No result
     depends on the number of threads.
+
+    An array that the caller ``hold``s is where the engine works best: on the card, for ``cuda``.
+    The other methods take it in place of the array that it stands for.
     """
+
+    def hold(self, array: NDArray[Any]) -> Any:
+        """Return the array itself, or a copy on the card.
+
+        Raises:
+            MemoryShortageError: the card has not enough memory.
+        """
+
+    def require(self, size: int) -> None:
+        """Check that so many bytes can be held at once.
+
+        Raises:
+            MemoryShortageError: the card has less. The processor's memory is checked elsewhere.
+        """
+
+    def room(self, shape: tuple[int, ...]) -> Any:
+        """Return a float32 array to be overwritten, as ``hold`` would."""
+
+    def bring(self, held: Any, out: NDArray[Any]) -> None:
+        """Copy what is held to ``out``, if it is not ``out`` itself."""
 
     def forward(self, x: Singles, rays: Floats, out: Singles) -> None:
         """Write the line integrals of ``x`` (z, y, x) to ``out`` (rows, columns)."""
@@ -69,6 +92,9 @@ class Kernels(Protocol):
 
     def chords(self, rays: Floats, shape: tuple[int, ...], out: Singles) -> None:
         """Write each ray's path length in a volume of this shape to ``out`` (rows, columns), mm."""
+
+    def leave_out(self, length: Singles, mask: NDArray[np.bool_]) -> None:
+        """Set the lengths of masked pixels, (rows, columns), to 0."""
 
     def ratio(
         self,
@@ -134,26 +160,28 @@ def kernels(name: str | None = None) -> Kernels:
         InputError: the engine does not exist, or ``vector`` was requested and does not compile.
     """
     let_idle_threads_sleep()
-    chosen = asked_for(name)
+    chosen = requested_engine(name)
     if chosen is None:
         return _best()
     try:
         return _imported(chosen)
+    except InputError:
+        raise
     except Exception as error:  # a compiler may raise anything
         raise InputError(f"engine {chosen} does not compile here ({error}); use plain") from error
 
 
-def asked_for(name: str | None = None) -> str | None:
+def requested_engine(name: str | None = None) -> str | None:
     """Return the engine that the argument or the environment names; None leaves the choice open.
 
     Raises:
         InputError: the engine does not exist.
     """
-    chosen = name or os.environ.get(ENGINE_VARIABLE)
-    if chosen and chosen not in get_args(EngineName):
+    chosen, names = name or os.environ.get(ENGINE_VARIABLE), get_args(EngineName)
+    if chosen and chosen not in names:
         place = "engine" if name else ENGINE_VARIABLE
         raise InputError(
-            f"{place} is {quoted(chosen)}; it must be {' or '.join(get_args(EngineName))}"
+            f"{place} is {quoted(chosen)}; it must be {', '.join(names[:-1])} or {names[-1]}"
         )
     return chosen or None
 
@@ -170,4 +198,15 @@ def _best() -> Kernels:
 
 
 def _imported(name: str) -> Kernels:
+    if name == "cuda":
+        from twinct.core.card import device
+
+        return _cuda(str(device()))
     return cast(Kernels, import_module(f"twinct.recon._{name}"))
+
+
+@cache
+def _cuda(device: str) -> Kernels:
+    from twinct.recon._warp import WarpKernels
+
+    return WarpKernels(device)

@@ -9,18 +9,21 @@ describe them less well.
 
 An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several views
 see each voxel. If views outnumber the voxels along an axis, the relaxation therefore falls over a
-level, in geometric steps, from its first value to that value times voxels along an axis over views.
-The remaining noise is reduced by total variation (``lower_variation``), as strong as the ``noise``
-of the volume's homogeneous parts requires. Where there are none, as in thin parts, the noise of the
-line integrals in air is propagated instead. Where there is no air either, nothing is denoised.
+level, in geometric steps, from its first value to that value times voxels along an axis over views,
+or with much noise times the square of that. The remaining noise is reduced by total variation
+(``lower_variation``), as strong as the ``noise`` of the volume's homogeneous parts requires, but no
+stronger than the noise of the photons, or of air in the projections, allows: what exceeds that
+after the same steps is texture. Where there are no such parts, as in thin ones, the noise of the
+photons or of air counts alone, and where it is unknown, too, nothing is denoised.
+
 docs/reconstruction.md gives the reasons for these numbers.
 """
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,7 +34,13 @@ from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
-from twinct.recon.denoise import SHARE, SHARE_OF_PHOTONS, lower_variation, noise
+from twinct.recon.denoise import (
+    MOST_OF_PHOTONS,
+    SHARE,
+    SHARE_IN_THIN_PARTS,
+    lower_variation,
+    noise,
+)
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
@@ -42,11 +51,21 @@ from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
+from twinct.recon.working import WorkingVolume
+
+if TYPE_CHECKING:
+    from twinct.recon.air import KnownNoise
 
 log = logging.getLogger(__name__)
 
 SMALL, FEWEST_VIEWS = 48, 24
 """Voxels along an axis, and views, of the smallest scan that stands for a larger one."""
+
+QUIET = 0.01
+"""Noise of line integrals, as a share of their range, from which more views are averaged."""
+
+MOST_VIEWS = 16
+"""Number of views from which the range is taken."""
 
 SMALLEST = 8
 """Smallest number of voxels and pixels along an axis of a coarser level."""
@@ -83,8 +102,9 @@ class Fast(AlgorithmSettings):
         default=None,
         description="Strength of the final total-variation denoising, in voxel edges times the "
         "unit of the volume; 0 turns it off. By default it follows from the noise of homogeneous "
-        "parts of the volume, or, if there are none, of air in the projections; if there is none "
-        "either, nothing is denoised, and the log says so.",
+        "parts of the volume, bounded by that of the scenario's photons or of air in the "
+        "projections, which counts alone if there are no such parts; if both are unknown, nothing "
+        "is denoised, and the log says so.",
     )
     margin: float = Field(
         default=0.2,
@@ -109,6 +129,7 @@ def fast(
     margin: float = 0.2,
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
+    photons: ArrayLike | None = None,
     stop: StopName | None = None,
     callback: Callback | None = None,
 ) -> Volume:
@@ -130,6 +151,8 @@ def fast(
             axis.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
+        photons: photons of a pixel in the free beam, one number or one for each view, (views,);
+            without them, air in the projections shows the noise.
         stop: ``auto``: end with the last pass at full resolution that improves the volume; see
             ``BestPass``. As any pass may be the last, the relaxation falls anew in each of them.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
@@ -138,13 +161,16 @@ def fast(
     Returns:
         The volume. Its extras hold, with ``stop``, the number of ``passes`` at full resolution;
         without a given strength, ``denoising``: its ``strength``, and ``from``, the source of the
-        noise: ``volume``, ``air`` or None.
+        noise: ``volume``, ``photons``, ``air`` or None.
 
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
+    from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
+
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
+    known = checks.photons(photons)
     passes = checks.count("passes", passes)
     coarse_passes = checks.count("coarse_passes", coarse_passes)
     levels = checks.count("levels", levels)
@@ -156,66 +182,132 @@ def fast(
     checks.done()
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
-    factors = _factors(A.domain_shape, A.range_shape[1:], levels)
-    numbers = [passes if factor == 1 else coarse_passes * factor // 2 for factor in factors]
+    seen = known_noise(p, pixels, known)
+    power = _power(p, pixels, seen)
+    steps = _Steps(passes, coarse_passes, levels, relaxation, margin, floor, power)
+    x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
+    extras: dict[str, Any] = best.extras
+    if not whole:
+        return Volume(x, A.grid, extras)
+    if denoising is None:
+        steps = replace(steps, passes=extras.get("passes", passes))
+        denoising, source = _strength(A, p, pixels, x, seen, steps)
+        extras = extras | {"denoising": {"strength": denoising, "from": source}}
+    del best
+    if denoising:
+        lower_variation(x, A.grid, A.kernels, denoising * float(A.grid.voxel.mean()), floor)
+    return Volume(x, A.grid, extras)
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Checked settings of ``fast``, and the power of ``_power``."""
+
+    passes: int
+    coarse_passes: int
+    levels: int
+    relaxation: float
+    margin: float
+    floor: float
+    power: float
+
+
+def _from_coarse_to_fine(
+    A: Projector,
+    p: NDArray[Any],
+    pixels: Mask | None,
+    steps: _Steps,
+    best: BestPass,
+    callback: Callback | None = None,
+) -> tuple[Singles, bool]:
+    """Return the volume before it is denoised, and False if the callback stopped it."""
+    factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
+    numbers = [steps.passes if f == 1 else steps.coarse_passes * f // 2 for f in factors]
     listener = Listener(callback, len(A) * sum(numbers))
     done, x, grid = 0, np.zeros((2, 2, 2), np.float32), A.grid
     outside = level = None
     for factor, number in zip(factors, numbers, strict=True):
-        level = _level(A, p, pixels, factor, margin, outside)
+        level = _level(A, p, pixels, factor, steps.margin, outside)
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
         grid = level.A.grid
-        last = relaxation * min(1.0, float(np.mean(x.shape)) / len(A))
-        falls = number if stop and factor == 1 else 1
-        shares = np.tile(np.geomspace(relaxation, last, number * len(A) // falls), falls)
+        fewer = min(1.0, float(np.mean(x.shape)) / len(A))
+        first, last = steps.relaxation, steps.relaxation * float(fewer**steps.power)
+        falls = number if best.watches and factor == 1 else 1
+        shares = np.tile(np.geomspace(first, last, number * len(A) // falls), falls)
         views = np.tile(spread_order(len(A)), number)
+        work = WorkingVolume(level.A.kernels, x)
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
-            square, rays = level.update(x, int(view), float(share), floor, listener.wanted)
-            if factor == 1 and used % len(A) == 0 and best.is_over(x):
+            square, rays = level.update(
+                work, int(view), float(share), steps.floor, listener.wanted
+            )
+            ended = best.watches and factor == 1 and used % len(A) == 0
+            if ended and best.is_over(work.array):
                 break
-            if listener(0, done, square, rays, x):
-                return Volume(interpolated(x, grid, A.grid), A.grid, best.told)
+            if listener(0, done, square, rays, work):
+                return interpolated(work.array, grid, A.grid), False
             done += 1
+        x = work.array
+        del work  # frees the card
         if factor == 2:
             outside = _outside(A, level, x)
-    told: dict[str, Any] = best.told
-    if denoising is None:
-        keys: dict[str, Any] = {"coarse_passes": coarse_passes, "levels": levels, "margin": margin}
-        keys |= {"passes": told.get("passes", passes), "first_relaxation": relaxation}
-        denoising, source = _strength(A, p, pixels, x, keys)
-        told = told | {"denoising": {"strength": denoising, "from": source}}
-    del best, level, outside
-    if denoising:
-        lower_variation(x, grid, A.kernels, denoising * float(grid.voxel.mean()), floor)
-    return Volume(x, A.grid, told)
+    return x, True
+
+
+def _power(p: NDArray[Any], pixels: Mask | None, seen: KnownNoise | None) -> float:
+    """Return the power of voxels along an axis over views by which the relaxation falls.
+
+    It is 1 where line integrals have less noise than ``QUIET`` of their range, and 2 from twice as
+    much on: each voxel then takes the mean of more views.
+    """
+    if seen is None:
+        return 1.0
+    from twinct.recon.air import DARKEST
+
+    views = range(0, len(p), -(-len(p) // MOST_VIEWS))
+    images = np.stack([masked_image(p, view, pixels)[::2, ::2] for view in views])
+    more = float(np.exp(np.clip(images, 0, DARKEST)).mean(dtype=np.float64))
+    noisy = float(seen.in_air.mean()) * np.sqrt(more) / max(float(np.percentile(images, 99)), 1e-6)
+    return 1.0 + float(np.clip(np.log2(noisy / QUIET), 0.0, 1.0))
 
 
 def _strength(
-    A: Projector, p: NDArray[Any], pixels: Mask | None, x: Singles, keys: dict[str, Any]
+    A: Projector,
+    p: NDArray[Any],
+    pixels: Mask | None,
+    x: Singles,
+    seen: KnownNoise | None,
+    steps: _Steps,
 ) -> tuple[float, str | None]:
     """Return the strength of the denoising, and the source of the noise: None if it is unknown."""
-    from twinct.recon.air import air_noise  # only here: scenarios need the settings alone
-
-    if (deviation := noise(x)) is not None:
-        log.info("noise of %.3g in homogeneous parts of the volume", deviation)
-        return SHARE * deviation, "volume"
-    if (in_air := air_noise(p, pixels)) is not None:
-        deviation = _propagated(A, p, pixels, in_air, keys)
-        log.info(
-            "noise of %.3g in the volume, from that of %.3g of line integrals in air",
-            deviation,
-            in_air,
+    of_volume = noise(x)
+    if seen is None and of_volume is None:
+        log.warning(
+            "the volume was not denoised: it has no homogeneous parts, the number of photons is "
+            "unknown and the projections show no noise in air; state the strength "
+            "(reconstruction.denoising)"
         )
-        return SHARE_OF_PHOTONS * deviation, "air"
-    log.warning(
-        "the volume was not denoised: it has no homogeneous parts, and the projections show no "
-        "air, so its noise is unknown; state the strength (reconstruction.denoising)"
+        return 0.0, None
+    if seen is None:
+        assert of_volume is not None
+        log.info("noise of %.3g in homogeneous parts of the volume", of_volume)
+        return SHARE * of_volume, "volume"
+    deviation = _propagated(A, p, pixels, seen, steps)
+    log.info(
+        "noise of %.3g in the volume, from that of %.3g of line integrals in the free beam (%s)",
+        deviation,
+        seen.in_air.mean(),
+        seen.source,
     )
-    return 0.0, None
+    if of_volume is None:
+        return SHARE_IN_THIN_PARTS * deviation, seen.source
+    if SHARE * of_volume <= MOST_OF_PHOTONS * deviation:
+        return SHARE * of_volume, "volume"
+    log.info("homogeneous parts of the volume have more, %.3g, which is texture", of_volume)
+    return MOST_OF_PHOTONS * deviation, seen.source
 
 
 def _propagated(
-    A: Projector, p: NDArray[Any], pixels: Mask | None, in_air: float, keys: dict[str, Any]
+    A: Projector, p: NDArray[Any], pixels: Mask | None, seen: KnownNoise, steps: _Steps
 ) -> float:
     """Return the deviation that noise of the line integrals leaves in the volume.
 
@@ -234,9 +326,13 @@ def _propagated(
     small = A[::factor].on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel), views)
     mask = pixels if pixels is None or pixels.ndim == 2 else pixels[::factor]
     larger, mask = binned(p[::factor], mask, (factor, factor))
-    drawn = fast(
-        small, noise_like(larger, in_air), denoising=0.0, nonnegative=False, mask=mask, **keys
-    ).array
+    drawn, _ = _from_coarse_to_fine(
+        small,
+        noise_like(larger, seen.in_air[::factor]),
+        mask,
+        replace(steps, floor=LOWEST),
+        BestPass(None),
+    )
     middle = drawn[tuple(slice(n // 8, n - n // 8) for n in drawn.shape)]
     return deviation_of(np.abs(middle)) * float(np.sqrt(factor))
 
@@ -273,7 +369,7 @@ class _Level:
     outside: _Outside | None
 
     def update(
-        self, x: Singles, view: int, relaxation: float, floor: float, wanted: bool
+        self, work: WorkingVolume, view: int, relaxation: float, floor: float, wanted: bool
     ) -> tuple[float, int]:
         """Apply SART's update in place; return the previous sum of squared residuals, and the rays.
 
@@ -283,8 +379,9 @@ class _Level:
         if self.outside is not None:
             measured = measured - self.outside.at(view, measured.shape)
         estimate, counts = self.A.update(
-            x, view, measured, relaxation=relaxation, mask=mask, floor=floor
+            work.held, view, measured, relaxation=relaxation, mask=mask, floor=floor
         )
+        work.changed()
         if not wanted:
             return 0.0, 0
         return residual_of(measured, estimate, counts)
@@ -312,8 +409,8 @@ def _with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: flo
     try:
         check_grid(views, wide)
     except InputError as error:
-        told = f"with a margin of {margin:g} ({size.max():.0f} mm)"
-        raise InputError(f"{told}, {one}" for one in error.problems) from None
+        text = f"with a margin of {margin:g} ({size.max():.0f} mm)"
+        raise InputError(f"{text}, {one}" for one in error.problems) from None
     return wide
 
 

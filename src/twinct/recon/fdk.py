@@ -39,6 +39,7 @@ from twinct.recon.shared_keys import Nonnegative
 from twinct.recon.shifted_panel import ShiftedPanel, require_centred, shifted_panel
 from twinct.recon.steps import Callback, Listener
 from twinct.recon.volume import Volume
+from twinct.recon.working import WorkingVolume
 
 Window = Literal["ramp", "shepp_logan", "cosine", "hamming", "hann"]
 
@@ -99,7 +100,7 @@ def fdk(
     weights = _weights(A.geometry, circle, sod, shift)
     wide = A if shift is None else A.on(A.grid, shift.extended(A.geometry))
     response = _response(wide.geometry.panel.columns, window)
-    x = np.zeros(A.domain_shape, np.float32)
+    work = WorkingVolume(A.kernels, np.zeros(A.domain_shape, np.float32))
     blocks = range(0, len(A), BLOCK)
     listener = Listener(callback, len(blocks))
     for block, first in enumerate(blocks):
@@ -109,12 +110,13 @@ def fdk(
         for view, image in zip(views, images, strict=True):
             weighted = _complete(masked_image(p, view, pixels), pixels, view) * weights(view)
             image[:] = _filtered(weighted if shift is None else shift.padded(weighted), response)
-        part.back_project(images, sod[views] ** 2, x)
-        if listener(0, block, math.nan, 1, x):
+        part.back_project(images, sod[views] ** 2, work.held)
+        work.changed()
+        if listener(0, block, math.nan, 1, work):
             break
     if nonnegative:
-        np.maximum(x, 0.0, out=x)
-    return Volume(x, A.grid, {"circle": circle, "shifted_panel": shift})
+        np.maximum(work.array, 0.0, out=work.array)
+    return Volume(work.array, A.grid, {"circle": circle, "shifted_panel": shift})
 
 
 def _checked_circle(

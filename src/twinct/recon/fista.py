@@ -117,10 +117,13 @@ class Variation:
         """Write the minimiser of 0.5 |x - z|^2 in that metric plus this term to ``x``."""
         kernels, inverse, known = self.A.kernels, 1.0 / self.A.grid.voxel, self.known
         if known is None:
+            z, curvature, dual, lowered = map(kernels.hold, (z, curvature, self.dual, x))
             for _ in range(self.steps):
-                kernels.primal(z, curvature, self.dual, inverse, self.floor, x)
-                kernels.ascend(x, curvature, inverse, self.strength, DUAL_STEP, self.dual)
-            kernels.primal(z, curvature, self.dual, inverse, self.floor, x)
+                kernels.primal(z, curvature, dual, inverse, self.floor, lowered)
+                kernels.ascend(lowered, curvature, inverse, self.strength, DUAL_STEP, dual)
+            kernels.primal(z, curvature, dual, inverse, self.floor, lowered)
+            kernels.bring(dual, self.dual)
+            kernels.bring(lowered, x)
             return
         room, others = np.empty_like(x), self.other.reshape(3, -1)
         own, share = (1 - known.share) * self.strength, known.share * self.strength

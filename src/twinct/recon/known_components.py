@@ -226,7 +226,7 @@ def without_implants(
     checks.done()
     allowed = np.repeat(np.maximum([position_sigma_mm, math.radians(rotation_sigma_deg)], 1e-5), 3)
     fit = _Fit(
-        Rays(A.geometry), [_Sought(one, len(A)) for one in implants], allowed, slack_mm, pixels
+        Rays(A.geometry), [_ImplantFit(one, len(A)) for one in implants], allowed, slack_mm, pixels
     )
     for number in range(rounds):
         expected = A(volume)
@@ -280,7 +280,7 @@ def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()
     return problems
 
 
-class _Sought:
+class _ImplantFit:
     """Implant whose pose is being estimated."""
 
     def __init__(self, implant: Implant, views: int) -> None:
@@ -315,7 +315,7 @@ class _Fit:
     """
 
     rays: Rays
-    sought: list[_Sought]
+    sought: list[_ImplantFit]
     allowed: Floats
     slack_mm: float
     mask: Mask | None

@@ -33,8 +33,9 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
 
 
 def require_memory(algorithm: Algorithm[Any], A: Projector, extra_volumes: float = 0.0) -> None:
-    """Raise MemoryShortageError unless the algorithm fits into the available memory."""
+    """Raise MemoryShortageError unless the algorithm fits into memory, and a volume on the card."""
     voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
+    A.kernels.require(4 * voxels)
     extra_volumes += A.own_volumes
     parts = f"{algorithm.volumes + extra_volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
     if algorithm.projections:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.recon.engine import Singles
+from twinct.recon.engine import Singles, asked_for
 from twinct.recon.projector import LOWEST, Projector, readable, writable
 
 MAP_VOXELS = 8
@@ -136,9 +136,14 @@ class MovingProjector(Projector):
         """Take one deformation for each view; views that share one are computed together.
 
         Raises:
-            InputError: as for ``Projector``; or the numbers of views and deformations differ.
+            InputError: as for ``Projector``; the engine is cuda; or the numbers of views and
+                deformations differ.
         """
         super().__init__(geometry, grid, engine)
+        if asked_for(engine) == "cuda":
+            raise InputError(
+                "the engine cuda does not compensate motion; use vector (unset TWINCT_ENGINE)"
+            )
         if len(motion) != len(geometry):
             raise InputError(
                 f"there are {len(motion)} deformations for {len(geometry)} views; each view needs "

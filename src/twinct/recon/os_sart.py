@@ -13,7 +13,7 @@ projection. Fewer subsets average out more noise and converge more slowly.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -77,20 +77,20 @@ def os_sart(
     checks.done()
     require_memory(OS_SART, A)
     x = start_volume(A, x0, nonnegative)
-    change, seen = np.empty_like(x), np.empty_like(x)
-    listener = Listener(callback, subsets)
+    change, seen, listener = np.empty_like(x), np.empty_like(x), Listener(callback, subsets)
     for iteration in range(iterations):
         for update, views in enumerate(subsets_of(A.geometry, subsets)):
             change[:] = seen[:] = 0.0
             square, rays = 0.0, 0
+            held, changes, sights = map(A.kernels.hold, (x, change, seen))
+            keys: dict[str, Any] = {"relaxation": relaxation, "change": changes, "seen": sights}
             for view in views:
                 measured, mask = masked_image(p, view, pixels), mask_of(pixels, view)
-                estimate, counts = A.update(
-                    x, view, measured, relaxation=relaxation, mask=mask, change=change, seen=seen
-                )
-                if listener.wanted:
-                    own, number = residual_of(measured, estimate, counts)
-                    square, rays = square + own, rays + number
+                estimate, counts = A.update(held, view, measured, mask=mask, **keys)
+                own = residual_of(measured, estimate, counts) if listener.wanted else (0.0, 0)
+                square, rays = square + own[0], rays + own[1]
+            A.kernels.bring(changes, change)
+            A.kernels.bring(sights, seen)
             change /= np.maximum(seen, np.float32(1.0), out=seen)
             np.add(x, change, out=x)
             if nonnegative:

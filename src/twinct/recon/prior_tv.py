@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,7 @@ from pydantic import Field
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
-from twinct.core.settings import Section, Vector, setting
+from twinct.core.settings import NonNegative, Section, Vector, setting
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, start_volume
@@ -26,9 +27,14 @@ from twinct.recon.shared_keys import Iterations
 from twinct.recon.steps import Callback
 from twinct.recon.volume import Volume
 
+log = logging.getLogger(__name__)
+
 DENSEST = 20.0
 """Largest plausible attenuation, 1/mm, above which the unit is wrong; gold has 10 at 80 keV."""
 
+
+USUAL = 1e-4
+"""Regularisation where the noise is unknown."""
 
 ROUND, MOST_ROUNDS = 6, 4
 """Iterations per round and largest number of rounds, by default.
@@ -74,6 +80,13 @@ class PriorTv(Regularised):
 
     algorithm: Literal["prior_tv"] = "prior_tv"
     iterations: Iterations = 24
+    regularisation: NonNegative | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default=None,
+        description="Strength of the total variation: a dimensionless number that does not depend "
+        "on the number of views, pixels or voxels. By default it follows from the noise "
+        "of the scenario's photons or of air in the projections; if it is unknown, the value is "
+        "0.0001, and log, metrics.json and report say so.",
+    )
     prior: Prior = Field(description="The earlier volume.")
 
 
@@ -82,8 +95,9 @@ def prior_tv(
     line_integrals: ArrayLike,
     prior: Volume,
     *,
-    iterations: int,
-    regularisation: float,
+    iterations: int = 24,
+    regularisation: float | None = None,
+    photons: ArrayLike | None = None,
     share: float = 0.5,
     start: Pose | None = None,
     rounds: int | None = None,
@@ -106,15 +120,17 @@ def prior_tv(
     structures cost no more than without a prior. Where the prior has no values, its share applies
     to the volume itself.
 
-    Peak memory: 15 volumes (12 if the grid is large: the registration stays coarse) and three times
-    the projections, besides the given prior, the projections and weights.
+    Peak memory: 16 volumes, the given prior included (13 if the grid is large: the registration
+    stays coarse), and three times the projections, besides the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         prior: the earlier volume, on any grid, in that unit.
         iterations: passes over all views, at least 1.
-        regularisation: 0 or more.
+        regularisation: 0 or more; by default from the noise of the photons or of air, and 0.0001 if
+            it is unknown.
+        photons: photons of a pixel in the free beam, one number or one for each view, (views,).
         share: share of the difference, 0 to 1.
         start: initial pose of the prior's world in the scan's world; by default the identity.
         rounds: as in ``fista_tv``; by default one for each 6 iterations, at most 4.
@@ -128,7 +144,9 @@ def prior_tv(
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
-        The volume; its extras hold ``world_from_prior``, the registered pose.
+        The volume; its extras hold ``world_from_prior``, the registered pose, and without a given
+        strength ``regularisation``: its ``strength``, and ``from``, the source of the noise:
+        ``photons``, ``air`` or None.
 
     Raises:
         InputError: the prior cannot be used (``prior_problems``) or registered; or as in ``sart``.
@@ -136,7 +154,9 @@ def prior_tv(
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     iterations = checks.count("iterations", iterations)
-    radius = checks.not_negative("regularisation", regularisation)
+    known_photons = checks.photons(photons)
+    if regularisation is not None:
+        regularisation = checks.not_negative("regularisation", regularisation)
     if rounds is None:
         rounds = max(min(iterations // ROUND, MOST_ROUNDS), 1)
     rounds = checks.count("rounds", rounds, at_most=iterations)
@@ -150,6 +170,10 @@ def prior_tv(
     checks.problems += prior_problems(prior, A.grid, start or Pose.identity())
     checks.done()
     require_memory(PRIOR_TV, A)
+    radius, told = regularisation, dict[str, Any]()
+    if radius is None:
+        radius, source = _strength(A, p, known_photons, pixels)
+        told["regularisation"] = {"strength": radius, "from": source}
     pose = registered(A, p, prior, start=start, mask=pixels)
     known, inside = _in_place(prior, pose, A.grid)
     before = KnownBefore(known, _seams(inside), share)
@@ -167,7 +191,27 @@ def prior_tv(
         mask=pixels,
         callback=callback,
     )
-    return Volume(found.array, found.grid, {"world_from_prior": pose})
+    return Volume(found.array, found.grid, {"world_from_prior": pose} | told)
+
+
+def _strength(
+    A: Projector, p: NDArray[Any], photons: NDArray[np.float64] | None, mask: Mask | None
+) -> tuple[float, str | None]:
+    """Return the strength that the noise requires, and its source; the usual one and None."""
+    from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
+    from twinct.recon.regularisation import strength_of_noise
+
+    if (seen := known_noise(p, mask, photons)) is None:
+        log.warning(
+            "the noise is unknown: the number of photons is not stated, and the projections show "
+            "no noise in air; regularisation is %g, which suits bone and 1e4 photons a pixel; "
+            "state another (reconstruction.regularisation)",
+            USUAL,
+        )
+        return USUAL, None
+    strength = strength_of_noise(A, p, seen, mask)
+    log.info("regularisation of %.3g, from the noise of line integrals (%s)", strength, seen.source)
+    return strength, seen.source
 
 
 def prior_problems(prior: Volume, grid: VolumeGrid, start: Pose) -> list[str]:

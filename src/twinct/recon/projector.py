@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.recon.engine import Ratio, Singles, kernels
+from twinct.recon.engine import Kernels, Ratio, Singles, kernels
 
 LOWEST = float(np.finfo(np.float32).min)
 """Floor that has no effect."""
@@ -47,7 +48,7 @@ class Projector:
         local = grid.world_from_grid.inverse() @ geometry
         self._rays = _index_rays(local, grid)
         self._pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
-        self._room: tuple[Singles, Singles, Ratio] | None = None
+        self._room: _Room | None = None
         self.engine, self.kernels = engine, kernels(engine)
 
     def __call__(self, x: ArrayLike, out: Singles | None = None) -> Singles:
@@ -57,8 +58,9 @@ class Projector:
         """
         x = readable(x, self.domain_shape, "the volume")
         y = writable(out, self.range_shape)
+        held = self.kernels.hold(x)
         for rays, image in zip(self._rays, y, strict=True):
-            self.kernels.forward(x, rays, image)
+            self.kernels.forward(held, rays, image)
         return y
 
     def T(self, y: ArrayLike, out: Singles | None = None) -> Singles:  # noqa: N802 - its usual name
@@ -70,8 +72,10 @@ class Projector:
         y = readable(y, self.range_shape, "the projections")
         x = writable(out, self.domain_shape)
         x[:] = 0.0
+        held = self.kernels.hold(x)
         for rays, image in zip(self._rays, y, strict=True):
-            self.kernels.adjoint(image, rays, x)
+            self.kernels.adjoint(image, rays, held)
+        self.kernels.bring(held, x)
         return x
 
     def __getitem__(self, views: Any) -> Projector:
@@ -129,7 +133,7 @@ class Projector:
         The update uses buffers of the projector: two threads must not call it at once.
 
         Args:
-            x: volume (z, y, x), float32 in C order.
+            x: volume (z, y, x), float32 in C order, or held by the kernels.
             view: number of the view.
             measured: p, (rows, columns), float32; finite, also where the mask is False.
             relaxation: relaxation factor.
@@ -141,15 +145,13 @@ class Projector:
         Returns:
             A x, and 1 where a ray counts, else 0, (rows, columns) each; valid until the next call.
         """
-        rows, columns = self.range_shape[1:]
         if self._room is None:
-            image = np.empty((rows, columns), np.float32)
-            self._room = image, np.empty_like(image), Ratio.room(rows, columns)
-        estimate, length, ratio = self._room
+            self._room = _Room.of(self.kernels, *self.range_shape[1:])
+        estimate, length, ratio = self._room.estimate, self._room.length, self._room.ratio
         self.kernels.forward(x, self._rays[view], estimate)
         self.kernels.chords(self._rays[view], self.domain_shape, length)
         if mask is not None:
-            length[~mask] = 0.0
+            self.kernels.leave_out(length, mask)
         shortest = np.float32(self.grid.voxel.min())
         self.kernels.ratio(measured, estimate, length, np.float32(relaxation), shortest, *ratio)
         to, pixels = (x if change is None else change), self._pixels[view]
@@ -158,7 +160,10 @@ class Projector:
             # The counting pixels hold 1, and so does their mean where a view sees the voxel.
             counts = ratio._replace(image=ratio.counts)
             self.kernels.update(seen, pixels, *counts, np.float32(LOWEST))
-        return estimate, ratio.counts[1:-1, 1:-1]
+        shown, counts = self._room.shown
+        self.kernels.bring(estimate, shown)
+        self.kernels.bring(ratio.counts, counts)
+        return shown, counts[1:-1, 1:-1]
 
     def back_project(self, images: Singles, scales: Floats, out: Singles) -> None:
         """Add scale / depth^2 times each view's image value at a voxel's projection.
@@ -173,6 +178,30 @@ class Projector:
             out: volume (z, y, x), float32 in C order, changed in place.
         """
         self.kernels.back_project(images, self._pixels, scales, out)
+
+
+@dataclass(frozen=True, eq=False)
+class _Room:
+    """Images of one view that an update overwrites.
+
+    Attributes:
+        estimate: A x, (rows, columns), where the kernels work.
+        length: path lengths in the grid, likewise.
+        ratio: residuals over lengths, likewise.
+        shown: copies of ``estimate`` and ``ratio.counts``, for the caller.
+    """
+
+    estimate: Singles
+    length: Singles
+    ratio: Ratio
+    shown: tuple[Singles, Singles]
+
+    @classmethod
+    def of(cls, kernels: Kernels, rows: int, columns: int) -> _Room:
+        estimate, length = kernels.room((rows, columns)), kernels.room((rows, columns))
+        ratio = Ratio.room(kernels, rows, columns)
+        shown = np.empty((rows, columns), np.float32), np.empty((rows + 2, columns + 2), np.float32)
+        return cls(estimate, length, ratio, shown)
 
 
 def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:

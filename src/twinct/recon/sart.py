@@ -32,6 +32,7 @@ from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxati
 from twinct.recon.steps import Callback, Listener, residual_of
 from twinct.recon.stopping import VOLUMES, BestPass, StopName, residual_in
 from twinct.recon.volume import Volume
+from twinct.recon.working import WorkingVolume
 
 
 class Sart(AlgorithmSettings):
@@ -100,18 +101,19 @@ def sart(
     if x0 is not None:
         best.start(x)
     floor = 0.0 if nonnegative else LOWEST
-    listener = Listener(callback, len(views))
+    listener, work = Listener(callback, len(views)), WorkingVolume(A.kernels, x)
     for iteration in range(iterations):
         for update, view in enumerate(views):
             measured, mask = masked_image(p, view, pixels), mask_of(pixels, view)
             estimate, counts = A.update(
-                x, view, measured, relaxation=relaxation, mask=mask, floor=floor
+                work.held, view, measured, relaxation=relaxation, mask=mask, floor=floor
             )
-            over = update + 1 == len(views) and best.is_over(x)
+            work.changed()
+            over = best.watches and update + 1 == len(views) and best.is_over(work.array)
             square, rays = residual_of(measured, estimate, counts) if listener.wanted else (0.0, 0)
-            if over or listener(iteration, update, square, rays, x):
-                return Volume(x, A.grid, best.told)
-    return Volume(x, A.grid, best.told)
+            if over or listener(iteration, update, square, rays, work):
+                return Volume(work.array, A.grid, best.extras)
+    return Volume(work.array, A.grid, best.extras)
 
 
 SART = Algorithm(

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.recon.engine import Singles
+from twinct.recon.working import WorkingVolume
 
 
-class Step(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Step:
     """Report on one update of the volume.
 
     Attributes:
@@ -21,7 +24,7 @@ class Step(NamedTuple):
         updates: updates per iteration; 1 if all views are used at once.
         residual: root mean square of p - A x before the update, over the rays that count in it.
         rays: number of these rays.
-        volume: volume after the update, (z, y, x): read-only, and changed by later updates.
+        source: the volume that ``volume`` shows.
     """
 
     iteration: int
@@ -29,7 +32,15 @@ class Step(NamedTuple):
     updates: int
     residual: float
     rays: int
-    volume: Singles
+    source: Singles | WorkingVolume = field(repr=False)
+
+    @property
+    def volume(self) -> Singles:
+        """Volume after the update, (z, y, x): read-only, and changed by later updates."""
+        own = self.source.array if isinstance(self.source, WorkingVolume) else self.source
+        view = own.view()
+        view.flags.writeable = False
+        return view
 
 
 Callback = Callable[[Step], bool | None]
@@ -47,14 +58,14 @@ class Listener:
         self.callback, self.updates = callback, updates
         self.wanted = callback is not None
 
-    def __call__(self, iteration: int, update: int, square: float, rays: int, x: Singles) -> bool:
+    def __call__(
+        self, iteration: int, update: int, square: float, rays: int, x: Singles | WorkingVolume
+    ) -> bool:
         """Report an update with its sum of squared residuals; return True to stop."""
         if self.callback is None:
             return False
-        view = x.view()
-        view.flags.writeable = False
         residual = math.sqrt(square / rays) if rays else 0.0
-        return bool(self.callback(Step(iteration, update, self.updates, residual, rays, view)))
+        return bool(self.callback(Step(iteration, update, self.updates, residual, rays, x)))
 
 
 def sum_of_squares(values: NDArray[Any]) -> float:

@@ -72,6 +72,7 @@ class BestPass:
 
     Attributes:
         passes: number of passes that made the best volume so far.
+        watches: whether it judges any pass.
     """
 
     def __init__(self, stop: StopName | None, residual: Residual | None = None) -> None:
@@ -83,7 +84,7 @@ class BestPass:
                 that lowers it much.
         """
         self.passes = 0
-        self._watches = stop is not None
+        self.watches = stop is not None
         self._best: Singles | None = None
         self._residual, self._least = residual, math.inf
 
@@ -99,16 +100,16 @@ class BestPass:
     @property
     def volumes(self) -> float:
         """Peak memory, in volumes."""
-        return VOLUMES if self._watches else 0.0
+        return VOLUMES if self.watches else 0.0
 
     @property
-    def told(self) -> dict[str, int]:
+    def extras(self) -> dict[str, int]:
         """Extras of a volume: the number of passes, if monitored."""
-        return {"passes": self.passes} if self._watches else {}
+        return {"passes": self.passes} if self.watches else {}
 
     def start(self, x: Singles) -> None:
         """Store the volume with which the first pass is compared."""
-        if self._watches:
+        if self.watches:
             self._best = x.copy()
             self._least = self._residual(x) if self._residual else math.inf
 
@@ -118,7 +119,7 @@ class BestPass:
         Args:
             x: volume after the pass, (z, y, x).
         """
-        if not self._watches:
+        if not self.watches:
             return False
         residual = self._residual(x) if self._residual else math.inf
         if self._best is None:

@@ -20,7 +20,7 @@ from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import Floats, Pose, VolumeGrid
 
 if TYPE_CHECKING:
-    from twinct.recon.volume_formats import Told
+    from twinct.recon.volume_formats import VolumeFacts
 
 AIR_HU = -1000.0
 
@@ -220,7 +220,12 @@ class Volume(NDArrayOperatorsMixin):
         return Volume(np.float32(AIR_HU) * (1 - scale), self.grid)
 
     def write(
-        self, path: str | Path, note: str = "", *, to: str | None = None, told: Told | None = None
+        self,
+        path: str | Path,
+        note: str = "",
+        *,
+        to: str | None = None,
+        told: VolumeFacts | None = None,
     ) -> None:
         """Write the volume as a file or a folder, which appears only when it is complete.
 
@@ -239,7 +244,7 @@ class Volume(NDArrayOperatorsMixin):
             StorageError: the path cannot be written.
         """
         from twinct.recon.volume_formats import (
-            Told,
+            VolumeFacts,
             format_of_name,
             volume_format_named,
             volume_formats,
@@ -247,7 +252,7 @@ class Volume(NDArrayOperatorsMixin):
 
         path = Path(path)
         form = volume_format_named(to) if to else format_of_name(path, volume_formats().values())
-        told = replace(told or Told(), note=note or (told.note if told else ""))
+        told = replace(told or VolumeFacts(), note=note or (told.note if told else ""))
         if path.is_dir():
             raise ScanExistsError(f"{path} exists already: choose another name")
         with storage_errors(path), complete(path) as draft:

@@ -1,6 +1,7 @@
 """Results of a run: ``metrics.json`` for scripts, ``report.html`` for people."""
 
-from twinct.report.algorithm_results import FOUND, found_of, with_found
+from twinct.core.renamed import old_names
+from twinct.report.algorithm_results import ALGORITHM_RESULTS, algorithm_results, with_results
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
 from twinct.report.measured_comparison import MeasuredComparison
@@ -18,7 +19,7 @@ from twinct.report.study_page import (
 )
 
 __all__ = [
-    "FOUND",
+    "ALGORITHM_RESULTS",
     "STAGES",
     "Another",
     "Compared",
@@ -34,13 +35,18 @@ __all__ = [
     "build_metrics",
     "cross_sections",
     "draw_pictures",
-    "found_of",
+    "algorithm_results",
     "physics_in_words",
     "plain",
     "render_report",
     "render_study",
-    "with_found",
+    "with_results",
     "write_measured_report",
     "write_report",
     "write_study",
 ]
+
+__getattr__ = old_names(
+    __name__,
+    {"FOUND": "ALGORITHM_RESULTS", "found_of": "algorithm_results", "with_found": "with_results"},
+)

@@ -5,28 +5,40 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-FOUND = ("implants", "passes", "metal_voxels", "metal_density_rel", "prior", "denoising")
+ALGORITHM_RESULTS = (
+    "implants",
+    "passes",
+    "metal_voxels",
+    "metal_density_rel",
+    "prior",
+    "denoising",
+    "regularisation",
+)
 """Extras of a volume that ``metrics.json`` and the report list."""
 
 
-def found_of(told: Mapping[str, Any]) -> dict[str, Any]:
+def algorithm_results(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the results among extras or figures, as far as there are any."""
-    return {key: told[key] for key in FOUND if key in told}
+    return {key: data[key] for key in ALGORITHM_RESULTS if key in data}
 
 
-def with_found(in_words: str, told: Mapping[str, Any]) -> str:
+def with_results(in_words: str, data: Mapping[str, Any]) -> str:
     """Add results to the description of a volume, in one line; implants have a table instead."""
     words: list[str] = []
-    if "passes" in told:
-        words.append(f"{told['passes']} were best")
-    if "metal_voxels" in told:
-        words.append(f"{told['metal_voxels'] or 'no'} metal voxels")
-    if density := told.get("metal_density_rel"):
+    if "passes" in data:
+        words.append(f"{data['passes']} were best")
+    if "metal_voxels" in data:
+        words.append(f"{data['metal_voxels'] or 'no'} metal voxels")
+    if density := data.get("metal_density_rel"):
         words.append(f"metal with {density:.2f} times the attenuation of the material named")
-    if prior := told.get("prior"):
+    if prior := data.get("prior"):
         words.append(
             f"prior moved by {prior['moved_mm']:.2f} mm, turned by {prior['turned_deg']:.2f} deg"
         )
-    if (denoising := told.get("denoising")) and denoising["from"] is None:
+    if (denoising := data.get("denoising")) and denoising["from"] is None:
         words.append("not denoised, since the noise is unknown")
+    if strength := data.get("regularisation"):
+        source = {"photons": "from the photons", "air": "from air in the projections"}
+        why = source.get(strength["from"], "since the noise is unknown")
+        words.append(f"regularisation {strength['strength']:.2g}, {why}")
     return f"{in_words}: {', '.join(words)}" if words else in_words

@@ -59,7 +59,7 @@ class Comparison:
     @property
     def keys(self) -> dict[str, tuple[Any, ...]]:
         """Scenario keys that differ, with each reconstruction's value, or None without the key."""
-        told = [_told(one.scenario) for one in self.compared]
+        told = [_keys_of(one.scenario) for one in self.compared]
         names = dict.fromkeys(name for values in told for name in values)
         rows = {name: tuple(values.get(name) for values in told) for name in names}
         return {name: row for name, row in rows.items() if any(v != row[0] for v in row)}
@@ -138,7 +138,7 @@ class Comparison:
         return _pictures(self.compared)
 
 
-def _told(scenario: Scenario) -> dict[str, Any]:
+def _keys_of(scenario: Scenario) -> dict[str, Any]:
     """Return all keys that count for a scenario: a gantry has no motion."""
     keys = flat(scenario.model_dump(mode="json"))
     if scenario.cell.kind != "gantry":
@@ -147,10 +147,10 @@ def _told(scenario: Scenario) -> dict[str, Any]:
     return {key: value for key, value in keys.items() if not f"{key}.".startswith(left_out)}
 
 
-def flat(told: Mapping[str, Any], key: str = "") -> dict[str, Any]:
+def flat(data: Mapping[str, Any], key: str = "") -> dict[str, Any]:
     """Flatten nested keys to dotted ones. Lists of sections get indices; other lists stay lists."""
     found: dict[str, Any] = {}
-    for name, value in told.items():
+    for name, value in data.items():
         inner = f"{key}{name}"
         if isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
             value = {str(index): item for index, item in enumerate(value)}
@@ -223,10 +223,10 @@ def _pose_rows(compared: Sequence[Compared]) -> list[Row]:
                 ("rotation_deg", "rotation", "deg"),
             ):
                 for statistic in statistics:
-                    values = [_found(one, "pose_error", arm, kind, statistic) for one in of]
+                    values = [_nested(one, "pose_error", arm, kind, statistic) for one in of]
                     title = f"{arm}, {name}, {statistic}"
                     rows.append(row_of(title, unit, values, partial(fixed, digits=3), what))
-    gaps = [_found(one, "clearance_mm", "min") for one in metrics]
+    gaps = [_nested(one, "clearance_mm", "min") for one in metrics]
     rows.append(row_of("smallest clearance", "mm", gaps, partial(fixed, digits=1)))
     return [row for row in rows if any(text != fixed(None) for text, _ in row.cells)]
 
@@ -238,15 +238,15 @@ def time_rows(compared: Sequence[Compared]) -> list[Row]:
         row_of(stage_title(name), "", [one.seconds.get(name) for one in compared], duration)
         for name in (*stages, "total")
     ]
-    simulated = [_found(one.metrics, "simulated_seconds") for one in compared]
+    simulated = [_nested(one.metrics, "simulated_seconds") for one in compared]
     return [*rows, row_of("simulated time", "", simulated, duration)]
 
 
-def _found(told: Any, *keys: str) -> float | None:
+def _nested(data: Any, *keys: str) -> float | None:
     """Return a nested value; None if it is missing, as in figures of older versions."""
     for key in keys:
-        told = told.get(key) if isinstance(told, Mapping) else None
-    return told
+        data = data.get(key) if isinstance(data, Mapping) else None
+    return data
 
 
 def _pictures(compared: Sequence[Compared]) -> list[tuple[str, str]]:

@@ -21,9 +21,9 @@ Columns = Mapping[str, Mapping[str, Any]]
 """Figures of each volume, nested as in ``metrics.json``, by the name of the volume."""
 
 
-def nested(told: Mapping[str, Any], dotted: str) -> Any:
+def nested(data: Mapping[str, Any], dotted: str) -> Any:
     """Return the value at a dotted name; None if there is none, as in figures of older versions."""
-    found: Any = told
+    found: Any = data
     for name in dotted.split("."):
         found = found.get(name) if isinstance(found, Mapping) else None
     return found

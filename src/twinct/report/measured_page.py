@@ -43,7 +43,7 @@ class MeasuredColumn:
     volume: Volume
 
 
-class _Told(NamedTuple):
+class _ColumnText(NamedTuple):
     title: str
     unit: str
     meaning: str
@@ -52,21 +52,21 @@ class _Told(NamedTuple):
 
 
 FIGURES = {
-    "residual_rel": _Told(
+    "residual_rel": _ColumnText(
         "residual", "%", "root mean square of p − A x over the rays, relative to that of p", 100, 2
     ),
-    "residual": _Told("residual", "", "the same as a line integral", 1, 4),
-    "consistency_rel": _Told(
+    "residual": _ColumnText("residual", "", "the same as a line integral", 1, 4),
+    "consistency_rel": _ColumnText(
         "consistency",
         "%",
         "residual of views that the volume of the others predicts (--halves)",
         100,
         2,
     ),
-    "edge_width_mm": _Told(
+    "edge_width_mm": _ColumnText(
         "edge width", "mm", "median 10–90 % rise across the volume's own surface (Otsu's threshold)"
     ),
-    "noise_per_mm": _Told(
+    "noise_per_mm": _ColumnText(
         "noise", "1/mm", "standard deviation, from volumes of every other view (--halves)", 1, 5
     ),
 }

@@ -81,13 +81,13 @@ def build_metrics(
 
 def _compared(by_geometry: Mapping[str, ImageFigures]) -> dict[str, Any]:
     """Return the figures of all geometries if there are several, and the cost of poses' errors."""
-    told: dict[str, Any] = {}
+    data: dict[str, Any] = {}
     if len(by_geometry) > 1:
-        told["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
+        data["image_by_geometry"] = {name: of.as_dict() for name, of in by_geometry.items()}
     if {"believed", "executed"} <= by_geometry.keys():
         both = (replace(by_geometry[name], zero={}).as_dict() for name in ("believed", "executed"))
-        told["believed_minus_executed"] = _difference(*both)
-    return told
+        data["believed_minus_executed"] = _difference(*both)
+    return data
 
 
 def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from twinct.core.files.writing import write_text
 from twinct.evaluation import DEPTHS_MM, IMAGE_FIGURES, MOTION_FIGURES, pose_errors
-from twinct.report.algorithm_results import with_found
+from twinct.report.algorithm_results import with_results
 from twinct.report.data import ReportData
 from twinct.report.measured import (
     curve_pictures,
@@ -210,7 +210,7 @@ def _setting(report: ReportData) -> dict[str, str]:
         "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),
-        "Reconstruction": with_found(scenario.reconstruction.in_words, report.metrics),
+        "Reconstruction": with_results(scenario.reconstruction.in_words, report.metrics),
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }
 

@@ -167,8 +167,8 @@ def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTri
 
 def _varied(axis: StudyAxis, trials: Sequence[StudyTrial]) -> tuple[str, int, str]:
     """Return an axis, the number of its values, and the values as text."""
-    told = {in_words(v): v for one in trials if (v := one.axes.get(axis.label)) is not None}
-    values = list(told.values())
+    data = {in_words(v): v for one in trials if (v := one.axes.get(axis.label)) is not None}
+    values = list(data.values())
     if numeric(values):
         values.sort()
     if len(values) <= _MOST_TOLD:
@@ -307,13 +307,13 @@ def _failures(trials: Iterable[StudyTrial]) -> list[tuple[int, str, str, str]]:
 
 def _ranges(numbers: Iterable[int]) -> str:
     """Format numbers as ranges, such as "0 to 4, 7"."""
-    told: list[str] = []
+    lines: list[str] = []
     runs = itertools.groupby(enumerate(sorted(numbers)), key=lambda pair: pair[1] - pair[0])
     for _, run in runs:
         members = [number for _, number in run]
         first, last = members[0], members[-1]
-        told.append(f"{first}" if first == last else f"{first} to {last}")
-    return ", ".join(told[:_MOST_TOLD]) + (", …" if len(told) > _MOST_TOLD else "")
+        lines.append(f"{first}" if first == last else f"{first} to {last}")
+    return ", ".join(lines[:_MOST_TOLD]) + (", …" if len(lines) > _MOST_TOLD else "")
 
 
 def _stages(done: Sequence[StudyTrial]) -> list[tuple[str, str, str, int]]:

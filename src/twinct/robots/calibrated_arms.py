@@ -10,16 +10,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from twinct.core.error_terms import Shift
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import read_text
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.core.foreign_text import quoted, shortened
-from twinct.geometry import Chain, Floats, Misfit, Pose
+from twinct.geometry import Chain, Floats, Pose
 from twinct.geometry.wire import PosePairs
+from twinct.uncertainty.arm_model import shifted_tools
+from twinct.uncertainty.nominal_scan import SIDES
+from twinct.uncertainty.terms.gear import waves
+from twinct.uncertainty.terms.windup import deflections
 
 FORMAT = "twinct arms 1"
-
-SIDES = ("source", "detector")
 
 LARGEST_BYTES = 16 * 2**20
 
@@ -57,13 +60,15 @@ def changed_tools(chain: Chain, change: Change, periods: int, joints: Floats) ->
     Returns:
         (..., views, 4, 4), mm.
     """
-    gear = change.gear[..., None, :, :]
-    behind = change.compliance[..., None, :] * chain.gravity_torques(joints)
-    behind = behind + gear[..., 0] * np.cos(periods * joints)
-    behind = behind + gear[..., 1] * np.sin(periods * joints)
-    links, tool = change.links[..., None, :, :], change.tool[..., None, :]
-    misfit = Misfit(base=np.zeros(6), links=links, tool=tool)
-    return chain.tools(joints + behind, misfit)
+    shift = Shift(
+        links=change.links[..., None, :, :],
+        tool=change.tool[..., None, :],
+        joints=(
+            deflections(change.compliance, chain, joints),
+            *waves(change.gear, periods, joints),
+        ),
+    )
+    return shifted_tools(chain, joints, [shift])
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,16 +134,16 @@ class CalibratedArms:
         Raises:
             StorageError: the file cannot be written.
         """
-        told: dict[str, Any] = {"format": FORMAT, "made_by": dict(self.made_by)}
-        told["gear_periods"] = self.gear_periods
+        data: dict[str, Any] = {"format": FORMAT, "made_by": dict(self.made_by)}
+        data["gear_periods"] = self.gear_periods
         place = self.phantom_from_room
-        told["phantom_from_room"] = [*place.position.tolist(), *place.quat.tolist()]
+        data["phantom_from_room"] = [*place.position.tolist(), *place.quat.tolist()]
         frames = frames_of(self.chains)
         for side, nominal, change in zip(SIDES, frames, self.changes, strict=True):
             numbers = {"nominal": nominal, **change._asdict()}
-            told[side] = {key: array.tolist() for key, array in numbers.items()}
+            data[side] = {key: array.tolist() for key, array in numbers.items()}
         with storage_errors(path):
-            write_text(path, json.dumps(told, indent=1) + "\n")
+            write_text(path, json.dumps(data, indent=1) + "\n")
 
     @classmethod
     def read(cls, path: Path, chains: tuple[Chain, Chain]) -> CalibratedArms:
@@ -153,15 +158,15 @@ class CalibratedArms:
         """
         text = read_text(path, f"{path}: the file of calibrated arms", LARGEST_BYTES)
         try:
-            told = json.loads(text)
-            if told["format"] != FORMAT:
+            data = json.loads(text)
+            if data["format"] != FORMAT:
                 raise ValueError(
-                    f"format {quoted(told['format'])}, but this twinct reads {FORMAT!r}"
+                    f"format {quoted(data['format'])}, but this twinct reads {FORMAT!r}"
                 )
-            changes = [_change(told[side], len(told[side]["nominal"]) - 2) for side in SIDES]
-            nominal = [np.array(told[side]["nominal"], float) for side in SIDES]
-            periods, made_by = int(told["gear_periods"]), dict(told["made_by"])
-            place = np.array(told["phantom_from_room"], float)
+            changes = [_change(data[side], len(data[side]["nominal"]) - 2) for side in SIDES]
+            nominal = [np.array(data[side]["nominal"], float) for side in SIDES]
+            periods, made_by = int(data["gear_periods"]), dict(data["made_by"])
+            place = np.array(data["phantom_from_room"], float)
             room = Pose(place[:3], place[3:])
         except Exception as error:  # malformed JSON raises many types
             kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
@@ -206,9 +211,9 @@ def require_same_arms(
             )
 
 
-def _change(told: Mapping[str, Any], joints: int) -> Change:
+def _change(data: Mapping[str, Any], joints: int) -> Change:
     shapes = {"links": (joints, 6), "tool": (6,), "compliance": (joints,), "gear": (joints, 2)}
-    found = Change(**{name: np.array(told[name], float) for name in shapes})
+    found = Change(**{name: np.array(data[name], float) for name in shapes})
     for name, shape in shapes.items():
         array = getattr(found, name)
         if array.shape != shape or not np.isfinite(array).all():

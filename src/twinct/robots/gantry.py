@@ -122,8 +122,8 @@ class Gantry:
     def close(self) -> None:
         """Do nothing: a gantry holds no resources."""
 
-    def _really(self, told: Instant, view: int | None, time_s: float) -> Instant:
-        return told if self._true_cell is None else self._true_cell.at(told, view, time_s)
+    def _really(self, nominal: Instant, view: int | None, time_s: float) -> Instant:
+        return nominal if self._true_cell is None else self._true_cell.at(nominal, view, time_s)
 
     def _at(self, target: Target) -> Instant:
         return Instant(target.source_m, self._object_m, target.detector_m)

@@ -1,5 +1,6 @@
 """Runs: from a scenario to a scan, a volume and its figures, in memory or in a folder."""
 
+from twinct.core.renamed import old_names
 from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
 from twinct.runs.checks import (
     check_geometries,
@@ -14,9 +15,9 @@ from twinct.runs.export import export_scan
 from twinct.runs.figures import Figures
 from twinct.runs.folder import Folder
 from twinct.runs.importing import import_scan
-from twinct.runs.job import Run, report_again, run
+from twinct.runs.job import Run, rewrite_report, run
 from twinct.runs.needs import Need, needs, require_memory
-from twinct.runs.reconstruction import derive_geometry, load_scan, reconstruct_again
+from twinct.runs.reconstruction import derive_geometry, load_scan, reconstruct_run
 from twinct.runs.reconstruction_folder import Reconstruction
 from twinct.runs.reporting import evaluate, judge
 from twinct.runs.truth import Truth, truth_of
@@ -52,9 +53,9 @@ __all__ = [
     "needs",
     "require_memory",
     "reconstruct",
-    "reconstruct_again",
+    "reconstruct_run",
     "rehearse",
-    "report_again",
+    "rewrite_report",
     "require_extras",
     "require_feasible",
     "run",
@@ -62,3 +63,7 @@ __all__ = [
     "truth_of",
     "verify",
 ]
+
+__getattr__ = old_names(
+    __name__, {"reconstruct_again": "reconstruct_run", "report_again": "rewrite_report"}
+)

@@ -12,7 +12,7 @@ from twinct.evaluation import region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.observers import Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.report import Compared, Comparison, CrossSection, plain, with_found
+from twinct.report import Compared, Comparison, CrossSection, plain, with_results
 from twinct.report.same_planes import Plane, layer_of, planes_through, section_at
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, finished_run
@@ -155,7 +155,7 @@ def _compared(
         scenario=scenario,
         metrics=metrics,
         image=plain(kept.figures.as_dict()) if kept else metrics["image"],
-        in_words=kept.told if kept else with_found(scenario.reconstruction.in_words, metrics),
+        in_words=kept.told if kept else with_results(scenario.reconstruction.in_words, metrics),
         seconds={"reconstruction": kept.seconds} if kept else metrics["seconds"],
         slices=slices,
         mu_reference=specimen.reference_mu(energy),

@@ -42,5 +42,5 @@ class Figures(dict[str, Any]):
         return self["seconds"]
 
 
-def _image_figures(told: Mapping[str, Any]) -> ImageFigures:
-    return ImageFigures.of({k: math.nan if value is None else value for k, value in told.items()})
+def _image_figures(data: Mapping[str, Any]) -> ImageFigures:
+    return ImageFigures.of({k: math.nan if value is None else value for k, value in data.items()})

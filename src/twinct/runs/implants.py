@@ -35,7 +35,7 @@ _KEY = "reconstruction.metal"
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class ImplantModels:
     """An implant as the scenario describes it.
 
     Attributes:
@@ -50,7 +50,7 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
-class TakenOut:
+class WithoutImplants:
     """Line integrals without known implants, and the implants.
 
     Attributes:
@@ -62,7 +62,7 @@ class TakenOut:
     """
 
     line_integrals: NDArray[np.float32]
-    known: Sequence[Known]
+    known: Sequence[ImplantModels]
     found: Sequence[FoundImplant]
     world_from_specimen: Pose
     energy_kev: float
@@ -116,14 +116,14 @@ class TakenOut:
         return told
 
 
-def implants_taken_out(
+def without_implants_of(
     scenario: Scenario,
     section: KnownImplants,
     measured: NDArray[np.float32],
     A: Projector,
     mask: NDArray[np.bool_] | None,
     callback: Callback,
-) -> TakenOut:
+) -> WithoutImplants:
     """Correct line integrals as the scenario states, and remove its known implants.
 
     Args:
@@ -166,7 +166,7 @@ def implants_taken_out(
         callback=callback,
     )
     stands = scenario.specimen.world_from_specimen
-    result = TakenOut(taken.line_integrals, known, taken.found, stands, energy)
+    result = WithoutImplants(taken.line_integrals, known, taken.found, stands, energy)
     for one in result.told():
         log.info(
             "implant %s: moved by %.3f mm and %.3f deg from where it was believed, density %.3f",
@@ -193,11 +193,11 @@ def _parted(
 
 
 def volumes_of(section: KnownImplants) -> int:
-    """Return the number of SART iterations that ``implants_taken_out`` reports."""
+    """Return the number of SART iterations that ``without_implants_of`` reports."""
     return section.first_iterations * (2 + section.rounds)
 
 
-def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
+def known_implants(scenario: Scenario, section: KnownImplants) -> list[ImplantModels]:
     """Return the implants of a scenario at their believed poses.
 
     Raises:
@@ -208,7 +208,7 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
 
     parts = {part.label: part for part in scenario.specimen.parts}
     problems: list[str] = []
-    known: list[Known] = []
+    known: list[ImplantModels] = []
     for i, told in enumerate(section.implants):
         key = f"{_KEY}.implants.{i}"
         if told.part and told.part not in parts and None in (told.shape, told.position_mm):
@@ -226,7 +226,7 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[Known]:
             problems += error.problems
             continue
         place = scenario.specimen.world_from_specimen @ part.specimen_from_part
-        known.append(Known(name, substance, Implant(body, place)))
+        known.append(ImplantModels(name, substance, Implant(body, place)))
     if problems:
         raise InputError(problems)
     return known
@@ -272,7 +272,7 @@ def _prior(section: KnownImplants) -> dict[str, Material]:
 
 def _beam(
     scenario: Scenario,
-    known: Sequence[Known],
+    known: Sequence[ImplantModels],
     measured: NDArray[np.float32],
     A: Projector,
     mask: NDArray[np.bool_] | None,

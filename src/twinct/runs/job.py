@@ -23,7 +23,7 @@ from twinct.evaluation import ImageFigures, figure_kinds
 from twinct.link.recording import recorder_of
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.report import found_of, physics_in_words
+from twinct.report import algorithm_results, physics_in_words
 from twinct.robots.cell import check_drawing
 from twinct.runs.acquisition import (
     Link,
@@ -44,7 +44,7 @@ from twinct.runs.figures import Figures
 from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
 from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
-from twinct.runs.reconstruction_folder import kept_reconstructions
+from twinct.runs.reconstruction_folder import stored_reconstructions
 from twinct.runs.repair import resumable
 from twinct.runs.reporting import Results, judge, write_results
 from twinct.runs.seconds import Seconds, Timing
@@ -150,7 +150,7 @@ def run(
     recorder = recorder_of(chosen, folder.path) if record else None
     builder = builder or SimulationBuilder(scenario)
     if store:
-        builder = replace(builder, kept_plan=store.plan)
+        builder = replace(builder, given_plan=store.plan)
     check_physics(builder)
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
@@ -209,7 +209,9 @@ def finished_run(folder: Folder) -> Run:
     return run
 
 
-def report_again(path: str | Path, observers: Observers = (), overrides: Iterable[str] = ()) -> Run:
+def rewrite_report(
+    path: str | Path, observers: Observers = (), overrides: Iterable[str] = ()
+) -> Run:
     """Judge a finished run again and rewrite its figures and its report.
 
     Args:
@@ -244,11 +246,11 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
             # Only the first volume is stored: the others cannot be measured again.
-            told = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
-            figures.setdefault(which, ImageFigures.of(told))
+            data = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
+            figures.setdefault(which, ImageFigures.of(data))
         if asked_anew:
             _judge_others(now, builder, audience)
-        volume = replace(made.volume, extras={**made.volume.extras, **found_of(before)})
+        volume = replace(made.volume, extras={**made.volume.extras, **algorithm_results(before)})
         results = Results(volume, truth, figures, before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])
         write_results(folder, builder, now.scan, results, timing)
@@ -259,11 +261,11 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
 
 def _judge_others(run: Run, builder: SimulationBuilder, audience: Audience) -> None:
     """Judge the further reconstructions of a run, too."""
-    for kept in kept_reconstructions(run.paths.reconstructions).values():
+    for kept in stored_reconstructions(run.paths.reconstructions).values():
         section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
         scenario = run.scenario.model_copy(update={"reconstruction": section})
         scan = replace(run.scan, scenario=scenario)
-        of_it = replace(builder, scenario=scenario, kept_specimen=builder.specimen)
+        of_it = replace(builder, scenario=scenario, given_specimen=builder.specimen)
         truth = truth_of(scan, of_it, audience, file=run.paths.truth)
         kept.write_figures(judge(scan, kept.volume, truth, builder.specimen))
 

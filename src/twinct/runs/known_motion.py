@@ -163,7 +163,7 @@ def moving_voxels(
     counts = [max(2, -(-(n - 1) // step) + 1) for n in grid.shape]
     nodes = step * np.indices(counts).reshape(3, -1)[::-1].T
     points = nodes @ grid.affine[:3, :3].T + grid.affine[:3, 3]
-    ways = motion.ways_mm(world_from_specimen.inverse().apply(points)).reshape(counts)
+    ways = motion.displacements_mm(world_from_specimen.inverse().apply(points)).reshape(counts)
     found = np.empty(grid.shape, np.bool_)
     rows = np.indices(grid.shape[1:]) / step
     for k in range(grid.shape[0]):

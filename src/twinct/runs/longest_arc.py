@@ -41,7 +41,7 @@ def longest_arc(builder: SimulationBuilder, lost: Iterable[int]) -> str | None:
         arc = _arc(kept, stretch, count)
         try:
             _ = SimulationBuilder(
-                builder.scenario.with_({"trajectory": arc}), kept_specimen=builder.specimen
+                builder.scenario.with_({"trajectory": arc}), given_specimen=builder.specimen
             ).plan
         except TrajectoryError as error:
             stretches.remove(stretch)
@@ -49,8 +49,8 @@ def longest_arc(builder: SimulationBuilder, lost: Iterable[int]) -> str | None:
             continue
         except InputError:
             return None
-        told = ", ".join(f"{key}: {arc[key]}" for key in _TOLD)
-        return f"the longest arc that works, planned: trajectory: {{kind: arc, {told}}}"
+        text = ", ".join(f"{key}: {arc[key]}" for key in _TOLD)
+        return f"the longest arc that works, planned: trajectory: {{kind: arc, {text}}}"
     return None
 
 

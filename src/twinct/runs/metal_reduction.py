@@ -119,8 +119,8 @@ def check_metal(scenario: Scenario) -> None:
         return
     mus = _attenuations(scenario, section)
     if not mus["tissue"] < mus["bone"] < mus["metal"]:
-        told = ", ".join(f"{name} {mu:.3g}" for name, mu in mus.items())
-        raise InputError(f"{_KEY}: attenuation must rise from tissue to metal; got {told} per mm")
+        text = ", ".join(f"{name} {mu:.3g}" for name, mu in mus.items())
+        raise InputError(f"{_KEY}: attenuation must rise from tissue to metal; got {text} per mm")
 
 
 def _attenuations(scenario: Scenario, section: Nmar) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 from twinct.core.errors import MemoryShortageError
 from twinct.core.foreign_text import quoted
@@ -38,6 +39,8 @@ Measured: 1.2 GiB for 35 MB of .nii.gz, 2.5 GiB for 268 MB of .nii.
 """
 
 PHANTOM_BYTES_PER_VOXEL = 60
+BYTES_PER_GREY_VOXEL = 12
+"""Amounts of a voxel: the default's three basis materials, float32."""
 PHANTOM_MM3 = {"head": 162.0 * 210.0 * 222.0, "trunk": 338.0 * 238.0 * 480.0}
 """Volume of the built-in grey phantom's box, mm^3."""
 
@@ -78,24 +81,25 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
 
     views = SimulationBuilder(
         scenario
-    ).asked  # choices of the plan, such as an order, need no memory
+    ).requested  # choices of the plan, such as an order, need no memory
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
     specimen = PROCESS_BYTES + _specimen_bytes(scenario)
+    moved = _moved_bytes(scenario)
     room = ROOM_BYTES if scenario.cell.kind == "arms" else 0
     engine = engine_named(scenario.engine).memory_bytes if scenario.engine else 0
     simulations = room + engine + 16 * image
     # Each node builds its own specimen; in a single process, the engine stays until the end.
     stays = engine if local else 0
-    acquiring = specimen + simulations if local else 3 * specimen + simulations
+    acquiring = (specimen if local else 3 * specimen) + simulations + moved
     scan, stored = 2 * number * image, (1 + len(scenario.detector.keep)) * number * image
     reconstructing = max(memory_needed(scenario, views).values())
     return {
         "specimen": Need(specimen),
         "plan": Need(specimen + room),
         "views": Need(acquiring, stored, many, 1 if local else 3),
-        "truth": Need(specimen + stays + scan + 16 * voxels, 4 * voxels, many),
+        "truth": Need(specimen + moved + stays + scan + 16 * voxels, 4 * voxels, many),
         "reconstruction": Need(specimen + stays + reconstructing, 4 * voxels, many),
         "report": Need(specimen + stays + scan + 9 * voxels + REPORT_BYTES, 8 * 2**20),
     }
@@ -110,21 +114,21 @@ def require_memory(scenario: Scenario) -> None:
         MemoryShortageError: one sentence for each object that is too large, with its keys.
     """
     available, limit = available_bytes()
-    panel, views = scenario.detector.panel, len(SimulationBuilder(scenario).asked)
+    panel, views = scenario.detector.panel, len(SimulationBuilder(scenario).requested)
     pixels, grid = math.prod(panel.shape), scenario.reconstruction.volume_grid
     zoomed = scenario.reconstruction.zoom is not None
-    told = {
+    data = {
         f"specimen.parts.{i}.shape: part {quoted(part.label)}": _part_bytes(part.shape)
         for i, part in enumerate(scenario.specimen.parts)
     }
-    told |= {
+    data |= {
         f"detector.columns and detector.rows: images of {panel.columns} x {panel.rows} pixels": 16
         * pixels,
         f"trajectory: {views} views of {panel.columns} x {panel.rows} pixels": 8 * pixels * views,
         f"reconstruction.{'zoom' if zoomed else 'grid'}: {' x '.join(map(str, grid.shape_xyz))} "
         "voxels": 9 * math.prod(grid.shape),
     }
-    if short := {what: size for what, size in told.items() if size > available}:
+    if short := {what: size for what, size in data.items() if size > available}:
         raise MemoryShortageError(
             f"{what}: at least {size / 2**30:.3g} GiB of memory are needed, but only "
             f"{available / 2**30:.2f} GiB are available ({limit})"
@@ -136,6 +140,28 @@ def _specimen_bytes(scenario: Scenario) -> int:
     return sum(_part_bytes(part.shape) for part in scenario.specimen.parts)
 
 
+def _moved_bytes(scenario: Scenario) -> int:
+    """Return the bytes of the voxels of a breathing patient in the state of a view."""
+    if scenario.specimen.motion is None:
+        return 0
+    shapes = [part.shape for part in scenario.specimen.parts]
+    voxels = [_grey_voxels(shape) for shape in shapes if isinstance(shape, GreyVolume)]
+    return BYTES_PER_GREY_VOXEL * max(voxels, default=0)
+
+
+def _grey_voxels(shape: GreyVolume) -> int:
+    """Estimate the number of voxels of a grey part; packed files hold about one in each byte."""
+    if shape.phantom:
+        return int(PHANTOM_MM3[shape.phantom] / shape.voxel_mm**3)
+    assert shape.path is not None
+    return _file_bytes(shape.path) // (1 if shape.path.suffix in PACKED else 2)
+
+
+def _file_bytes(path: Path) -> int:
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
 def _part_bytes(shape: Shape) -> int:
     if isinstance(shape, Skull | Head | Brain):
         edge = HEAD_MM if isinstance(shape, Head) else SKULL_MM
@@ -144,9 +170,8 @@ def _part_bytes(shape: Shape) -> int:
         return int(PHANTOM_BYTES_PER_VOXEL * PHANTOM_MM3[shape.phantom] / shape.voxel_mm**3)
     if isinstance(shape, MeshFile | CtVolume | GreyVolume):
         assert shape.path is not None
-        files = shape.path.rglob("*") if shape.path.is_dir() else [shape.path]
         factor = FILE_FACTOR
         if isinstance(shape, GreyVolume):
             factor = PACKED_GREY_FACTOR if shape.path.suffix in PACKED else GREY_FACTOR
-        return factor * sum(file.stat().st_size for file in files if file.is_file())
+        return factor * _file_bytes(shape.path)
     return BYTES_PER_TRIANGLE * triangles(shape)

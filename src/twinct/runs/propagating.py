@@ -17,7 +17,7 @@ from twinct.uncertainty.propagation import Propagation, propagate
 LATTICE = 5
 """Points along each axis of the grid; only points that every view sees are used."""
 
-TOLD_VIEWS = 5
+COMPARED_VIEWS = 5
 """Number of evenly spaced views whose mutual covariances are written."""
 
 FRAME = (
@@ -63,14 +63,14 @@ def errors_of(builder: SimulationBuilder, draws: int = 1000) -> Propagation:
         scenario.uncertainty,
         nominal_scan(builder),
         scenario.detector.panel,
-        seen_points(builder),
+        visible_points(builder),
         draws=draws,
         seed=scenario.seed,
         arms_seed=scenario.arms_seed,
     )
 
 
-def seen_points(builder: SimulationBuilder) -> Floats:
+def visible_points(builder: SimulationBuilder) -> Floats:
     """Return the isocentre and the points of a lattice that every view sees, (points, 3), mm."""
     scenario, views = builder.scenario, builder.commanded
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
@@ -86,11 +86,11 @@ def seen_points(builder: SimulationBuilder) -> Floats:
     return np.concatenate([[isocentre], places[seen]])
 
 
-def told_errors(found: Propagation, builder: SimulationBuilder) -> dict[str, Any]:
+def propagation_data(found: Propagation, builder: SimulationBuilder) -> dict[str, Any]:
     """Return propagated errors as plain data: distributions, causes and covariances."""
     scenario, errors, analytic = builder.scenario, found.errors, found.analytic
     draws, views = errors.shape[:2]
-    shown = sorted({k * (views - 1) // (TOLD_VIEWS - 1) for k in range(TOLD_VIEWS)})
+    shown = sorted({k * (views - 1) // (COMPARED_VIEWS - 1) for k in range(COMPARED_VIEWS)})
     some = errors[:, shown].reshape(draws, -1)
     return plain(
         {

@@ -17,16 +17,16 @@ from twinct.core.foreign_text import quoted
 from twinct.core.interruption import keeping
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.report import cross_sections, found_of
+from twinct.report import algorithm_results, cross_sections
 from twinct.runs.checks import check_corrections
 from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
-from twinct.runs.job import Run, finished_run, report_again
+from twinct.runs.job import Run, finished_run, rewrite_report
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction_folder import (
     Reconstruction,
     free_name,
-    kept_reconstructions,
     reconstruction_base,
+    stored_reconstructions,
 )
 from twinct.runs.reporting import judge
 from twinct.runs.truth import truth_of
@@ -87,9 +87,7 @@ def derive_geometry(
         audience.stage(f"geometry {name}", 1) as step,
     ):
         scan = Run(scenario, folder).scan
-        found = reported(
-            scenario, scan.joint_names, scan.joints, scan.executed, scan.commanded, name
-        )
+        found = reported(scenario, scan.joints, scan.executed, scan.commanded, name)
         if name in scan.derived and scan.derived[name].digest != found.digest:
             raise ScanExistsError(
                 f"{folder.geometries / name}.json holds another geometry; choose another --as"
@@ -99,7 +97,7 @@ def derive_geometry(
     return found
 
 
-def reconstruct_again(
+def reconstruct_run(
     path: str | Path,
     overrides: Iterable[str] = (),
     *,
@@ -135,7 +133,7 @@ def reconstruct_again(
         stack.enter_context(sole_owner(folder.lock))
         scan = Run(_with_geometry(scenario, which), folder).scan
         scan.poses(which)
-        kept = kept_reconstructions(folder.reconstructions)
+        kept = stored_reconstructions(folder.reconstructions)
         of_geometry = scan.derived[which].digest if which in scan.derived else ""
         digest = stage_digests(scan.scenario)["volume"] + of_geometry
         digest = hashlib.sha256(digest.encode()).hexdigest()
@@ -154,7 +152,7 @@ def reconstruct_again(
             there.keep(volume)
             remove_folder(folder.checkpoints)
     with keeping(lambda: f"{there.path} is kept; the same command completes the report"):
-        report_again(folder.path, observers)
+        rewrite_report(folder.path, observers)
     return there
 
 
@@ -162,6 +160,22 @@ def _is_reported(folder: Folder, there: Reconstruction) -> bool:
     """Return True if the run's figures, which are written last, name a reconstruction."""
     told = read_metrics(folder.metrics).get("reconstructions", {}).get(there.name, {})
     return told.get("digest") == there.digest
+
+
+def timed_volume(
+    scan: Scan, folder: Folder, which: str, audience: Audience
+) -> tuple[Volume, tuple[float, ...], float]:
+    """Return the volume of a geometry, the residual after each iteration, and the seconds."""
+    residuals: list[float] = []
+    start = time.perf_counter()
+    volume = reconstruct(
+        scan,
+        geometry=which,
+        checkpoints=folder.checkpoints,
+        watch=lambda _, residual: residuals.append(residual),
+        observers=audience,
+    )
+    return volume, tuple(residuals), time.perf_counter() - start
 
 
 def _made(
@@ -172,16 +186,7 @@ def _made(
     check_corrections(scenario)
     require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
     truth = truth_of(scan, builder, audience, file=folder.truth)
-    residuals: list[float] = []
-    start = time.perf_counter()
-    volume = reconstruct(
-        scan,
-        geometry=which,
-        checkpoints=folder.checkpoints,
-        watch=lambda _, residual: residuals.append(residual),
-        observers=audience,
-    )
-    seconds = time.perf_counter() - start
+    volume, residuals, seconds = timed_volume(scan, folder, which, audience)
     grid = scenario.reconstruction.volume_grid
     name, digest, of_geometry = called
     found = Reconstruction(
@@ -192,11 +197,11 @@ def _made(
         in_words=scenario.reconstruction.in_words,
         settings=scenario.reconstruction.model_dump(mode="json"),
         figures=judge(scan, volume, truth, builder.specimen),
-        residuals=tuple(residuals),
+        residuals=residuals,
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
         path=folder.reconstructions / name,
-        found=found_of(volume.extras),
+        found=algorithm_results(volume.extras),
     )
     return found, volume
 

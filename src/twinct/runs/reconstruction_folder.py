@@ -18,7 +18,7 @@ from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import passing_folder, write_json
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
-from twinct.report import CrossSection, plain, with_found
+from twinct.report import CrossSection, plain, with_results
 from twinct.scan import checked_name
 from twinct.scenario import Scenario
 
@@ -46,7 +46,7 @@ class Reconstruction:
         seconds: duration of the reconstruction.
         slices: cross-sections, see ``twinct.report.cross_sections``.
         path: its folder; the voxels are in ``volume.nii`` there.
-        found: further results of the algorithm, see ``twinct.report.FOUND``.
+        found: further results of the algorithm, see ``twinct.report.ALGORITHM_RESULTS``.
     """
 
     name: str
@@ -65,7 +65,7 @@ class Reconstruction:
     @property
     def told(self) -> str:
         """Algorithm, settings and further results in one line."""
-        return with_found(self.in_words, self.found)
+        return with_results(self.in_words, self.found)
 
     @property
     def volume(self) -> Volume:
@@ -100,8 +100,8 @@ class Reconstruction:
     def write_figures(self, figures: ImageFigures) -> None:
         """Replace the figures in the folder."""
         file = self.path / "reconstruction.json"
-        told = read_json(file)
-        write_json(file, told | {"figures": plain(figures.as_dict())})
+        data = read_json(file)
+        write_json(file, data | {"figures": plain(figures.as_dict())})
 
     @classmethod
     def read(cls, path: Path) -> Reconstruction:
@@ -111,13 +111,13 @@ class Reconstruction:
             InputError: the folder holds no reconstruction, or is damaged.
         """
         try:
-            told = read_json(path / "reconstruction.json")
-            if told.pop("format") != FORMAT:
+            data = read_json(path / "reconstruction.json")
+            if data.pop("format") != FORMAT:
                 raise ValueError(f"not of the format {FORMAT!r}")
-            told.pop("files", None)
+            data.pop("files", None)
             # Earlier versions stored these two keys at the top level instead of in ``found``.
-            before = {key: told.pop(key) for key in ("implants", "passes") if key in told}
-            told.setdefault("found", {key: value for key, value in before.items() if value})
+            before = {key: data.pop(key) for key in ("implants", "passes") if key in data}
+            data.setdefault("found", {key: value for key, value in before.items() if value})
             if why := no_file(path / "sections.npz"):
                 raise ValueError(f"sections.npz {why}")
             with np.load(path / "sections.npz") as arrays:
@@ -128,15 +128,15 @@ class Reconstruction:
                         axes=tuple(axes),
                         position=position,
                     )
-                    for plane, (extent, axes, position) in told.pop("slices").items()
+                    for plane, (extent, axes, position) in data.pop("slices").items()
                 }
             figures = {
                 key: np.nan if value is None else value
-                for key, value in told.pop("figures").items()
+                for key, value in data.pop("figures").items()
             }
-            residuals = tuple(told.pop("residuals"))
+            residuals = tuple(data.pop("residuals"))
             return cls(
-                **told,
+                **data,
                 figures=ImageFigures.of(figures),
                 residuals=residuals,
                 slices=slices,
@@ -153,11 +153,11 @@ def check_files(path: Path) -> None:
         InputError: the folder cannot be read, or a file differs from its digest.
     """
     if (path / JUDGEMENT).is_file():
-        told = read_json(path / JUDGEMENT)
+        data = read_json(path / JUDGEMENT)
     else:
         Reconstruction.read(path)
-        told = read_json(path / "reconstruction.json")
-    for name, digest in told.get("files", {}).items():
+        data = read_json(path / "reconstruction.json")
+    for name, digest in data.get("files", {}).items():
         if not (path / name).is_file() or file_digest(path / name) != digest:
             raise InputError(f"{path / name} differs from the file written for {path.name}")
 
@@ -188,7 +188,7 @@ def file_digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def kept_reconstructions(folder: Path) -> dict[str, Reconstruction]:
+def stored_reconstructions(folder: Path) -> dict[str, Reconstruction]:
     """Read all reconstructions in a folder, by name; an absent folder has none.
 
     Raises:
@@ -201,12 +201,12 @@ def kept_reconstructions(folder: Path) -> dict[str, Reconstruction]:
 
 
 def _plain(kept: Reconstruction) -> dict[str, Any]:
-    told = {
+    data = {
         name: getattr(kept, name)
         for name in (one.name for one in dataclasses.fields(kept))
         if name not in ("slices", "path", "figures")
     }
-    return told | {
+    return data | {
         "residuals": list(kept.residuals),
         "settings": dict(kept.settings),
         "found": plain(kept.found),

@@ -10,7 +10,7 @@ from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import passing_folder
 from twinct.runs.folder import Folder
 from twinct.scan import ScanStore, SimulationBuilder, write_frame
-from twinct.scan.damage import make_way, root_digest
+from twinct.scan.damage import clear_paths, root_digest
 from twinct.scan.manifest import FRAME_FILE, ROOT, compared, read_frame_manifest
 from twinct.scenario import Scenario
 
@@ -40,7 +40,7 @@ def mend_frame(path: Path, builder: SimulationBuilder, error: DamagedError) -> N
     Raises:
         DamagedError: the new files differ from the original ones; nothing has been changed.
     """
-    make_way(path, error.found)
+    clear_paths(path, error.found)
     scenario, draft = builder.scenario, path.with_name(f"{path.name}.new")
     reached = builder.robots().move(0, builder.targets[0])
     robots = reached.joint_names, len(reached.state), builder.followed

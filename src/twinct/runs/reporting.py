@@ -27,16 +27,16 @@ from twinct.report import (
     STAGES,
     Another,
     ReportData,
+    algorithm_results,
     build_metrics,
     cross_sections,
     draw_pictures,
-    found_of,
     plain,
     write_report,
 )
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.known_motion import as_reconstructed, motion_in_words, moving_figures
-from twinct.runs.reconstruction_folder import Reconstruction, kept_reconstructions
+from twinct.runs.reconstruction_folder import Reconstruction, stored_reconstructions
 from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.truth import Truth, truth_of
@@ -122,7 +122,7 @@ def write_results(
 
     The timing is a running ``Seconds``, or the ``Timing`` of a run that is reported again.
     """
-    scenario, others = builder.scenario, kept_reconstructions(folder.reconstructions)
+    scenario, others = builder.scenario, stored_reconstructions(folder.reconstructions)
     with timing.stage("report") if isinstance(timing, Seconds) else nullcontext():
         data = replace(_report_data(scan, builder, results), others=_others(others.values()))
         pictures = draw_pictures(data)
@@ -131,7 +131,7 @@ def write_results(
     digests = stage_digests(scenario)
     metrics = build_metrics(
         **_of_scan(scan),
-        **found_of(results.volume.extras),
+        **algorithm_results(results.volume.extras),
         image=results.figures,
         seconds=timing.stages,
         real_time_factor=timing.real_time_factor,
@@ -173,7 +173,7 @@ def _of_scan(scan: Scan) -> dict[str, Any]:
         "pose_errors": pose_errors(scan.commanded, scan.executed),
         "clearance_mm": scan.clearance_mm,
         "simulated_seconds": float(scan.simulated_s[-1]),
-        "told_error": pose_errors(scan.commanded, scan.told).summary()
+        "told_error": pose_errors(scan.commanded, scan.nominal).summary()
         if scan.scenario.uncertainty.moves
         else {},
         "tool_speed_mm_s": tool_speeds(scan.executed, scan.simulated_s) if moved else {},

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.cached import forget, once
 from twinct.core.errors import InputError
-from twinct.core.kept import forget, once
 from twinct.evaluation import (
     Edges,
     ImageReference,

@@ -64,7 +64,7 @@ def export_volume(
         ScanExistsError: the folder exists.
         StorageError: the disk is too small or not writable.
     """
-    from twinct.recon.volume_formats import Told
+    from twinct.recon.volume_formats import VolumeFacts
 
     folder = Folder(Path(path))
     file = _file_of(folder, volume)
@@ -84,7 +84,7 @@ def export_volume(
             )
         if water:
             found = found.in_hu(water.water_per_mm, water.air_per_mm)
-        told = Told(
+        told = VolumeFacts(
             note=f"twinct, {scenario.name}, {volume}, {water.in_words if water else '1/mm'}",
             unit="HU" if water else "1/mm",
             scan=scenario.name,

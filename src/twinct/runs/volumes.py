@@ -27,7 +27,7 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.algorithms import algorithms
-from twinct.recon.engine import asked_for
+from twinct.recon.engine import requested_engine
 from twinct.recon.known_components import implant_bytes
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
@@ -40,11 +40,11 @@ from twinct.recon.surroundings import (
     without_surroundings,
 )
 from twinct.recon.volume import Volume
-from twinct.runs.implants import TakenOut, check_implants, implants_taken_out, volumes_of
+from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, without_implants_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
-from twinct.scan import Scan, line_integrals
+from twinct.scan import Scan
 from twinct.scenario import (
     SECTIONS,
     KnownImplants,
@@ -140,12 +140,12 @@ def _solved_by(function: Function, problem: Problem, settings: AlgorithmSettings
 
 
 def _otherwise(scenario: Scenario, name: str | None, settings: dict[str, Any]) -> Scenario:
-    told = scenario.model_dump(mode="json")
-    section = told["reconstruction"]
+    data = scenario.model_dump(mode="json")
+    section = data["reconstruction"]
     if name is not None:
         keys = SECTIONS[name].model_fields if name in SECTIONS else section
         section = {key: section[key] for key in keys if key in section} | {"algorithm": name}
-    return parse_scenario(told | {"reconstruction": section | settings})
+    return parse_scenario(data | {"reconstruction": section | settings})
 
 
 def _reconstruct(
@@ -184,10 +184,9 @@ def _reconstruct(
         return metal.put_back(finished)
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
-    updates = algorithm.updates(section, len(scan))
-    name = f"{algorithm.name}, {which} geometry"
+    updates, name = algorithm.updates(section, len(scan)), f"{algorithm.name}, {which} geometry"
 
-    def told(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
+    def on_iteration(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
         watch(iteration, residual)
         if audience.wants(IterationDone):
             whole = Volume(volume.copy(), grid)
@@ -201,10 +200,11 @@ def _reconstruct(
             line_integrals=integrals,
             transmission=scan.transmission,
             exposures=scan.exposures_rel,
+            photons=scan.photons,
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
-            callback=_Follower(tick, kept, told, done, residuals),
+            callback=_Follower(tick, kept, on_iteration, done, residuals),
         )
         volume = _counted(algorithm.solve(problem, section), section, done)
     return metal.put_back(volume) if metal else volume
@@ -216,15 +216,15 @@ def _corrected(
     algorithm: Algorithm[Any],
     pixels: NDArray[np.bool_] | None,
     audience: Audience,
-) -> tuple[NDArray[np.float32], WithoutMetal | TakenOut | None]:
+) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None]:
     """Return the line integrals as the scenario corrects them, and the metal that is put back."""
     scenario, section = scan.scenario, scan.scenario.reconstruction
-    integrals = line_integrals(scan.transmission)
-    metal: WithoutMetal | TakenOut | None = None
+    integrals = scan.line_integrals()
+    metal: WithoutMetal | WithoutImplants | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
             known = scenario, section.metal, integrals, A, pixels
-            metal = implants_taken_out(*known, lambda _: tick())
+            metal = without_implants_of(*known, lambda _: tick())
         integrals = metal.line_integrals
     else:
         integrals = hardening_corrected(scenario, integrals, A, pixels)
@@ -378,7 +378,7 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
         InputError: an unknown engine, a grid behind a source, no circular scan for ``fdk``, or an
             unusable prior; or too little memory, with the needed and the available amount.
     """
-    asked_for()
+    requested_engine()
     section = scenario.reconstruction
     algorithm, grid = algorithms()[section.algorithm], section.volume_grid
     check_grid(commanded, grid)
@@ -417,7 +417,7 @@ class _Follower:
 
     tick: Callable[[], None]
     kept: _Checkpoints
-    told: Callable[[int, float, NDArray[np.float32]], None]
+    on_iteration: Callable[[int, float, NDArray[np.float32]], None]
     done: int
     residuals: list[float]
     square: float = field(default=0.0, init=False)
@@ -437,7 +437,7 @@ class _Follower:
             return
         self.residuals.append(residual)
         self.kept.keep(number, step.volume, self.residuals)
-        self.told(number, residual, step.volume)
+        self.on_iteration(number, residual, step.volume)
 
 
 @dataclass(frozen=True)

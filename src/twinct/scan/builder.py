@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
+from twinct.core.cached import once
 from twinct.core.errors import InputError
-from twinct.core.kept import once
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
-from twinct.geometry.wire import PosePairs, Target
+from twinct.geometry.wire import PosePairs, Target, targets_of
 from twinct.robots.gantry import Gantry
 from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
 from twinct.specimen import BuiltPart, BuiltSpecimen, build_specimen
@@ -42,13 +43,13 @@ class SimulationBuilder:
 
     Attributes:
         scenario: the scenario.
-        kept_plan: plan that a scan of the scenario already follows; None to compute or read one.
-        kept_specimen: the specimen, if it is already built.
+        given_plan: plan that a scan of the scenario already follows; None to compute or read one.
+        given_specimen: the specimen, if it is already built.
     """
 
     scenario: Scenario
-    kept_plan: MotionPlan | None = None
-    kept_specimen: BuiltSpecimen | None = None
+    given_plan: MotionPlan | None = None
+    given_specimen: BuiltSpecimen | None = None
 
     @classmethod
     def with_specimen(cls, scenario: Scenario, file: Path | None) -> Self:
@@ -58,7 +59,7 @@ class SimulationBuilder:
             InputError: the file does not hold the scenario's specimen.
         """
         built = None if file is None else load_built(scenario.specimen, file)
-        return cls(scenario, kept_specimen=built)
+        return cls(scenario, given_specimen=built)
 
     @cached_property
     def specimen(self) -> BuiltSpecimen:
@@ -67,8 +68,8 @@ class SimulationBuilder:
         Raises:
             InputError: the specimen is unknown.
         """
-        if self.kept_specimen:
-            return self.kept_specimen
+        if self.given_specimen:
+            return self.given_specimen
         if self.scenario.specimen.unknown:
             raise InputError(
                 "specimen.unknown: of a measured scan nothing can be simulated, and there is no "
@@ -80,15 +81,17 @@ class SimulationBuilder:
         return once("specimen", digest, lambda: build_specimen(section))
 
     @cached_property
-    def asked(self) -> ScanGeometry:
+    def requested(self) -> ScanGeometry:
         """Views that the trajectory requests, in its order."""
         return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+
+    asked = old_attribute("asked", "requested")
 
     @cached_property
     def commanded(self) -> ScanGeometry:
         """Commanded geometry, with the plan's choices if it has any."""
         if not self.plan_chooses:
-            return self.asked
+            return self.requested
         return self.commanded_poses.geometry(self.scenario.detector.panel)
 
     @cached_property
@@ -98,7 +101,7 @@ class SimulationBuilder:
         if mas is None or not self.plan_chooses:
             return mas
         # If the plan chose the order, positions identify the views.
-        places = _places(PosePairs.from_geometry(self.asked).targets())
+        places = _places(targets_of(self.requested))
         order: list[int] = []
         for place in _places(self.targets):
             far = np.abs(places - place).max(axis=1)
@@ -131,7 +134,7 @@ class SimulationBuilder:
         """Commanded poses of the two end-effectors."""
         plan = self.plan if self.plan_chooses else None
         if plan is None:
-            return PosePairs.from_geometry(self.asked)
+            return PosePairs.from_geometry(self.requested)
         targets = plan.targets
         return PosePairs(tuple(t.source for t in targets), tuple(t.detector for t in targets))
 
@@ -139,7 +142,7 @@ class SimulationBuilder:
     def targets(self) -> list[Target]:
         """Commanded poses of each view, in wire form."""
         plan = self.plan if self.plan_chooses else None
-        return self.commanded_poses.targets() if plan is None else list(plan.targets)
+        return targets_of(self.requested) if plan is None else list(plan.targets)
 
     @cached_property
     def cell(self) -> CellModel:
@@ -199,7 +202,7 @@ class SimulationBuilder:
         """
         from twinct.robots.cell import cell_urdf
 
-        source, detector = PosePairs.from_geometry(self.asked)[0]
+        source, detector = PosePairs.from_geometry(self.requested)[0]
         to_source = detector.inverse().apply(source.position)
         optical = Pose.from_matrix(to_source, np.diag([1.0, -1.0, -1.0]))
         return cell_urdf(self.cell if meshes is None else self.room, optical, meshes)
@@ -248,15 +251,17 @@ class SimulationBuilder:
             InputError: the plan's file is invalid.
             TrajectoryError: views are out of reach, or would collide.
         """
-        if self.kept_plan or isinstance(self.scenario.cell, GantryCell):
-            return self.kept_plan
-        from twinct.robots.motion import Asked, checked_plan, load_plan, plan_motion
+        if self.given_plan or isinstance(self.scenario.cell, GantryCell):
+            return self.given_plan
+        from twinct.robots.motion import RequestedViews, checked_plan, load_plan, plan_motion
 
         scenario = self.scenario
-        targets = PosePairs.from_geometry(self.asked).targets()
+        targets = targets_of(self.requested)
         if file := scenario.motion.plan:
-            asked = Asked(targets, self.roll_free, scenario.motion.order != "given", self.shutter)
-            return checked_plan(load_plan(file), self.cell, scenario.motion, asked, str(file))
+            requested = RequestedViews(
+                targets, self.roll_free, scenario.motion.order != "given", self.shutter
+            )
+            return checked_plan(load_plan(file), self.cell, scenario.motion, requested, str(file))
         return plan_motion(
             self.cell, scenario.motion, targets, roll_free=self.roll_free, shutter=self.shutter
         )

@@ -89,7 +89,7 @@ def unknown_files(path: Path) -> list[str]:
     return sorted(file for file in files if file not in known and not expected(file))
 
 
-def make_way(path: Path, found: Iterable[Damage]) -> None:
+def clear_paths(path: Path, found: Iterable[Damage]) -> None:
     """Remove links and other irregular files from paths that will be rewritten.
 
     Raises:
@@ -112,8 +112,8 @@ def make_way(path: Path, found: Iterable[Damage]) -> None:
 
 def _number_of_views(path: Path) -> int:
     try:
-        told = read_json(path / "status" / "zarr.json")
-        return int(told["shape"][0])
+        data = read_json(path / "status" / "zarr.json")
+        return int(data["shape"][0])
     except (OSError, ValueError, TypeError, LookupError, OverflowError):
         return 0
 
@@ -131,13 +131,13 @@ def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
     found: dict[str, tuple[int, int | None]] = {}
     for file in path.rglob("zarr.json"):
         try:
-            told = read_json(file)
-            encoding = told.get("chunk_key_encoding", {}).get("configuration", {})
+            data = read_json(file)
+            encoding = data.get("chunk_key_encoding", {}).get("configuration", {})
             if encoding.get("separator") == ".":
-                shape, plain = told["shape"][1:], len(told["codecs"]) == 1
+                shape, plain = data["shape"][1:], len(data["codecs"]) == 1
                 if len(shape) > MOST_DIMENSIONS:
                     raise ValueError
-                size = math.prod(shape) * np.dtype(told["data_type"]).itemsize
+                size = math.prod(shape) * np.dtype(data["data_type"]).itemsize
                 name = str(file.parent.relative_to(path))
                 found[name] = len(shape), size if plain else None
         except (OSError, ValueError, TypeError, LookupError, AttributeError):

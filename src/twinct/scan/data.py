@@ -15,9 +15,11 @@ from twinct.core.errors import InputError
 from twinct.core.extras import optional
 from twinct.core.files.pictures import show
 from twinct.core.foreign_text import quoted
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
-from twinct.scan.encoder_model import evidence_of, seen_from
+from twinct.recon.few_photons import integrals_of_photons
+from twinct.scan.encoder_model import nominal_poses, relative_to_specimen
 from twinct.scan.integrals import line_integrals
 from twinct.scan.named_geometries import OWN, RELATIVE, NamedGeometry, poses_digest
 from twinct.scenario import Scenario, Uncertainty
@@ -26,6 +28,7 @@ from twinct.uncertainty import reported_poses
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
     from twinct.xray.chain import ViewImages
+    from twinct.xray.photons import FreePhotons
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,18 +129,17 @@ class Scan:
     @cached_property
     def reported(self) -> NamedGeometry:
         """Believed poses, with their model and settings."""
-        return reported(self.scenario, self.joint_names, self.joints, self.executed, self.commanded)
+        return reported(self.scenario, self.joints, self.executed, self.commanded)
 
     @cached_property
-    def told(self) -> PosePairs:
+    def nominal(self) -> PosePairs:
         """Source and panel poses that the controllers compute from encoders and nominal model.
 
         Equal to ``executed`` if the controllers' model has no errors.
         """
-        found = evidence_of(
-            self.scenario, self.commanded, self.executed, self.joint_names, self.joints
-        )
-        return found.told
+        return nominal_poses(self.scenario, self.commanded, self.executed, self.joints)
+
+    told = old_attribute("told", "nominal")
 
     @property
     def stands(self) -> Pose:
@@ -151,7 +153,7 @@ class Scan:
         """Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
         if not any(self.scenario.uncertainty.patient.sizes):
             return self.executed
-        return seen_from(self.stands, self.executed_object, self.executed)
+        return relative_to_specimen(self.stands, self.executed_object, self.executed)
 
     @property
     def middle_s(self) -> NDArray[np.float64]:
@@ -247,8 +249,36 @@ class Scan:
         return self.poses(which).geometry(self.scenario.detector.panel)
 
     def line_integrals(self) -> NDArray[np.float32]:
-        """Return -ln(I/I0) of all images, (views, rows, columns), float32."""
-        return line_integrals(self.transmission)
+        """Return -ln(I/I0) of all images, (views, rows, columns), float32.
+
+        If the scenario states the noise, few photons do not bias it (``integrals_of_photons``).
+        """
+        if (photons := self._photons) is None:
+            return line_integrals(self.transmission)
+        return integrals_of_photons(self.transmission, photons.single * self._loads)
+
+    @property
+    def photons(self) -> NDArray[np.float64] | None:
+        """Photons of a pixel in the free beam, by view, (views,); None if no noise is stated.
+
+        It is the number of equal photons that has the noise of many pixels together.
+        """
+        return None if self._photons is None else self._photons.number * self._loads
+
+    @property
+    def _loads(self) -> NDArray[np.float64]:
+        return np.ones(len(self)) if self.exposures_rel is None else self.exposures_rel
+
+    @cached_property
+    def _photons(self) -> FreePhotons | None:
+        from twinct.xray.photons import free_photons  # loads the X-ray chain
+
+        detector = self.scenario.detector
+        if detector.noise is None or self.scenario.specimen.unknown:
+            return None
+        return free_photons(
+            self.scenario.source, detector, self.commanded.geometry(detector.panel)[:1]
+        )
 
     def to_xarray(self, which: str = "believed") -> Any:
         """Return a labelled view of the scan, an ``xarray.Dataset`` that shares the images' memory.
@@ -357,26 +387,25 @@ def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:
 
 def reported(
     scenario: Scenario,
-    joint_names: tuple[str, ...],
     joints: NDArray[np.float64],
     executed: PosePairs,
     commanded: PosePairs,
     name: str = "believed",
 ) -> NamedGeometry:
     """Return the poses that the robots report, given the scenario's uncertainty."""
-    evidence = evidence_of(scenario, commanded, executed, joint_names, joints)
+    nominal = nominal_poses(scenario, commanded, executed, joints)
     uncertainty, seed = scenario.uncertainty, scenario.believed_seed
     model = "nominal kinematics" if uncertainty.moves else "repeatability"
     model = "calibrated kinematics" if uncertainty.calibration else model
-    made_by = {"model": model, **_told_of(uncertainty), "seed": seed}
+    made_by = {"model": model, **_noise_settings(uncertainty), "seed": seed}
     made_by["executed"] = poses_digest(executed)
-    return NamedGeometry(name, reported_poses(evidence, uncertainty, seed), made_by)
+    return NamedGeometry(name, reported_poses(nominal, uncertainty, seed), made_by)
 
 
-def _told_of(uncertainty: Uncertainty) -> dict[str, Any]:
+def _noise_settings(uncertainty: Uncertainty) -> dict[str, Any]:
     """Return the settings behind the reported poses, without newer keys at their default."""
-    told = uncertainty.model_dump(mode="json", exclude_defaults=True)
+    data = uncertainty.model_dump(mode="json", exclude_defaults=True)
     for side in ("source", "detector"):
         always = getattr(uncertainty, side).model_dump(include={"sigma_mm", "cutoff_mm"})
-        told[side] = always | told.get(side, {})
-    return told
+        data[side] = always | data.get(side, {})
+    return data

@@ -10,21 +10,15 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.robots.calibrated_arms import CalibratedArms
 from twinct.scenario import Cell, Scenario
-from twinct.uncertainty import Evidence
 
 
-def evidence_of(
-    scenario: Scenario,
-    commanded: PosePairs,
-    executed: PosePairs,
-    joint_names: tuple[str, ...],
-    joints: NDArray[np.float64],
-) -> Evidence:
-    """Return the encoder readings of the views, and the nominal model's poses for them.
+def nominal_poses(
+    scenario: Scenario, commanded: PosePairs, executed: PosePairs, joints: NDArray[np.float64]
+) -> PosePairs:
+    """Return the poses that the controllers compute from the encoder readings of the views.
 
-    With ``uncertainty.calibration``, return the poses of the calibrated arms instead.
+    Their model of the arms is the nominal one, or that of ``uncertainty.calibration``.
 
     Raises:
         InputError: the file of calibrated arms is invalid, or belongs to another cell.
@@ -33,13 +27,11 @@ def evidence_of(
     """
     section = scenario.uncertainty
     if not section.moves and not section.encoder_step_deg and not section.calibration:
-        return Evidence(scenario.cell, joint_names, joints, executed)
+        return executed
     if not isinstance(scenario.cell, Cell):
         taken = slice(len(executed))
-        told = PosePairs(commanded.source[taken], commanded.detector[taken])
-        return Evidence(scenario.cell, joint_names, joints, told)
-    joints = encoders_of(scenario, joints)
-    return Evidence(scenario.cell, joint_names, joints, poses_of_joints(scenario, joints))
+        return PosePairs(commanded.source[taken], commanded.detector[taken])
+    return poses_of_joints(scenario, encoders_of(scenario, joints))
 
 
 def poses_of_joints(scenario: Scenario, joints: Floats) -> PosePairs:
@@ -68,6 +60,8 @@ def poses_of_joints(scenario: Scenario, joints: Floats) -> PosePairs:
             f"its detector arm {counts[1]}"
         )
     if calibration := scenario.uncertainty.calibration:
+        from twinct.robots.calibrated_arms import CalibratedArms
+
         return CalibratedArms.read(calibration, chains).poses(joints)
     source, detector = np.split(joints, counts[:1], axis=1)
     sides = (
@@ -83,7 +77,7 @@ def encoders_of(scenario: Scenario, joints: Floats) -> Floats:
     return step * np.round(joints / step) if step else joints
 
 
-def seen_from(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:
+def relative_to_specimen(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:
     """Return source and panel poses relative to a moving specimen, as if it had stayed in place.
 
     Args:

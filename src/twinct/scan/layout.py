@@ -23,7 +23,7 @@ FORMAT = 4
 READABLE = (1, 2, 3, FORMAT)
 
 
-def kept_digests(scenario: Scenario) -> dict[str, str]:
+def image_digests(scenario: Scenario) -> dict[str, str]:
     """Return the digests of the stages that a store's images depend on."""
     return {"images": stage_digests(scenario)["images"]}
 
@@ -80,7 +80,7 @@ def _attributes(
     panel = scenario.detector.panel
     return {
         "format": FORMAT,
-        "digests": digests or kept_digests(scenario),
+        "digests": digests or image_digests(scenario),
         "scenario": scenario.resolved(),
         "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
         "joint_names": list(joint_names),

@@ -56,8 +56,8 @@ class Damage:
 
 def damaged(path: Path, *found: Damage) -> DamagedError:
     """Return the error that reports damage in a store."""
-    told = [f"{path}: {damage}" for damage in found]
-    return DamagedError([*told[:-1], f"{told[-1]}; {ADVICE}"], found)
+    lines = [f"{path}: {damage}" for damage in found]
+    return DamagedError([*lines[:-1], f"{lines[-1]}; {ADVICE}"], found)
 
 
 def lost(path: Path, file: str, view: int | None) -> Damage | None:

@@ -63,25 +63,25 @@ def readable(path: Path, what: str) -> Generator[None]:
         raise InputError(f"{path}: {what} cannot be read: {error.strerror}") from error
 
 
-def check_attributes(path: Path, told: Any) -> None:
+def check_attributes(path: Path, data: Any) -> None:
     """Check the attributes of a store whose format is known.
 
     Raises:
         InputError: attributes are missing or have the wrong type; one sentence for each.
     """
     wanted: dict[str, Any] = {"scenario": str, "joint_names": list}
-    wanted |= {"digest": str} if told["format"] == 1 else {"digests": dict}
+    wanted |= {"digest": str} if data["format"] == 1 else {"digests": dict}
     problems = [
-        f"{path}/zarr.json: attributes.{key}: {_kind(told.get(key))}, expected {_NAMES[kind]}"
+        f"{path}/zarr.json: attributes.{key}: {_kind(data.get(key))}, expected {_NAMES[kind]}"
         for key, kind in wanted.items()
-        if not isinstance(told.get(key), kind)
+        if not isinstance(data.get(key), kind)
     ]
     if not problems:
-        texts: list[Any] = [*told["joint_names"], *(told.get("digests") or {}).values()]
+        texts: list[Any] = [*data["joint_names"], *(data.get("digests") or {}).values()]
         if not all(isinstance(text, str) for text in texts):
             problems.append(f"{path}/zarr.json: attributes: names and digests must be strings")
         try:
-            if not isinstance(json_of(told["scenario"]), dict):
+            if not isinstance(json_of(data["scenario"]), dict):
                 raise ValueError("it does not map keys to values")
         except ValueError as error:
             problems.append(f"{path}/zarr.json: attributes.scenario: not a JSON mapping: {error}")

@@ -49,8 +49,8 @@ class NamedGeometry:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the poses and ``made_by``, in hexadecimal."""
-        told = {"made_by": self.made_by, **self._numbers()}
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        data = {"made_by": self.made_by, **self._numbers()}
+        return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
     def _numbers(self) -> dict[str, list[list[float]]]:
         return {side: _rows(getattr(self.poses, side)) for side in ("source", "detector")}
@@ -61,11 +61,11 @@ class NamedGeometry:
         Raises:
             StorageError: the file cannot be written.
         """
-        told = {"format": FORMAT, "made_by": self.made_by, "digest": self.digest}
+        data = {"format": FORMAT, "made_by": self.made_by, "digest": self.digest}
         with storage_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             path = folder / f"{self.name}.json"
-            write_text(path, json.dumps(told | self._numbers(), indent=1) + "\n")
+            write_text(path, json.dumps(data | self._numbers(), indent=1) + "\n")
         return path
 
     @classmethod
@@ -76,18 +76,18 @@ class NamedGeometry:
             InputError: the file has another format, or is damaged.
         """
         try:
-            told = read_json(path)
-            if told["format"] != FORMAT:
+            data = read_json(path)
+            if data["format"] != FORMAT:
                 raise ValueError(
-                    f"its format is {quoted(told['format'])}; this twinct reads {FORMAT!r}"
+                    f"its format is {quoted(data['format'])}; this twinct reads {FORMAT!r}"
                 )
-            sides = [_poses(told[side]) for side in ("source", "detector")]
+            sides = [_poses(data[side]) for side in ("source", "detector")]
             if len(sides[0]) != len(sides[1]):
                 raise ValueError("source and detector differ in their number of views")
-            found = cls(checked_name(path.stem), PosePairs(*sides), dict(told["made_by"]))
+            found = cls(checked_name(path.stem), PosePairs(*sides), dict(data["made_by"]))
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f"{path}: not a geometry file: {error}") from None
-        if found.digest != told["digest"]:
+        if found.digest != data["digest"]:
             raise InputError(f"{path}: the geometry does not match its digest")
         return found
 

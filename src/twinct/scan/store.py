@@ -22,9 +22,9 @@ from twinct.core.foreign_text import quoted
 from twinct.core.interruption import postponed
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs
-from twinct.scan.damage import frame_damage, make_way, view_damage
+from twinct.scan.damage import clear_paths, frame_damage, view_damage
 from twinct.scan.data import Scan, View, bad_pixels_of, reported
-from twinct.scan.layout import FORMAT, READABLE, columns_of, kept_digests, write_frame
+from twinct.scan.layout import FORMAT, READABLE, columns_of, image_digests, write_frame
 from twinct.scan.manifest import (
     FOLDER,
     FRAME_FILE,
@@ -165,7 +165,7 @@ class ScanStore:
         if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in found}:
             told = "no view fits the metadata, which are damaged and cannot be reconstructed"
             raise DamagedError([f"{path}: {told}; nothing has been changed"], found)
-        make_way(path, found)
+        clear_paths(path, found)
         for damage in found:
             log.warning("%s: %s; its view will be taken again", path, damage)
         with storage_errors(path):
@@ -180,7 +180,7 @@ class ScanStore:
         Raises:
             ScanExistsError: the store holds the scan of another scenario.
         """
-        own, other = self.digests, kept_digests(scenario)
+        own, other = self.digests, image_digests(scenario)
         differ = [
             f"{name}: {own.get(name, 'none')[:12]} there, {digest[:12]} here"
             for name, digest in other.items()
@@ -267,7 +267,7 @@ class ScanStore:
         poses and their digest.
         """
         if self._format == 1:
-            return kept_digests(self.scenario)
+            return image_digests(self.scenario)
         return cast("dict[str, str]", self._group.attrs["digests"])
 
     @property
@@ -297,13 +297,13 @@ class ScanStore:
             group = self._group["plan"]
             if not isinstance(group, zarr.Group):
                 raise InputError(f"{self.path}/plan: found an array, expected a group")
-            told = dict(group.arrays())
-            if (total := sum(array.nbytes for array in told.values())) > LARGEST_PLAN_BYTES:
+            data = dict(group.arrays())
+            if (total := sum(array.nbytes for array in data.values())) > LARGEST_PLAN_BYTES:
                 raise InputError(
                     f"{self.path}/plan: its arrays claim {total:.3g} bytes; at most "
                     f"{LARGEST_PLAN_BYTES:.3g} are read"
                 )
-            arrays = {name: np.asarray(array[:]) for name, array in told.items()}
+            arrays = {name: np.asarray(array[:]) for name, array in data.items()}
             return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
 
     @property
@@ -341,7 +341,7 @@ class ScanStore:
         return self._read("transmission", view)
 
     @cached_property
-    def kept(self) -> tuple[str, ...]:
+    def stored_frames(self) -> tuple[str, ...]:
         """Names that ``frame`` accepts: the stored ones of ``raw``, ``flat`` and ``dark``."""
         return tuple(name for name in FRAMES if self._has(name))
 
@@ -351,8 +351,8 @@ class ScanStore:
         Raises:
             InputError: the scan does not store such images.
         """
-        if name not in self.kept:
-            there = ", ".join(self.kept) or "transmission only"
+        if name not in self.stored_frames:
+            there = ", ".join(self.stored_frames) or "transmission only"
             raise InputError(
                 f"{self.path} keeps {there} and no {quoted(name)} images; request them with "
                 "detector.keep"
@@ -370,7 +370,7 @@ class ScanStore:
         columns = columns_of(view)
         if self._format < 3:  # begun by an older twinct, which did not store them
             del columns["joint_velocity"], columns["joint_torque"]
-        kept = {name: getattr(view.frames, name) for name in self.kept}
+        kept = {name: getattr(view.frames, name) for name in self.stored_frames}
         images = {"transmission": view.transmission, **kept}
         for name, values in {**images, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
@@ -461,7 +461,7 @@ class ScanStore:
         """Believed poses of the views on disk, with the model and settings behind them."""
         joints = self._read("joints", slice(self.acquired))
         executed, commanded = self.poses("executed"), self.poses("commanded")
-        return reported(self.scenario, self.joint_names, joints, executed, commanded)
+        return reported(self.scenario, joints, executed, commanded)
 
     def _poses(self, name: str, views: slice) -> tuple[Pose, ...]:
         with readable(self.path, name):

@@ -9,11 +9,14 @@ from typing import Annotated, Any, Literal, cast
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
+from twinct.core.arm_files import BUILT_IN, ArmFile
+from twinct.core.extensions import offers
 from twinct.core.foreign_text import quoted
 from twinct.core.settings import (
     Conflict,
     ConflictError,
     Coordinate,
+    FileOf,
     Finite,
     Length,
     Lengths,
@@ -33,8 +36,14 @@ from twinct.scenario.room_objects import (
     require_unique_names,
 )
 
-ARMS = ("ur10e", "lbr_iiwa14")
-"""Built-in arms."""
+ARMS = offers("twinct.arms", ArmFile, BUILT_IN)
+"""Arms by name, the built-in ones first."""
+
+
+def _offered_file(model: str | None) -> Path | None:
+    """Return the file of an arm of another package."""
+    offered = None if model is None or model in BUILT_IN else ARMS.get(model)
+    return offered and offered.file
 
 
 _OF_FILE = ("base", "flange", "link_density_kg_m3")
@@ -78,11 +87,11 @@ class Rail(Section):
 class Arm(Section):
     """One arm and its tool."""
 
-    model: Annotated[str | None, ReadBy("plan")] = Field(
+    model: Annotated[str | None, ReadBy("plan"), FileOf(_offered_file)] = Field(
         default="ur10e",
-        description="Model of the arm: ur10e, lbr_iiwa14, or menagerie:NAME.",
+        description=f"Model of the arm: {', '.join(ARMS)}, or menagerie:NAME.",
         json_schema_extra=facts(source="manufacturers' data sheets: docs/arms.md")
-        | {"pattern": r"^(ur10e|lbr_iiwa14|menagerie:[A-Za-z0-9_]+)$"},
+        | {"pattern": rf"^({'|'.join(map(re.escape, ARMS))}|menagerie:[A-Za-z0-9_]+)$"},
     )
     file: Annotated[Path | None, ReadBy("plan")] = Field(
         default=None,
@@ -161,6 +170,8 @@ class Arm(Section):
         menagerie, colon, name = model.partition(":")
         if model in ARMS or (menagerie == "menagerie" and re.fullmatch(r"\w+", name)):
             return model
+        if model in ARMS.broken:
+            raise ValueError(ARMS.broken[model])
         near = difflib.get_close_matches(model, ARMS, n=1)
         hint = f"; did you mean {near[0]!r}?" if near and not colon else ""
         raise ValueError(

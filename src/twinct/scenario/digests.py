@@ -20,7 +20,7 @@ from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from twinct.core.errors import ScenarioError
-from twinct.core.settings import FILE_KEYS, Section, read_by
+from twinct.core.settings import FileOf, Section, is_file, read_by
 from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
@@ -46,14 +46,11 @@ STAGES: dict[StageName, _Stage] = {
     "volume": _Stage(1, on=("images", "believed")),
 }
 
-COUNT_FOR_NONE = (
-    *("name", "description", "specimen.parts.name", "evaluation", "uncertainty.preset"),
-    *("task", "cell.objects.name", "cell.objects.colour"),
-)
-"""Keys and sections that affect neither scan nor truth nor volume."""
-
 OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
+
+_SINCE_PHOTONS = 2
+"""Version of volumes from scans with noise: its photons, or air, count since then."""
 
 _BEFORE: dict[str, object] = {
     "motion.scheme": "reactive",
@@ -78,8 +75,10 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     found: dict[StageName, str] = {}
     for name, stage in STAGES.items():
         on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
-        told = _told(scenario, "", frozenset(), partial(_reads, scenario, name), content)
-        text = json.dumps([name, stage.version, on, told, _seed(scenario, name)], sort_keys=True)
+        told = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
+        text = json.dumps(
+            [name, _version(scenario, name), on, told, _seed(scenario, name)], sort_keys=True
+        )
         found[name] = hashlib.sha256(text.encode()).hexdigest()
     return found
 
@@ -134,13 +133,25 @@ def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
     return (stage, base) != ("volume", "believed") or base in scenario.reconstruction.geometries
 
 
+def _version(scenario: Scenario, stage: StageName) -> int:
+    """Return the version of a stage; it is the former one where the results are."""
+    if stage == "volume" and (_has_noise(scenario) or scenario.specimen.unknown):
+        return _SINCE_PHOTONS
+    return STAGES[stage].version
+
+
+def _has_noise(scenario: Scenario) -> bool:
+    detector = scenario.detector
+    electronic = detector.readout is not None and detector.readout.electronic_noise > 0
+    return detector.noise is not None or electronic
+
+
 def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     """Return the seed that a stage draws from; None if it draws nothing."""
     detector, noise, section = scenario.detector, scenario.uncertainty, scenario.reconstruction
     if stage == "images":
-        electronic = detector.readout is not None and detector.readout.electronic_noise > 0
         bad_pixels = isinstance(detector.bad_pixels, RandomBadPixels)
-        return scenario.seed if detector.noise or electronic or bad_pixels else None
+        return scenario.seed if _has_noise(scenario) or bad_pixels else None
     if stage == "executed":
         return (scenario.arms_seed, scenario.seed) if noise.moves else None
     if stage == "believed":
@@ -155,7 +166,7 @@ def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     return None
 
 
-def _told(
+def _read_keys(
     section: Section,
     key: str,
     readers: frozenset[str],
@@ -166,7 +177,7 @@ def _told(
 
     The kind of a section is always included.
     """
-    told: dict[str, Any] = {}
+    data: dict[str, Any] = {}
     for name, info in type(section).model_fields.items():
         value = getattr(section, name)
         inner, stages = f"{key}.{name}" if key else name, readers | read_by(info)
@@ -175,17 +186,20 @@ def _told(
         if name not in ("kind", "algorithm") and at_default:
             continue
         if sections := sections_in(value):
-            parts = [_told(item, inner, stages, reads, content) for item in sections]
+            parts = [_read_keys(item, inner, stages, reads, content) for item in sections]
             if reads(inner, stages) or any(parts):
-                told[name] = parts
+                data[name] = parts
         elif isinstance(value, Section):
-            part = _told(value, inner, stages, reads, content)
+            part = _read_keys(value, inner, stages, reads, content)
             if part or reads(inner, stages) and not isinstance(info.default, Section):
-                told[name] = part
+                data[name] = part
         elif reads(inner, stages):
-            is_file = name in FILE_KEYS and value is not None
-            told[name] = content(Path(str(value)), name) if is_file else to_jsonable_python(value)
-    return told
+            file = is_file(info) and value is not None
+            data[name] = content(Path(str(value)), name) if file else to_jsonable_python(value)
+            for mark in info.metadata:
+                if isinstance(mark, FileOf) and (behind := mark.find(value)) is not None:
+                    data[name] = [data[name], content(behind, "file")]
+    return data
 
 
 def content_digest(path: Path, key: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,20 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
-    create_model,
     model_serializer,
     model_validator,
 )
 
 from twinct.core.foreign_text import quoted
-from twinct.core.settings import Conflict, Length, NonNegative, Section, Vector, setting
+from twinct.core.settings import Conflict, Length, NonNegative, Section, Vector, extended, setting
 from twinct.evaluation.figure_kind import FigureSettings
 from twinct.evaluation.figure_kinds import BUILT_IN, figure_kinds
 from twinct.evaluation.kinds.regions import REGIONS, NamedRegion
 from twinct.geometry import Pose
 from twinct.scenario.specimen import Box, Cylinder, Specimen, Sphere
-
-log = logging.getLogger(__name__)
 
 
 class Shell(Section):
@@ -137,29 +133,20 @@ class EvaluationSection(Section):
         return {name: told for name, told in plain(self).items() if told or name in BUILT_IN}
 
 
-def _with_kinds() -> tuple[type[EvaluationSection], dict[str, str]]:
-    """Return the section with the keys of all kinds, and the problem of each unusable kind."""
-    section, broken = EvaluationSection, dict(figure_kinds().broken)
-    about: Any = {"__module__": __name__, "__doc__": section.__doc__}
-    for name, kind in figure_kinds().items():
-        if name in EvaluationSection.model_fields:
-            continue
-        try:
-            if hasattr(EvaluationSection, name):
-                raise ValueError("this name is reserved")
-            entries: Any = (tuple[kind.settings, ...], setting((), kind.description))
-            section = create_model("Evaluation", __base__=section, **{name: entries}, **about)
-        except Exception as error:  # settings may come from any package
-            broken[name] = f"the settings of {quoted(name)} cannot be used: {error}"
-            log.warning(broken[name])
-    return section, broken
-
-
 if TYPE_CHECKING:
     BROKEN_KINDS: dict[str, str] = {}
     Evaluation = EvaluationSection
 else:
-    Evaluation, BROKEN_KINDS = _with_kinds()
+    Evaluation, _BROKEN = extended(
+        EvaluationSection,
+        "Evaluation",
+        {
+            name: lambda kind=kind: (tuple[kind.settings, ...], setting((), kind.description))
+            for name, kind in figure_kinds().items()
+            if name not in EvaluationSection.model_fields
+        },
+    )
+    BROKEN_KINDS = {**figure_kinds().broken, **_BROKEN}
 
 
 def _conflict(key: str, message: str) -> Conflict:

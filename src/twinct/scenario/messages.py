@@ -18,6 +18,7 @@ from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
 from twinct.scenario.specimen import PART_KINDS
 from twinct.scenario.task import BROKEN_OBJECTIVES
+from twinct.scenario.uncertainty import BROKEN_TERMS
 from twinct.scenario.version_0_1 import advice
 from twinct.trajectory.families import families
 
@@ -27,6 +28,7 @@ _BROKEN: dict[Key, dict[str, str]] = {
     ("specimen", "parts"): PART_KINDS.broken,
     ("task",): BROKEN_OBJECTIVES,
     ("evaluation",): BROKEN_KINDS,
+    ("uncertainty",): BROKEN_TERMS,
 }
 """Reasons why extensions cannot be used, by their names, at the keys that name or have them."""
 
@@ -161,11 +163,11 @@ def _unknown_key(key: Key, model: type[BaseModel] | None, others: list[type[Base
     return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
 
 
-def _unknown_kind(told: Any, key: Key) -> str:
-    if "tag" not in told:
-        by = told["discriminator"]
+def _unknown_kind(data: Any, key: Key) -> str:
+    if "tag" not in data:
+        by = data["discriminator"]
         return f"this section needs the key {'method' if 'method' in by else 'kind'!r}"
-    given, allowed = told["tag"], told["expected_tags"]
+    given, allowed = data["tag"], data["expected_tags"]
     if given in (broken := _BROKEN.get(key, {})):
         return broken[given]
     hint = _nearest(given, allowed.replace("'", "").split(", "), 0.6)

@@ -56,9 +56,9 @@ class Implant(Section):
 
     def described_by(self, part: Part | None) -> Part:
         """Return shape, material and believed pose as one part; ``part`` fills the gaps."""
-        told = {name: value for name, value in dict(self).items() if name != "part"}
-        told = {name: value for name, value in told.items() if value is not None}
-        return part.model_copy(update=told) if part else Part(name=self.part, **told)
+        data = {name: value for name, value in dict(self).items() if name != "part"}
+        data = {name: value for name, value in data.items() if value is not None}
+        return part.model_copy(update=data) if part else Part(name=self.part, **data)
 
 
 class KnownImplants(Section):

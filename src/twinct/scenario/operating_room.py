@@ -65,8 +65,8 @@ def _shape(
     turned: Triple = (0, 0, 0),
     **more: Any,
 ) -> RoomObject:
-    told = {"name": name, "shape": shape, "position_mm": at, "rotation_deg": turned}
-    return RoomObject.model_validate({**told, "colour": colour, **more})
+    data = {"name": name, "shape": shape, "position_mm": at, "rotation_deg": turned}
+    return RoomObject.model_validate({**data, "colour": colour, **more})
 
 
 def _box(name: str, size: Triple, at: Triple, colour: str, **more: Any) -> RoomObject:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 
 from pydantic import Field, model_validator
 
-from twinct.core.settings import FILE_KEYS, Conflict, ConflictError, ReadBy, Section, setting
+from twinct.core.settings import Conflict, ConflictError, ReadBy, Section, is_file, setting
 from twinct.scenario.breathing import motion_conflicts
 from twinct.scenario.cell import AnyCell, Cell, GantryCell
 from twinct.scenario.detector import Detector
@@ -235,13 +235,13 @@ class Scenario(Section):
 
 
 def _files(section: Section, key: str) -> Iterator[tuple[str, Path]]:
-    for name in type(section).model_fields:
+    for name, info in type(section).model_fields.items():
         value, inner = getattr(section, name), f"{key}.{name}" if key else name
         for index, item in enumerate(sections_in(value)):
             yield from _files(item, f"{inner}.{index}")
         if isinstance(value, Section):
             yield from _files(value, inner)
-        elif name in FILE_KEYS and value is not None:
+        elif is_file(info) and value is not None:
             yield inner, Path(value)
 
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
-from pydantic import model_validator
+from pydantic import (
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
+from twinct.core.error_terms import ErrorSettings, ErrorTerm, size
+from twinct.core.extensions import offers
 from twinct.core.settings import (
     Conflict,
     ConflictError,
@@ -17,6 +25,7 @@ from twinct.core.settings import (
     Positive,
     Section,
     Vector,
+    extended,
     setting,
 )
 
@@ -53,46 +62,43 @@ class PoseNoise(Section):
         return self
 
 
-class ArmErrors(Section):
+class ArmErrors(ErrorSettings):
     """Differences between the arms and their controllers' models, drawn once per scan and arm.
 
     Spreads are standard deviations for each joint and axis. The controller uses its nominal model
     and the encoders. So do the plan, its clearance and the trigger.
     """
 
-    joint_offset_deg: NonNegative = setting(0.0, "Error of each joint's zero.")
-    link_mm: NonNegative = setting(
-        0.0,
+    joint_offset_deg: NonNegative = size("Error of each joint's zero.")
+    link_mm: NonNegative = size(
         "Error of each joint's position on the previous link, along each axis: lengths and "
         "offsets.",
     )
-    link_deg: NonNegative = setting(
-        0.0, "Tilt of each joint's axis about the two axes perpendicular to it."
+    link_deg: NonNegative = size(
+        "Tilt of each joint's axis about the two axes perpendicular to it."
     )
-    base_mm: NonNegative = setting(
-        0.0, "Error of the base position along each axis: registration of the arm."
+    base_mm: NonNegative = size(
+        "Error of the base position along each axis: registration of the arm."
     )
-    base_deg: NonNegative = setting(0.0, "Error of the base rotation about each axis.")
-    tool_mm: NonNegative = setting(
-        0.0, "Error of focal spot and panel on their flange, along each axis: hand-eye calibration."
+    base_deg: NonNegative = size("Error of the base rotation about each axis.")
+    tool_mm: NonNegative = size(
+        "Error of focal spot and panel on their flange, along each axis: hand-eye calibration."
     )
-    tool_deg: NonNegative = setting(
-        0.0, "Rotation error of source and panel on their flange, about each axis."
+    tool_deg: NonNegative = size(
+        "Rotation error of source and panel on their flange, about each axis."
     )
-    windup_deg: NonNegative = setting(
-        0.0,
+    windup_deg: NonNegative = size(
         "Deflection of each joint at its published torque limit, behind the encoder; the weight "
         "of links and tool deflects it in proportion.",
     )
     windup_spread: float = setting(
         0.0, "Spread of the deflection from joint to joint, as a share of windup_deg.", ge=0, le=0.3
     )
-    gear_deg: NonNegative = setting(
-        0.0, "Amplitude of each joint's gear error, a sine of the joint angle with a random phase."
+    gear_deg: NonNegative = size(
+        "Amplitude of each joint's gear error, a sine of the joint angle with a random phase."
     )
     gear_periods: int = setting(1, "Periods of that sine per turn of the joint.", ge=1)
-    drift_mm: NonNegative = setting(
-        0.0,
+    drift_mm: NonNegative = size(
         "Growth of each link along each axis once it is warm. The arms are calibrated warm; the "
         "growth that is still missing fades with warm_up_min.",
     )
@@ -109,11 +115,11 @@ class ArmErrors(Section):
     age_months: NonNegative = setting(
         0.0, "Time since the calibration of the arms.", unit="months of 30 days"
     )
-    trigger_delay_ms: Finite = setting(
-        0.0, "Delay from the encoders' reading to the image, while the arms move on."
+    trigger_delay_ms: Finite = size(
+        "Delay from the encoders' reading to the image, while the arms move on."
     )
-    trigger_jitter_ms: NonNegative = setting(
-        0.0, "Standard deviation of that delay from view to view; both arms share it."
+    trigger_jitter_ms: NonNegative = size(
+        "Standard deviation of that delay from view to view; both arms share it."
     )
     seed: int | None = setting(
         None,
@@ -126,61 +132,45 @@ class ArmErrors(Section):
     @property
     def sizes(self) -> tuple[float, ...]:
         """Parameters that move a tool unless they are 0."""
-        ageing = (self.ageing_mm + self.ageing_deg) * self.age_months
-        return (
-            *(self.joint_offset_deg, self.link_mm, self.link_deg, self.base_mm, self.base_deg),
-            *(self.tool_mm, self.tool_deg, self.windup_deg, self.gear_deg, self.drift_mm),
-            *(ageing, self.trigger_delay_ms, self.trigger_jitter_ms),
-        )
+        return *super().sizes, (self.ageing_mm + self.ageing_deg) * self.age_months
 
 
-class ViewErrors(Section):
+class ViewErrors(ErrorSettings):
     """Errors of executed poses, drawn for each view: standard deviations for each axis."""
 
-    source_mm: NonNegative = setting(0.0, "Error of the focal spot along each axis.")
-    detector_in_plane_mm: NonNegative = setting(
-        0.0, "Error of the panel along its columns and rows, which moves the piercing point."
+    source_mm: NonNegative = size("Error of the focal spot along each axis.")
+    detector_in_plane_mm: NonNegative = size(
+        "Error of the panel along its columns and rows, which moves the piercing point."
     )
-    detector_normal_mm: NonNegative = setting(0.0, "Error of the panel along its normal.")
-    detector_tilt_deg: NonNegative = setting(0.0, "Rotation error of the panel about its two axes.")
-    detector_turn_deg: NonNegative = setting(0.0, "Rotation error of the panel about its normal.")
+    detector_normal_mm: NonNegative = size("Error of the panel along its normal.")
+    detector_tilt_deg: NonNegative = size("Rotation error of the panel about its two axes.")
+    detector_turn_deg: NonNegative = size("Rotation error of the panel about its normal.")
     correlation_views: NonNegative = setting(
         0.0, "Correlation length of these errors in views, as for the noise of the reported poses."
     )
 
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Parameters that move source or panel unless they are 0."""
-        panel = self.detector_in_plane_mm, self.detector_normal_mm
-        return self.source_mm, *panel, self.detector_tilt_deg, self.detector_turn_deg
 
-
-class PatientMotion(Section):
+class PatientMotion(ErrorSettings):
     """Motion of the specimen during the scan, in directions that are drawn once per scan.
 
     It starts at the scenario's pose. The truth stays at that pose.
     """
 
-    nod_mm: NonNegative = setting(
-        0.0, "Amplitude of a nod: the specimen moves this far and back, again and again."
+    nod_mm: NonNegative = size(
+        "Amplitude of a nod: the specimen moves this far and back, again and again."
     )
-    nod_deg: NonNegative = setting(0.0, "Rotation during the nod.")
+    nod_deg: NonNegative = size("Rotation during the nod.")
     nod_period_s: Positive = setting(20.0, "Period of the nod, in simulated time.")
-    jerk_mm: NonNegative = setting(
-        0.0, "Displacement of a sudden jerk, after which the specimen stays there."
+    jerk_mm: NonNegative = size(
+        "Displacement of a sudden jerk, after which the specimen stays there."
     )
-    jerk_deg: NonNegative = setting(0.0, "Rotation during the jerk.")
+    jerk_deg: NonNegative = size("Rotation during the jerk.")
     jerk_at_s: NonNegative = setting(
         5.0, "Simulated time at which the jerk starts; it takes 0.2 s."
     )
     pivot_mm: Vector = setting(
         (0.0, 0.0, 0.0), "Point in the world about which the specimen rotates."
     )
-
-    @property
-    def sizes(self) -> tuple[float, ...]:
-        """Parameters that move the specimen unless they are 0."""
-        return self.nod_mm, self.nod_deg, self.jerk_mm, self.jerk_deg
 
 
 _OWN_SPLIT = "docs/uncertainty.md"
@@ -235,7 +225,7 @@ the mean orbit, as reported by Daly et al. (2008).
 """
 
 
-class Uncertainty(Section):
+class UncertaintySection(Section):
     """Differences between commanded, executed and believed poses."""
 
     preset: Literal["industrial", "collaborative", "c_arm", "c_arm_uncalibrated"] | None = setting(
@@ -275,7 +265,7 @@ class Uncertainty(Section):
     )
 
     @model_validator(mode="after")
-    def _preset_gives_way(self) -> Uncertainty:
+    def _preset_gives_way(self) -> UncertaintySection:
         for name, under in PRESETS[self.preset].items() if self.preset else ():
             if isinstance(under, Mapping):
                 section: Section = getattr(self, name)
@@ -289,4 +279,34 @@ class Uncertainty(Section):
     @property
     def moves(self) -> bool:
         """True if executed poses can differ from the poses that the controllers assume."""
-        return any((*self.arms.sizes, *self.views.sizes, *self.patient.sizes))
+        sections = (getattr(self, name) for name in type(self).model_fields)
+        return any(any(one.sizes) for one in sections if isinstance(one, ErrorSettings))
+
+    @model_serializer(mode="wrap")
+    def _without_unused_extensions(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out foreign errors that are not used: others can read the scenario."""
+        return {
+            name: value
+            for name, value in plain(self).items()
+            if value is not None or name not in ERROR_TERMS
+        }
+
+
+ERROR_TERMS = offers("twinct.errors", ErrorTerm, {}, taken=set(UncertaintySection.model_fields))
+"""Error terms of other packages, by name."""
+
+
+def _key(term: ErrorTerm) -> Any:
+    if term.section:
+        raise ValueError("an error term of another package has a section of its own")
+    description = f"{inspect.cleandoc(term.settings.__doc__ or term.name)} null: no such error."
+    return term.settings | None, setting(None, description, read_by="executed")
+
+
+if TYPE_CHECKING:
+    BROKEN_TERMS: dict[str, str] = {}
+    Uncertainty = UncertaintySection
+else:
+    _KEYS = {name: partial(_key, term) for name, term in ERROR_TERMS.items()}
+    Uncertainty, _BROKEN = extended(UncertaintySection, "Uncertainty", _KEYS)
+    BROKEN_TERMS = {**ERROR_TERMS.broken, **_BROKEN}

@@ -10,7 +10,7 @@ class Xray(Section):
 
     engine: str = setting(
         "gvxr",
-        "Engine that renders the images: gvxr, mesh (our own rays), or one of another package, see "
-        "docs/physics.md.",
+        "Engine that renders the images: gvxr, mesh (our own rays), cuda_mesh (the rays of "
+        "mesh, on a CUDA card), or one of another package, see docs/physics.md.",
         source="the paper",
     )

@@ -79,7 +79,7 @@ class BodyMotion:
             pose = world_from_specimen @ pose
         return Deformation(partial(self.displacement, breath=breath), pose)
 
-    def ways_mm(self, points: Floats, breath: Breath = FULL) -> Floats:
+    def displacements_mm(self, points: Floats, breath: Breath = FULL) -> Floats:
         """Return how far points (n, 3) of the specimen's frame move, (n,), mm."""
         local = self.specimen_from_part.inverse().apply(points)
         return np.linalg.norm(self.displacement(local, breath), axis=1)
@@ -93,7 +93,7 @@ class BodyMotion:
         from trimesh.remesh import subdivide_to_size
 
         points = subdivide_to_size(mesh.vertices, mesh.faces, SURFACE_STEP_MM, max_iter=20)[0]
-        slip = float(self.ways_mm(points).max())
+        slip = float(self.displacements_mm(points).max())
         if slip > LARGEST_SLIP_MM:
             raise SpecimenError(
                 f"specimen.motion: part {quoted(name)} stands still where {quoted(self.part)} "

@@ -73,17 +73,17 @@ def _part(
     if f"{name}.amounts" not in arrays:
         return BuiltPart(section.label, substance, mesh)
     try:
-        told = json.loads(arrays[f"{name}.told"].tobytes())
-        pose = Pose(np.array(told["position"]), np.array(told["quat"]))
+        data = json.loads(arrays[f"{name}.told"].tobytes())
+        pose = Pose(np.array(data["position"]), np.array(data["quat"]))
         amounts = arrays[f"{name}.amounts"]
-        grid = VolumeGrid(amounts.shape[:3], told["voxel"], pose)
-        basis = tuple(Material(*row) for row in told["materials"])
+        grid = VolumeGrid(amounts.shape[:3], data["voxel"], pose)
+        basis = tuple(Material(*row) for row in data["materials"])
         labels = None
-        if told["labels"]:
-            labels = VoxelLabels(tuple(told["labels"]), arrays[f"{name}.labels"])
+        if data["labels"]:
+            labels = VoxelLabels(tuple(data["labels"]), arrays[f"{name}.labels"])
         cuts = tuple(
             CutFace(axis, high, arrays[f"{name}.cut{k}"])
-            for k, (axis, high) in enumerate(told["cuts"])
+            for k, (axis, high) in enumerate(data["cuts"])
         )
         field = GreyField(basis, amounts, grid)
         return GreyPart(section.label, substance, mesh, field, labels, cuts)
@@ -92,9 +92,9 @@ def _part(
 
 
 def _voxels(part: GreyPart) -> dict[str, NDArray[Any]]:
-    """Return the arrays of a grey part; ``told`` is JSON in bytes."""
+    """Return the arrays of a grey part; ``data`` is JSON in bytes."""
     grid = part.field.grid
-    told = {
+    data = {
         "position": grid.world_from_grid.position.tolist(),
         "quat": grid.world_from_grid.quat.tolist(),
         "voxel": grid.voxel.tolist(),
@@ -105,7 +105,7 @@ def _voxels(part: GreyPart) -> dict[str, NDArray[Any]]:
         "cuts": [[cut.axis, cut.high] for cut in part.cuts],
     }
     arrays: dict[str, NDArray[Any]] = {f"cut{k}": cut.tissue for k, cut in enumerate(part.cuts)}
-    arrays |= {"told": np.frombuffer(json.dumps(told).encode(), np.uint8)}
+    arrays |= {"told": np.frombuffer(json.dumps(data).encode(), np.uint8)}
     arrays |= {"labels": part.labels.values} if part.labels else {}
     return arrays | {"amounts": part.field.amounts}
 

@@ -34,7 +34,7 @@ def read_ct_metaimage(path: Path, where: str, line: scenario.HuLine | None = Non
     """
     header, stored = read_metaimage(path, where, SpecimenError)
     if line is None:
-        if (modality := header.told.get("Modality")) not in _OF_CT:
+        if (modality := header.fields.get("Modality")) not in _OF_CT:
             raise SpecimenError(
                 f"{where}: its Modality {quoted(modality)} says that its values are no HU; "
                 f"{STATE_HU}"
@@ -48,7 +48,7 @@ def read_ct_metaimage(path: Path, where: str, line: scenario.HuLine | None = Non
 
 def _affine(header: MetaImageHeader, where: str) -> Floats:
     """Return the matrix from indices to LPS, mm."""
-    if (unit := header.told.get("DistanceUnits")) not in _OF_MM:
+    if (unit := header.fields.get("DistanceUnits")) not in _OF_MM:
         raise SpecimenError(f"{where} has lengths in {quoted(unit)} (DistanceUnits); expected mm")
     # One row for each axis of the file.
     axes = np.array(header.numbers("TransformMatrix", 9, SpecimenError)).reshape(3, 3)

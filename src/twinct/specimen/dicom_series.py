@@ -199,13 +199,13 @@ def _evened(
     """Interpolate slices (slice, row, column) linearly to the smallest of their distances."""
     gaps = np.diff(heights)
     count = round(float(heights[-1] / gaps.min())) + 1
-    told = f"slices are {gaps.min():.4g} to {gaps.max():.4g} mm apart"
+    text = f"slices are {gaps.min():.4g} to {gaps.max():.4g} mm apart"
     if count > MOST_FINER * len(values):
         raise SpecimenError(
-            f"{where}: {told}; {count} slices would be needed to interpolate {len(values)}"
+            f"{where}: {text}; {count} slices would be needed to interpolate {len(values)}"
         )
     require_memory(where, 8 * values[0].size * count, SpecimenError)
-    log.warning("%s: %s; they are interpolated", where, told)
+    log.warning("%s: %s; they are interpolated", where, text)
     found = np.empty((count, *values.shape[1:]), dtype=np.float32)
     places = np.interp(np.linspace(0, heights[-1], count), heights, np.arange(len(heights)))
     for k, place in enumerate(places):

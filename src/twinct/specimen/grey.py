@@ -18,11 +18,12 @@ class GreyField:
 
     An amount is the density of a basis material in a voxel, relative to the material's own density.
     So mu = sum_m amounts[..., m] mu_m(E), with the same amounts for all photon energies. Between
-    the centres of voxels, amounts are linear; outside the grid there is nothing.
+    the centres of voxels, amounts are linear; outside the grid there is nothing. Noise and streaks
+    of a reconstruction are amounts below 0.
 
     Attributes:
         materials: basis materials.
-        amounts: (nz, ny, nx, materials), float32, C-contiguous, finite, not negative.
+        amounts: (nz, ny, nx, materials), float32, C-contiguous, finite.
         grid: grid of the voxels; its world is the specimen's frame.
     """
 
@@ -34,7 +35,7 @@ class GreyField:
         """Check shape and values, and lock the amounts.
 
         Raises:
-            ValueError: the amounts do not fit the grid and the materials, or are no amounts.
+            ValueError: the amounts do not fit the grid and the materials, or are not finite.
         """
         expected = (*self.grid.shape, len(self.materials))
         if self.amounts.shape != expected or self.amounts.dtype != np.float32:
@@ -43,8 +44,8 @@ class GreyField:
                 f"{expected}"
             )
         low, high = self.amounts.min(), self.amounts.max()
-        if not (low >= 0 and np.isfinite(high)):
-            raise ValueError(f"the amounts lie between {low} and {high}; they must be 0 or more")
+        if not np.isfinite([low, high]).all():
+            raise ValueError(f"the amounts lie between {low} and {high}; they must be finite")
         object.__setattr__(self, "amounts", np.ascontiguousarray(self.amounts))
         lock(self, "amounts")
 

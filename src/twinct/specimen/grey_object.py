@@ -23,7 +23,8 @@ def grey_specimen(
     """Return a specimen with the attenuation of a volume at one photon energy.
 
     Its skin is the box of the voxels, for checks of source and panel only. Negative attenuation,
-    which nothing has, counts as 0.
+    which noise and streaks of a volume have, stays: without it, the rest of the noise would add up
+    along each ray.
 
     Args:
         mu_per_mm: attenuation, (z, y, x), 1/mm.
@@ -37,7 +38,7 @@ def grey_specimen(
     """
     import trimesh
 
-    amounts = np.maximum(mu_per_mm, 0) / np.float32(material.mu_per_mm(energy_kev))
+    amounts = mu_per_mm / np.float32(material.mu_per_mm(energy_kev))
     if not amounts.any():
         raise SpecimenError(f"{name}: no voxel attenuates")
     # The outermost layer of a grey part is empty.

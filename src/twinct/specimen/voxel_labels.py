@@ -44,7 +44,7 @@ def read_labels(
     there = [int(n) for n in np.flatnonzero(np.bincount(found.ravel())) if n]
     names = dict(section.names)
     if not names:
-        told = _told_names(section.path)
+        told = _header_names(section.path)
         names = {told.get(n, f"label_{n}"): n for n in there}
     if lost := [f"{quoted(name)} ({n})" for name, n in names.items() if n not in there]:
         raise SpecimenError(f"{where} has no voxel of {', '.join(lost)}; its labels are {there}")
@@ -105,13 +105,13 @@ def _on_grid(path: Path, image: CtImage, where: str) -> CtImage:
     found = canonical(read_ct_nifti(path, where, scenario.HuLine()))
     if not same_place(found, image):
         raise SpecimenError(
-            f"{where} is on another grid than the CT: {_told(found)}, the CT {_told(image)}; "
-            "resample it to the CT's"
+            f"{where} is on another grid than the CT: {_in_words(found)}, the CT "
+            f"{_in_words(image)}; resample it to the CT's"
         )
     return found
 
 
-def _told(image: CtImage) -> str:
+def _in_words(image: CtImage) -> str:
     size, edges = (
         " x ".join(f"{n:.4g}" for n in row) for row in (image.values.shape, image.voxel_mm)
     )
@@ -119,7 +119,7 @@ def _told(image: CtImage) -> str:
     return f"{size} voxels of {edges} mm from ({first})"
 
 
-def _told_names(path: Path) -> dict[int, str]:
+def _header_names(path: Path) -> dict[int, str]:
     """Return the names in the header's extension, as TotalSegmentator and Connectome write them."""
     import nibabel
 

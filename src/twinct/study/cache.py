@@ -52,7 +52,7 @@ class Cache:
                 draft.rename(final)
         return final
 
-    def kept(
+    def stored(
         self,
         kind: str,
         digest: str,
@@ -93,7 +93,7 @@ class Cache:
         def read(path: Path) -> NDArray[Any]:
             return read_npy(path, f"{path}: the cached array")
 
-        return self.kept("arrays", digest, make, _save_array, read)
+        return self.stored("arrays", digest, make, _save_array, read)
 
     def remove_pickles(self) -> bool:
         """Remove the pickles of earlier versions, unread; return True if there were any."""

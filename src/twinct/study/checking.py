@@ -105,10 +105,10 @@ class Checker:
                 figures.update(figure_names(scenario))
                 found.append(self._checked(trial, scenario))
         if problems:
-            told = [f"{p}; in {trial}" if trial.axes else p for p, trial in problems.items()]
+            lines = [f"{p}; in {trial}" if trial.axes else p for p, trial in problems.items()]
             if len(problems) >= MOST_PROBLEMS:
-                told = [*told[:MOST_PROBLEMS], "further trials were not checked"]
-            raise InputError(told)
+                lines = [*lines[:MOST_PROBLEMS], "further trials were not checked"]
+            raise InputError(lines)
         self._require_figures(figures)
         self._require_different(found)
         return found
@@ -212,6 +212,6 @@ def progressed(trials: Iterable[Trial], progress: Progress) -> Iterator[Trial]:
             step()
 
 
-def _digest(told: Any) -> str:
-    text = json.dumps(told, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
+def _digest(data: Any) -> str:
+    text = json.dumps(data, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -44,17 +44,13 @@ class Trial:
 
     def __str__(self) -> str:
         """Return its name in messages."""
-        told = [f"{label} = {value}" for label, value in self.axes.items() if value is not None]
-        told += [] if self.seed is None else [f"seed {self.seed}"]
-        return f"trial {self.number}" + (f" ({', '.join(told)})" if told else "")
+        lines = [f"{label} = {value}" for label, value in self.axes.items() if value is not None]
+        lines += [] if self.seed is None else [f"seed {self.seed}"]
+        return f"trial {self.number}" + (f" ({', '.join(lines)})" if lines else "")
 
 
-@dataclass(frozen=True)
-class Choice:
-    """One value of an axis: its changes to the scenario, and its labels in tables."""
-
-    changes: Mapping[str, Any]
-    labels: Mapping[str, Any]
+UNVARIED = Trial(0, {}, {})
+"""Trial with the study's template."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +72,8 @@ class Design:
     folder: Path
 
     @cached_property
-    def choices(self) -> tuple[tuple[Choice, ...], ...]:
-        """Possible values of each axis."""
+    def choices(self) -> tuple[tuple[Trial, ...], ...]:
+        """Possible values of each axis, as trials that vary nothing else."""
         return tuple(tuple(_choices(axis, self.folder)) for axis in self.study.axes)
 
     @property
@@ -96,17 +92,17 @@ class Design:
     def trials(self) -> Iterator[Trial]:
         """Iterate over all trials of the axes; the seed changes fastest, then the last axis."""
         return itertools.chain.from_iterable(
-            self.repeated(index * len(self.seeds), choice)
-            for index, choice in enumerate(self._crossed(Choice({}, {}), 0))
+            self.repeated(index * len(self.seeds), one)
+            for index, one in enumerate(self._crossed(UNVARIED, 0))
         )
 
-    def repeated(self, first: int, choice: Choice) -> Iterator[Trial]:
+    def repeated(self, first: int, one: Trial) -> Iterator[Trial]:
         """Yield the trials of one combination, one for each seed, numbered from ``first``."""
         again = self.study.repetitions
         for number, seed in enumerate(self.seeds, first):
             seeds = dict.fromkeys(again.keys, seed) if again else {}
-            labels = dict.fromkeys(self.labels) | dict(choice.labels)
-            yield Trial(number, labels, {**choice.changes, **seeds}, seed)
+            labels = dict.fromkeys(self.labels) | dict(one.axes)
+            yield Trial(number, labels, {**one.changes, **seeds}, seed)
 
     def at(self, *sections: str) -> str:
         """Return the prefix of a message: the origin of the first section that the file has."""
@@ -121,7 +117,7 @@ class Design:
         """
         return self.template.varied(trial.changes, self.places)
 
-    def _crossed(self, before: Choice, index: int) -> Iterator[Choice]:
+    def _crossed(self, before: Trial, index: int) -> Iterator[Trial]:
         if index == len(self.choices):
             yield before
             return
@@ -130,13 +126,11 @@ class Design:
             self._value(key, before) in (value if is_list(value) else [value])
             for key, value in axis.only.items()
         )
-        for choice in self.choices[index] if applies else (Choice({}, {}),):
-            yield from self._crossed(
-                Choice({**before.changes, **choice.changes}, {**before.labels, **choice.labels}),
-                index + 1,
-            )
+        for one in self.choices[index] if applies else (UNVARIED,):
+            axes, changes = {**before.axes, **one.axes}, {**before.changes, **one.changes}
+            yield from self._crossed(Trial(0, axes, changes), index + 1)
 
-    def _value(self, key: str, so_far: Choice) -> Any:
+    def _value(self, key: str, so_far: Trial) -> Any:
         """Return the value of a key after the changes so far, or else its default."""
         for setter, value in reversed([*so_far.changes.items()]):
             if setter == key:
@@ -240,9 +234,9 @@ def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
     for index, axis in enumerate(study.axes):
         numbers = {part.name: len(list(_values(part))) for part in axis.paired or ()}
         if len(set(numbers.values())) > 1:
-            told = ", ".join(f"{name} has {number}" for name, number in numbers.items())
+            text = ", ".join(f"{name} has {number}" for name, number in numbers.items())
             place = draft.origin(("axes", index, "paired"))
-            yield f"{place + ': ' if place else ''}axes.{index}.paired: {told}; they must be equal"
+            yield f"{place + ': ' if place else ''}axes.{index}.paired: {text}; they must be equal"
     for label in dict.fromkeys(design.labels):
         other = "another axis" if design.labels.count(label) > 1 else "a column of the results"
         own = label in OWN_COLUMNS or label.startswith("seconds.")
@@ -269,13 +263,14 @@ def _labels(axis: Axis) -> tuple[str, ...]:
     return tuple(part.name for part in axis.paired or (axis,))
 
 
-def _choices(axis: Axis, folder: Path) -> Iterator[Choice]:
+def _choices(axis: Axis, folder: Path) -> Iterator[Trial]:
     parts = axis.paired or (axis,)
     for values in zip(*(_values(part) for part in parts), strict=True):
         pairs = list(zip(parts, values, strict=True))
-        yield Choice(
+        yield Trial(
+            0,
+            {part.name: _table_value(value) for part, value in pairs},
             {key: _absolute(key, value, folder) for part, value in pairs for key in part.keys},
-            {part.name: _told(value) for part, value in pairs},
         )
 
 
@@ -300,7 +295,7 @@ def _values(axis: Axis) -> Iterable[Any]:
     return np.exp(rng.uniform(math.log(draw.low), math.log(draw.high), draw.number)).tolist()
 
 
-def _told(value: Any) -> Any:
+def _table_value(value: Any) -> Any:
     """Return a value as a table holds it: lists and sections as JSON, others unchanged."""
     return json.dumps(value) if isinstance(value, (list, dict)) else value
 

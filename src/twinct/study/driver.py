@@ -17,7 +17,7 @@ from twinct.study.estimate import bytes_below
 from twinct.study.folder import StudyFolder
 from twinct.study.inputs import Inputs
 from twinct.study.rows import Rows
-from twinct.study.timings import Book
+from twinct.study.timings import TrialTimings
 from twinct.study.trial import START, TrialSpec, scan_name, take_scan, try_trial
 from twinct.workers import Done, Failed, Pool, Work, map_over
 
@@ -65,7 +65,7 @@ class Driver:
     pool: Pool
     tell: Callable[[Tally], None]
     total: int
-    _book: Book = field(default_factory=Book.open)
+    _timings: TrialTimings = field(default_factory=TrialTimings.open)
     _began: float = field(default_factory=time.monotonic)
     _ended: int = 0
     _busy_s: float = 0.0
@@ -99,7 +99,7 @@ class Driver:
             else:
                 self._tried(by_key[event.key], event)
             self.say()
-        self._book.write()
+        self._timings.write()
 
     def _works(self, trials: Sequence[Checked], released: deque[Checked]) -> Iterator[Work | None]:
         """Yield the next work for the pool, or None while all remaining trials wait for scans."""
@@ -200,7 +200,7 @@ class Driver:
         shared.there = True
         shared.seconds = event.value
         self._count(waiting[0].cost.scan, sum(event.value.values()) - event.value.get(START, 0.0))
-        self._book.add(f"{waiting[0].cost.scan} bytes", bytes_below([kept]))
+        self._timings.add(f"{waiting[0].cost.scan} bytes", bytes_below([kept]))
         return waiting
 
     def _tried(self, one: Checked, event: Done | Failed) -> None:
@@ -224,17 +224,17 @@ class Driver:
             self._ended += 1
             self._leave(one)
 
-    def book_around(self, wall_s: float) -> None:
+    def record_overhead(self, wall_s: float) -> None:
         """Record the time of a study beside its trials: start of workers, table, page."""
         if self._ended:
-            book = Book.open()
+            timings = TrialTimings.open()
             busy_s = self._busy_s / min(self._slots, self._ended)
-            book.add("seconds around", max(wall_s - busy_s, 0.0))
-            book.write()
+            timings.add("seconds around", max(wall_s - busy_s, 0.0))
+            timings.write()
 
     def _count(self, kind: str, seconds: float) -> None:
         self._busy_s += seconds
-        self._book.add(kind, seconds)
+        self._timings.add(kind, seconds)
 
     def _count_trial(self, one: Checked, event: Done, kept: Path | None) -> None:
         """Record seconds and bytes of a trial; count its own scan separately."""
@@ -243,13 +243,13 @@ class Driver:
             scan_s = sum(spent.get(stage, 0.0) for stage in _SCAN_STAGES)
             self._count(one.cost.scan, scan_s)
         self._count(one.cost.rest, spent["total"] - scan_s)
-        self._book.add(f"{one.cost.rest} sections bytes", len(event.value["sections"]))
+        self._timings.add(f"{one.cost.rest} sections bytes", len(event.value["sections"]))
         scan_bytes = event.value.get("scan_bytes", 0)
         if kept is not None:
             scan_bytes = bytes_below([kept / "scan.zarr"])
-            self._book.add(f"{one.cost.rest} bytes", bytes_below([kept]) - scan_bytes)
+            self._timings.add(f"{one.cost.rest} bytes", bytes_below([kept]) - scan_bytes)
         if scan_bytes:
-            self._book.add(f"{one.cost.scan} bytes", scan_bytes)
+            self._timings.add(f"{one.cost.scan} bytes", scan_bytes)
 
     def _fail(self, trials: Sequence[Checked], event: Failed) -> None:
         twins = [twin for one in trials for twin in self._twins.pop(one.volume, ())]

@@ -11,7 +11,7 @@ from twinct.report.study_page import MOST_BEST as MOST_SHOWN
 from twinct.study.checking import Checked
 from twinct.study.rows import MOST_BEST
 from twinct.study.settings import Study
-from twinct.study.timings import Book
+from twinct.study.timings import TrialTimings
 
 ROW_BYTES = 2_000
 TABLE_BYTES = 30_000
@@ -43,35 +43,37 @@ class Estimate:
     measured: bool
 
 
-def estimate(study: Study, trials: Sequence[Checked], workers: int, book: Book) -> Estimate:
+def estimate(
+    study: Study, trials: Sequence[Checked], workers: int, timings: TrialTimings
+) -> Estimate:
     """Estimate the resources of the trials still to run, with a number of workers."""
     whole = study.keep == "everything"
     numbers = Counter(one.scan for one in trials)
     first = {one.scan: one for one in trials}
     # Trials that share a volume reconstruct it once.
     tried = trials if whole else list({one.volume: one for one in trials}.values())
-    seconds: list[float | None] = [book.mean(one.cost.scan) for one in first.values()]
-    seconds += [book.mean(one.cost.rest) for one in tried]
+    seconds: list[float | None] = [timings.mean(one.cost.scan) for one in first.values()]
+    seconds += [timings.mean(one.cost.rest) for one in tried]
     known = [s for s in seconds if s is not None]
     kept = [one for digest, one in first.items() if whole or numbers[digest] > 1]
     # Trial folders hold shared scans as hard links, so each scan's bytes count once.
-    size = sum(_mean(book, f"{one.cost.scan} bytes", one.cost.scan_bytes) for one in kept)
-    size += len(trials) * (_mean(book, "row bytes", ROW_BYTES) + BYTES_IN_TABLE)
+    size = sum(_mean(timings, f"{one.cost.scan} bytes", one.cost.scan_bytes) for one in kept)
+    size += len(trials) * (_mean(timings, "row bytes", ROW_BYTES) + BYTES_IN_TABLE)
     if study.keep != "figures":
         for one in tried:
             need = sum(stage.disk_bytes for stage in one.cost.stages.values()) if whole else 0.0
             need += one.cost.volume_bytes - (one.cost.scan_bytes if whole else 0)
-            size += _mean(book, f"{one.cost.rest} bytes", need)
+            size += _mean(timings, f"{one.cost.rest} bytes", need)
     if trials:
-        size += _mean(book, "table bytes", TABLE_BYTES)
+        size += _mean(timings, "table bytes", TABLE_BYTES)
         combinations = min(len({repr(one.trial.axes) for one in trials}), MOST_BEST)
         kind = f"{trials[0].cost.rest} sections bytes"
-        size += combinations * _mean(book, kind, SECTIONS_BYTES)
-        size += page_parts(combinations) * _mean(book, page_kind(study), PAGE_BYTES)
+        size += combinations * _mean(timings, kind, SECTIONS_BYTES)
+        size += page_parts(combinations) * _mean(timings, page_kind(study), PAGE_BYTES)
     complete = len(known) == len(seconds)
     wall = sum(known) / max(min(workers, len(tried)), 1) if complete else None
     if wall:
-        wall += book.mean("seconds around") or 0.0
+        wall += timings.mean("seconds around") or 0.0
     return Estimate(len(trials), len(numbers), round(size), wall, complete)
 
 
@@ -92,6 +94,6 @@ def bytes_below(paths: Iterable[Path]) -> int:
     return sum({(one.st_dev, one.st_ino): one.st_size for one in told}.values())
 
 
-def _mean(book: Book, kind: str, otherwise: float) -> float:
-    found = book.mean(kind)
+def _mean(timings: TrialTimings, kind: str, otherwise: float) -> float:
+    found = timings.mean(kind)
     return otherwise if found is None else found

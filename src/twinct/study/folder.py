@@ -85,18 +85,18 @@ class StudyFolder:
     def claim(self, design: Design, name: str) -> None:
         """Write the study's identity and file; call ``check`` first."""
         if not self.identity.exists():
-            told = {**_identity(design), "id": name, "name": design.study.name}
-            write_json(self.identity, told)
+            data = {**_identity(design), "id": name, "name": design.study.name}
+            write_json(self.identity, data)
         write_text(self.study, design.text)
 
     def _there(self) -> dict[str, Any]:
         try:
-            told = read_json(self.identity)
-            if told["format"] != FORMAT:
+            data = read_json(self.identity)
+            if data["format"] != FORMAT:
                 raise ValueError(
-                    f"format {quoted(told['format'])}; this version of twinct reads {FORMAT!r}"
+                    f"format {quoted(data['format'])}; this version of twinct reads {FORMAT!r}"
                 )
-            return told
+            return data
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise InputError(f"{self.identity}: not a study: {error}") from None
 

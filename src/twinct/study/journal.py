@@ -73,20 +73,20 @@ class Row:
         Raises:
             ValueError: the line is no row.
         """
-        told = json.loads(line)
-        if not isinstance(told, dict):
+        data = json.loads(line)
+        if not isinstance(data, dict):
             raise ValueError("not a mapping")
         for name in _MAPPINGS:
-            if not isinstance(told.get(name), dict):
+            if not isinstance(data.get(name), dict):
                 raise ValueError(f"{name} is missing")
-            told[name] = {sys.intern(key): value for key, value in told[name].items()}
-        if odd := sorted(told.keys() ^ _FIELDS):
-            raise ValueError(f"{odd[0]} is {'unknown' if odd[0] in told else 'missing'}")
-        if not isinstance(told["trial"], int) or not isinstance(told["key"], str):
+            data[name] = {sys.intern(key): value for key, value in data[name].items()}
+        if odd := sorted(data.keys() ^ _FIELDS):
+            raise ValueError(f"{odd[0]} is {'unknown' if odd[0] in data else 'missing'}")
+        if not isinstance(data["trial"], int) or not isinstance(data["key"], str):
             raise ValueError("trial is not a number, or key is not text")
-        if told["status"] not in get_args(Status):
-            raise ValueError(f"status {quoted(told['status'])} is neither done nor failed")
-        return cls(**told)
+        if data["status"] not in get_args(Status):
+            raise ValueError(f"status {quoted(data['status'])} is neither done nor failed")
+        return cls(**data)
 
 
 _MAPPINGS = ("axes", "figures", "seconds")

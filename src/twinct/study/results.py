@@ -111,10 +111,10 @@ def write_results(folder: Path, rows: Iterable[Row]) -> None:
 
     held = Journal(folder).whole_bytes()
     table = pa.Table.from_pandas(results_table(rows), preserve_index=False)
-    told = {**(table.schema.metadata or {}), _JOURNAL_BYTES: str(held).encode()}
+    data = {**(table.schema.metadata or {}), _JOURNAL_BYTES: str(held).encode()}
     path = folder / NAME
     with storage_errors(path), complete(path) as draft:
-        pq.write_table(table.replace_schema_metadata(told), draft)
+        pq.write_table(table.replace_schema_metadata(data), draft)
 
 
 def load_results(folder: str | Path) -> pd.DataFrame:

@@ -70,8 +70,8 @@ class Rows:
 
     def copied(self, one: Checked, row: Row) -> None:
         """Store the row of a trial whose volume is identical to the volume of another row."""
-        told = {"figures": row.figures, "seconds": {}, "report": row.report}
-        self.add([_row(one, status="done", **told)])
+        data = {"figures": row.figures, "seconds": {}, "report": row.report}
+        self.add([_row(one, status="done", **data)])
 
     def failed(self, trials: Iterable[Checked], event: Failed) -> None:
         """Store rows of trials that failed for the same reason."""
@@ -86,9 +86,9 @@ class Rows:
     def refused(self, trial: Trial, error: InputError) -> str:
         """Store the row of a trial with an invalid scenario, and return its key."""
         key, message = trial_key("", trial), "; ".join(error.problems)
-        told = {"figures": {}, "seconds": {}, "message": message, "kind": type(error).__name__}
+        data = {"figures": {}, "seconds": {}, "message": message, "kind": type(error).__name__}
         if key not in self.status:  # a resumed search repeats it
-            self.add([Row(trial.number, key, trial.axes, trial.seed, status="failed", **told)])
+            self.add([Row(trial.number, key, trial.axes, trial.seed, status="failed", **data)])
         return key
 
     def renumbered(self, now: Mapping[str, int]) -> None:

@@ -26,8 +26,8 @@ from twinct.study.folder import StudyFolder
 from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
 from twinct.study.rows import Rows
-from twinct.study.search import Tried, asked, choice_of
-from twinct.study.timings import Book
+from twinct.study.search import Tried, next_values, trial_of
+from twinct.study.timings import TrialTimings
 from twinct.workers import LocalPool, Pool
 
 if TYPE_CHECKING:
@@ -167,7 +167,7 @@ def _concluded(driver: Driver) -> Iterator[None]:
         driver.pool.close(clear=True)
     finally:
         _conclude(driver.design, driver.folder, rows, driver.total, time.monotonic() - began)
-    driver.book_around(time.monotonic() - began)
+    driver.record_overhead(time.monotonic() - began)
 
 
 def dry_run(
@@ -192,7 +192,7 @@ def dry_run(
     there = Rows(folder, design.study) if folder else None
     open_ = [one for one in trials if there is None or there.wanted(one.key, retry=retry)]
     workers = jobs or _workers(design.study.threads)
-    found = estimate(design.study, open_, workers, Book.open())
+    found = estimate(design.study, open_, workers, TrialTimings.open())
     search = design.study.search
     total = search.trials * len(design.seeds) if search else len(trials)
     return DryRun([one.trial for one in open_], len(trials) - len(open_), total, found)
@@ -214,7 +214,7 @@ def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[
         raise InputError(
             f"{place}the search has {number} trials, more than max_trials {study.max_trials}"
         )
-    return checker.checked(_repeated(design, asked(study.search, []), 0), audience)
+    return checker.checked(_repeated(design, next_values(study.search, []), 0), audience)
 
 
 def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> None:
@@ -227,7 +227,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
     known: dict[str, int] = {}
     assert search is not None
     while len(tried) < search.trials:
-        values = asked(search, tried)
+        values = next_values(search, tried)
         keys: dict[int, str] = {}
         trials: list[Checked] = []
         for trial in _repeated(design, values, len(tried)):
@@ -258,7 +258,7 @@ def _repeated(design: Design, values: Sequence[Mapping[str, Any]], first: int) -
     search, seeds = design.study.search, len(design.seeds)
     assert search is not None
     for number, chosen in enumerate(values, first):
-        yield from design.repeated(number * seeds, choice_of(search, chosen))
+        yield from design.repeated(number * seeds, trial_of(search, chosen))
 
 
 def _pool(
@@ -294,13 +294,13 @@ def _conclude(
         return
     write_results(folder.path, found)
     write_page(folder, design, found, total, wall_seconds)
-    book = Book.open()
-    book.add("row bytes", folder.journal.stat().st_size / len(found))
+    timings = TrialTimings.open()
+    timings.add("row bytes", folder.journal.stat().st_size / len(found))
     table = folder.results.stat().st_size - BYTES_IN_TABLE * len(found)
-    book.add("table bytes", max(table, 0))
+    timings.add("table bytes", max(table, 0))
     parts = page_parts(len({repr(row.axes) for row in found}))
-    book.add(page_kind(design.study), folder.page.stat().st_size / parts)
-    book.write()
+    timings.add(page_kind(design.study), folder.page.stat().st_size / parts)
+    timings.write()
 
 
 @contextmanager

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twinct.core.extras import require
-from twinct.study.design import Choice
+from twinct.study.design import Trial
 from twinct.study.settings import Dimension, Search
 
 Tried = tuple[Mapping[str, Any], float | None]
 """Values by name, and their figure; None if the trial failed."""
 
 
-def asked(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
+def next_values(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
     """Return the next batch of values, by the dimensions' names; the last one may be smaller.
 
     The batch depends only on the search and the earlier trials: the sampler (Optuna's TPE) is
@@ -52,10 +52,10 @@ def asked(search: Search, tried: Sequence[Tried]) -> list[Mapping[str, Any]]:
     return [study.ask(ranges).params for _ in range(max(number, 0))]
 
 
-def choice_of(search: Search, values: Mapping[str, Any]) -> Choice:
-    """Return the changes that a set of values makes to the scenario."""
+def trial_of(search: Search, values: Mapping[str, Any]) -> Trial:
+    """Return a set of values as a trial, which has no number yet."""
     changes = {key: values[d.name] for d in search.keys for key in d.keys}
-    return Choice(changes, dict(values))
+    return Trial(0, dict(values), changes)
 
 
 def _distribution(dimension: Dimension) -> Any:

@@ -31,7 +31,7 @@ def packed_sections(sections: Mapping[str, CrossSection], mu_reference: float) -
 def read_sections(path: Path) -> tuple[dict[str, CrossSection], float]:
     """Read a file that ``packed_sections`` made."""
     with np.load(path) as arrays:
-        told = json.loads(str(arrays["told"]))
+        data = json.loads(str(arrays["told"]))
         sections = {
             plane: CrossSection(
                 *(arrays[f"{plane}.{name}"] for name in _ARRAYS),
@@ -39,6 +39,6 @@ def read_sections(path: Path) -> tuple[dict[str, CrossSection], float]:
                 axes=tuple(axes),
                 position=position,
             )
-            for plane, (extent, axes, position) in told["planes"].items()
+            for plane, (extent, axes, position) in data["planes"].items()
         }
-    return sections, told["mu_reference"]
+    return sections, data["mu_reference"]

@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass
-class Book:
+class TrialTimings:
     """Mean seconds and bytes by kind of work, over all studies of this user on this machine.
 
     Attributes:
@@ -26,13 +26,13 @@ class Book:
     entries: dict[str, tuple[int, float]]
 
     @classmethod
-    def open(cls) -> Book:
+    def open(cls) -> TrialTimings:
         """Read the statistics; return empty ones if the file is absent or unreadable."""
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         path = Path(base) / "twinct" / "study.json"
         try:
-            told = read_json(path)
-            entries = {str(kind): (int(n), float(mean)) for kind, (n, mean) in told.items()}
+            data = read_json(path)
+            entries = {str(kind): (int(n), float(mean)) for kind, (n, mean) in data.items()}
         except (OSError, ValueError, TypeError, AttributeError, OverflowError):
             entries = {}
         return cls(path, entries)
@@ -49,9 +49,9 @@ class Book:
 
     def write(self) -> None:
         """Write the statistics; only log a failure, as no study should fail for its estimates."""
-        told = {kind: list(entry) for kind, entry in self.entries.items()}
+        data = {kind: list(entry) for kind, entry in self.entries.items()}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_json(self.path, told)
+            write_json(self.path, data)
         except OSError as error:
             log.info("%s: cannot store the durations for estimates: %s", self.path, error)

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from twinct.core.cached import once
 from twinct.core.errors import DamagedError, TwinctError
-from twinct.core.kept import once
 from twinct.evaluation import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
@@ -45,8 +45,8 @@ from twinct.study.cache import Cache
 from twinct.study.estimate import bytes_below
 from twinct.study.sections import packed_sections
 from twinct.study.trial_figures import flat_figures
-from twinct.workers import Made, Place
-from twinct.workers.artifact import Here, remove
+from twinct.workers import Place, WithArtifacts
+from twinct.workers.artifact import LocalArtifact, remove
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
@@ -108,7 +108,7 @@ class _Seconds:
         self.stages[name] = time.perf_counter() - start
 
 
-def take_scan(spec: TrialSpec, place: Place) -> Made:
+def take_scan(spec: TrialSpec, place: Place) -> WithArtifacts:
     """Acquire a scan that several trials share.
 
     Returns:
@@ -124,10 +124,10 @@ def take_scan(spec: TrialSpec, place: Place) -> Made:
     builder = SimulationBuilder(scenario, _plan(scenario, specimen, cache, seconds), specimen)
     with seconds.stage("scan"):
         folder = cache.path("scans", spec.scan, lambda draft: _acquire(spec, builder, draft))
-    return Made(seconds.stages, {"scan": folder / "scan.zarr"})
+    return WithArtifacts(seconds.stages, {"scan": folder / "scan.zarr"})
 
 
-def try_trial(spec: TrialSpec, place: Place) -> Made:
+def try_trial(spec: TrialSpec, place: Place) -> WithArtifacts:
     """Acquire, reconstruct and judge one trial.
 
     Returns:
@@ -151,7 +151,7 @@ def try_trial(spec: TrialSpec, place: Place) -> Made:
         else:
             found, artifacts = _figures(spec, scenario, kept, folder, cache, seconds)
     seconds.stages["total"] = time.perf_counter() - began
-    return Made({**found, "seconds": seconds.stages}, artifacts)
+    return WithArtifacts({**found, "seconds": seconds.stages}, artifacts)
 
 
 START = "start"
@@ -263,7 +263,7 @@ def _whole_run(
     seconds: _Seconds,
 ) -> tuple[dict[str, Any], dict[str, Path]]:
     if kept is not None and not (folder / "scan.zarr").exists():
-        Here(kept).save(folder / "scan.zarr")
+        LocalArtifact(kept).save(folder / "scan.zarr")
     cache = Cache(place.folder)
     specimen = _specimen(scenario, cache, seconds)
     plan = None if kept else _plan(scenario, specimen, cache, seconds)
@@ -292,7 +292,7 @@ def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpeci
         return once(
             "specimen",
             digest,
-            lambda: cache.kept(
+            lambda: cache.stored(
                 "specimens",
                 digest,
                 lambda: _built(scenario),
@@ -324,7 +324,9 @@ def _plan(
     # The digest "plan" covers the paths only; their timing depends on speeds and exposures, too.
     digest = stage_digests(scenario)["executed"]
     with seconds.stage("plan"):
-        return once("plan", digest, lambda: cache.kept("plans", digest, make, save_plan, load_plan))
+        return once(
+            "plan", digest, lambda: cache.stored("plans", digest, make, save_plan, load_plan)
+        )
 
 
 def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
@@ -364,8 +366,8 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
     return once("truth", f"{of_truth} {of_region}", both)
 
 
-def _digest(told: Any) -> str:
-    text = json.dumps(told, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
+def _digest(data: Any) -> str:
+    text = json.dumps(data, sort_keys=True, default=lambda section: section.model_dump(mode="json"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

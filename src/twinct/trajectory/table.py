@@ -142,7 +142,7 @@ def _lines(path: Path) -> list[tuple[int, list[str]]]:
 def _wrong_names(row: list[str], first: bool) -> list[str]:
     """Return what is wrong with a line of texts: only the first line may hold names."""
     if not first or any(map(_is_number, row)):
-        return [f"{_told(row)} holds something that is not a number"]
+        return [f"{_in_words(row)} holds something that is not a number"]
     if len(row) in (7, 13) and (name := row[-1].strip()) != _MAS:
         return [f"the last of {len(row)} columns must be {_MAS}, not {quoted(name, 50)}"]
     return []
@@ -156,13 +156,13 @@ def _wrong_numbers(row: list[str], values: list[float]) -> list[str]:
             f"end; this line has {len(row)}"
         ]
     if not np.isfinite(values).all():
-        return [f"{_told(row)} holds a number that is not finite"]
+        return [f"{_in_words(row)} holds a number that is not finite"]
     if len(row) in (7, 13) and values[-1] <= 0:
         return [f"mAs is {values[-1]:g}, but must be above 0"]
     return []
 
 
-def _told(row: list[str]) -> str:
+def _in_words(row: list[str]) -> str:
     return repr(shortened(",".join(row), 200))
 
 

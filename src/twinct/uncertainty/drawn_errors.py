@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
@@ -12,11 +14,11 @@ from numpy.typing import NDArray
 from twinct.core.draws import scan_rng
 from twinct.geometry import Floats, exp_matrices
 from twinct.scenario import PoseNoise, Uncertainty
-from twinct.uncertainty.arms import S_PER_MS, ArmDeviation, Moment, drawn, true_tools
 from twinct.uncertainty.correlation import weights
-from twinct.uncertainty.executed import SIDES, view_sigmas
-from twinct.uncertainty.nominal_scan import NominalScan
+from twinct.uncertainty.drawn_tool import DrawnTool
+from twinct.uncertainty.nominal_scan import SIDES, NominalScan
 from twinct.uncertainty.patient import directions, patient_twists
+from twinct.uncertainty.terms.registry import terms_of
 
 Singles = NDArray[np.float32]
 """Type of millions of draws, whose rounding is negligible against their spread."""
@@ -40,7 +42,7 @@ class Draws:
     believed: Floats
 
 
-Told = Callable[[int, Floats], Floats]
+ToolModel = Callable[[int, Floats], Floats]
 """Pose of a tool that the controllers believe, ``world_from_tool``, from side and encoders."""
 
 
@@ -50,7 +52,7 @@ def draw(
     draws: int,
     seed: int,
     arms_seed: int,
-    told_by: Told | None = None,
+    tool_model: ToolModel | None = None,
 ) -> Iterator[tuple[slice, Draws]]:
     """Draw a scenario's errors in chunks of views.
 
@@ -62,52 +64,61 @@ def draw(
         draws: number of scans.
         seed: seed of errors that change from view to view.
         arms_seed: seed of errors that are constant over a scan.
-        told_by: calibrated model of the pair of arms with this seed, which then makes all scans.
+        tool_model: calibrated model of the pair of arms with this seed, which then makes all scans.
             None: each scan has other arms, which the controllers believe to be nominal.
 
     Yields:
         a slice of views, and their draws.
     """
-    views = len(scan.time_s)
-    deviations = [
-        drawn(section.arms, chain, arms_seed, side, 1 if told_by else draws)
-        for chain, side in zip(scan.chains, SIDES, strict=bool(scan.chains))
+    views, terms = len(scan.time_s), terms_of(section)
+    tools = [
+        DrawnTool(terms, side, chain, arms_seed, 1 if tool_model else draws)
+        for side, chain in zip(SIDES, scan.chains or (None, None), strict=True)
     ]
-    towards = directions(arms_seed, draws)
-    late_s = _late_s(section, seed, (draws, views))
-    own = [
-        _alike(seed, f"view {side} of all", draws, views, section.views.correlation_views)
-        * sigma.astype(np.float32)
-        for side, sigma in zip(SIDES, view_sigmas(section.views), strict=True)
-    ]
-    told = [
+    towards, of_views = directions(arms_seed, draws), _AllViews(seed, draws, views)
+    reported = [
         _reported_draws(noise, seed, side, draws, views)
         for noise, side in zip((section.source, section.detector), SIDES, strict=True)
     ]
     encoders, size = scan_rng(seed, "encoders of all"), max(1, CHUNK // draws)
     for first in range(0, views, size):
         part = slice(first, min(first + size, views))
-        moved = _patient(section, towards, scan.time_s[part])
+        place = _patient(section, towards, scan.time_s[part])
         true, believed = [], []
         for side in range(2):
-            here = scan.poses[side][None, part]
-            known = here
-            if deviations:
-                known = _encoded(section, scan, side, part, encoders, draws, told_by)
-                here = _true(section, scan, side, part, deviations[side], late_s[:, part])
-            here = here @ exp_matrices(own[side][:, part].astype(float))
-            noise = told[side][:, part].astype(float)
+            motion = scan.motion(side, part)
+            here = known = motion.poses[None]
+            if scan.chains:
+                known = _encoded(section, scan, side, part, encoders, draws, tool_model)
+            moved, twists = tools[side].executed(motion, partial(of_views, part))
+            here = here if moved is None else moved
+            for twist in twists:
+                here = here @ exp_matrices(twist)
+            noise = reported[side][:, part].astype(float)
             known = known @ exp_matrices(np.concatenate([0 * noise[..., 3:], noise[..., 3:]], -1))
             known[..., :3, 3] += noise[..., :3]
-            true.append(here if moved is None else moved @ here)
+            here = here if place is None else place @ here
+            true.append(np.broadcast_to(here, (draws, *here.shape[1:])))
             believed.append(known)
         yield part, _gathered(np.stack(true), np.stack(believed))
 
 
-def _late_s(section: Uncertainty, seed: int, shape: tuple[int, int]) -> Floats:
-    """Return the delays of all triggers, (draws, views), s."""
-    jitter = scan_rng(seed, "trigger of all").normal(size=shape)
-    return S_PER_MS * (section.arms.trigger_delay_ms + section.arms.trigger_jitter_ms * jitter)
+class _AllViews:
+    """Standard normal draws of all views of many scans, kept for the chunks to come."""
+
+    def __init__(self, seed: int, draws: int, views: int) -> None:
+        self._seed, self._draws, self._views = seed, draws, views
+        self._all: dict[str, NDArray[Any]] = {}
+
+    def __call__(self, part: slice, purpose: str, size: int, length: float) -> Floats:
+        if purpose not in self._all:
+            key, draws, views = f"{purpose} of all", self._draws, self._views
+            if size == 1 and not length:
+                own = scan_rng(self._seed, key).normal(size=(draws, views))[..., None]
+            else:
+                own = _alike(self._seed, key, draws, views, length, size)
+            self._all[purpose] = own
+        return self._all[purpose][:, part]
 
 
 def _gathered(true: Floats, believed: Floats) -> Draws:
@@ -119,20 +130,6 @@ def _gathered(true: Floats, believed: Floats) -> Draws:
     return Draws(np.concatenate([both[0], both[1]], axis=-1), true, believed)
 
 
-def _true(
-    section: Uncertainty,
-    scan: NominalScan,
-    side: int,
-    part: slice,
-    deviation: ArmDeviation,
-    late_s: Floats,
-) -> Floats:
-    if not any(section.arms.sizes):
-        return scan.poses[side][None, part]
-    moment = Moment(*(values[part] for values in scan.moments[side]))
-    return true_tools(section.arms, scan.chains[side], deviation, moment, late_s)
-
-
 def _encoded(
     section: Uncertainty,
     scan: NominalScan,
@@ -140,15 +137,15 @@ def _encoded(
     part: slice,
     rng: np.random.Generator,
     draws: int,
-    told_by: Told | None,
+    tool_model: ToolModel | None,
 ) -> Floats:
     """Return the poses that a model computes from encoders with random errors within a step."""
-    joints = scan.moments[side].joints[part][None]
+    joints = scan.joints[side][part][None]
     if step := np.radians(section.encoder_step_deg):
         joints = joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape[1:]))
-    elif told_by is None:
+    elif tool_model is None:
         return scan.poses[side][None, part]
-    return scan.chains[side].tools(joints) if told_by is None else told_by(side, joints)
+    return scan.chains[side].tools(joints) if tool_model is None else tool_model(side, joints)
 
 
 def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | None:
@@ -161,10 +158,12 @@ def _patient(section: Uncertainty, towards: Floats, time_s: Floats) -> Floats | 
     return pivot @ np.linalg.inv(moved) @ np.linalg.inv(pivot)
 
 
-def _alike(seed: int, purpose: str, draws: int, views: int, length: float) -> Singles:
-    """Draw standard normal values with a correlation length, (draws, views, 6), float32."""
+def _alike(
+    seed: int, purpose: str, draws: int, views: int, length: float, size: int = 6
+) -> Singles:
+    """Draw standard normal values with a correlation length, (draws, views, size), float32."""
     rng, own = scan_rng(seed, purpose), weights(length)
-    white = rng.standard_normal((draws, views + len(own) - 1, 6), dtype=np.float32)
+    white = rng.standard_normal((draws, views + len(own) - 1, size), dtype=np.float32)
     if not length:
         return white
     # Imported here because the import takes half a second.

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.core.draws import view_rng
+from twinct.core.error_terms import ToolMotion, ViewDraws
 from twinct.geometry import Chain, Floats, Pose
 from twinct.geometry.wire import Instant, from_seven, to_seven
-from twinct.scenario import Uncertainty, ViewErrors
-from twinct.uncertainty.arms import S_PER_MS, Moment, drawn, true_tools
+from twinct.scenario import Uncertainty
 from twinct.uncertainty.correlation import view_normals
+from twinct.uncertainty.nominal_scan import SIDES
 from twinct.uncertainty.patient import world_from_moved
-
-SIDES = ("source", "detector")
-
-
-def view_sigmas(section: ViewErrors) -> tuple[Floats, Floats]:
-    """Return standard deviations of the twists (v, w) of source and panel in their axes, (6,)."""
-    tilt, turn = np.radians([section.detector_tilt_deg, section.detector_turn_deg])
-    plane, normal = section.detector_in_plane_mm, section.detector_normal_mm
-    source = np.array([section.source_mm] * 3 + [0.0] * 3)
-    return source, np.array([plane, plane, normal, tilt, tilt, turn])
 
 
 class TrueCell:
@@ -45,17 +35,22 @@ class TrueCell:
             arms_seed: seed of errors that are constant over a scan.
             chains: nominal arms; None with a gantry.
         """
-        self._section, self._seed, self._arms_seed = uncertainty, seed, arms_seed
-        self._arms = None
-        if chains is not None and any(uncertainty.arms.sizes):
-            self._arms = [
-                (chain, drawn(uncertainty.arms, chain, arms_seed, side))
-                for chain, side in zip(chains, SIDES, strict=True)
-            ]
+        self._seed, self._arms_seed = seed, arms_seed
+        self._patient = uncertainty.patient if any(uncertainty.patient.sizes) else None
+        # Imported here because few scenarios have errors of executed poses.
+        from twinct.uncertainty.drawn_tool import DrawnTool
+        from twinct.uncertainty.terms.registry import terms_of
+
+        self._tools: list[tuple[DrawnTool, Chain | None, slice]] = []
+        first = 0
+        for side, chain in zip(SIDES, chains or (None, None), strict=True):
+            own = slice(first, first := first + len(chain or ()))
+            tool = DrawnTool(terms_of(uncertainty), side, chain, arms_seed)
+            self._tools.append((tool, chain, own))
 
     def at(
         self,
-        told: Instant,
+        nominal: Instant,
         view: int | None,
         time_s: float,
         joints: Floats | None = None,
@@ -64,44 +59,36 @@ class TrueCell:
         """Return the executed poses at an instant.
 
         Args:
-            told: poses that the controllers believe.
+            nominal: poses that the controllers believe.
             view: exposed view; None outside a scan, without the random errors of a view.
             time_s: simulated time.
             joints: joint positions of both arms, source first, rad; None with a gantry.
             speeds: joint speeds, rad/s.
         """
-        source, detector = told.source_m, told.detector_m
-        if self._arms is not None and joints is not None and speeds is not None:
-            poses = self._true_poses(joints, speeds, view, time_s)
-            source, detector = map(to_seven, poses)
-        views = self._section.views
-        if view is not None and any(views.sizes):
-            source, detector = (
-                to_seven(from_seven(at) @ Pose.exp(sigma * self._normals(side, view)))
-                for at, sigma, side in zip(
-                    (source, detector), view_sigmas(views), SIDES, strict=True
-                )
-            )
-        stands = told.object_m
-        if any((patient := self._section.patient).sizes):
-            stands = to_seven(world_from_moved(patient, self._arms_seed, time_s) @ told.object)
-        return Instant(source, stands, detector)
+        of_views, poses = self._draws_of(view), [nominal.source_m, nominal.detector_m]
+        for k, (tool, chain, own) in enumerate(self._tools):
+            at = poses[k]
+            here, times = from_seven(at).matrix[None], np.array([time_s])
+            if joints is None or speeds is None:
+                chain, joints, speeds = None, np.zeros(0), np.zeros(0)
+            motion = ToolMotion(SIDES[k], here, times, chain, joints[None, own], speeds[None, own])
+            moved, twists = tool.executed(motion, of_views)
+            if moved is not None:
+                matrix = moved[0, 0]
+                at = to_seven(Pose.from_matrix(matrix[:3, 3], matrix[:3, :3]))
+            for twist in twists:
+                at = to_seven(from_seven(at) @ Pose.exp(twist[0, 0]))
+            poses[k] = at
+        stands = nominal.object_m
+        if self._patient is not None:
+            moved = world_from_moved(self._patient, self._arms_seed, time_s)
+            stands = to_seven(moved @ nominal.object)
+        return Instant(poses[0], stands, poses[1])
 
-    def _normals(self, side: str, view: int) -> Floats:
-        length = self._section.views.correlation_views
-        return view_normals(self._seed, f"view {side}", view, 6, length)
+    def _draws_of(self, view: int | None) -> ViewDraws:
+        def draws(purpose: str, size: int, length: float) -> Floats | None:
+            if view is None:
+                return None
+            return view_normals(self._seed, purpose, view, size, length)[None, None]
 
-    def _true_poses(
-        self, joints: Floats, speeds: Floats, view: int | None, time_s: float
-    ) -> list[Pose]:
-        section, found, first = self._section.arms, [], 0
-        late_ms = section.trigger_delay_ms
-        if view is not None:
-            late_ms += section.trigger_jitter_ms * view_rng(self._seed, "trigger", view).normal()
-        for chain, deviation in self._arms or ():
-            own = slice(first, first := first + len(chain))
-            moment = Moment(joints[None, own], speeds[None, own], np.array([time_s]))
-            late_s = np.full((1, 1), late_ms * S_PER_MS)
-            matrix = true_tools(section, chain, deviation, moment, late_s)[0, 0]
-            found.append(Pose.from_matrix(matrix[:3, 3], matrix[:3, :3]))
-        return found
+        return draws

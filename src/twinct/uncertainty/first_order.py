@@ -15,15 +15,14 @@ from functools import cached_property
 
 import numpy as np
 
-from twinct.geometry import Floats, exp_matrices
+from twinct.core.error_terms import CONSTANT, Place, Spread
+from twinct.geometry import Floats
 from twinct.scenario import PoseNoise, Uncertainty
-from twinct.uncertainty.arms import S_PER_MS, coldness, mean_compliance, spreads
-from twinct.uncertainty.executed import view_sigmas
+from twinct.uncertainty.arm_model import carried, derivatives
+from twinct.uncertainty.drawn_tool import by_view, keyed_spreads
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.patient import amplitudes
-
-CONSTANT = np.inf
-"""Correlation length of errors that are constant over a scan."""
+from twinct.uncertainty.terms.registry import terms_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,13 +81,15 @@ class FirstOrder:
 
 def first_order(section: Uncertainty, scan: NominalScan) -> FirstOrder:
     """Compute the first-order covariances of a scenario's errors, without draws."""
+    slopes = [derivatives(scan.motion(side)) for side in range(2)]
+    of_terms, means = _of_terms(section, scan, slopes)
     found = [
-        *(_of_arms(section, scan) if scan.chains else ()),
-        *_of_views(section, scan),
+        *of_terms,
+        *_of_encoders(section, scan, slopes),
+        *_of_patient(section, scan),
         *_reported(section),
     ]
     views = len(scan.time_s)
-    means = _means(section, scan) if scan.chains else ()
     terms: dict[tuple[str, float], list[Floats]] = {}
     for term in found:
         if term.factor.any():
@@ -100,18 +101,6 @@ def first_order(section: Uncertainty, scan: NominalScan) -> FirstOrder:
     return FirstOrder(joined, tuple(term for term in means if term.factor.any()), views)
 
 
-def _carried(frames: Floats, tools: Floats) -> Floats:
-    """Return matrices from twists of frames, in their axes, to errors of tools, (..., 6, 6)."""
-    rotation = frames[..., :3, :3]
-    arms = tools[..., :3, 3] - frames[..., :3, 3]
-    found = np.zeros((*rotation.shape[:-2], 6, 6))
-    found[..., :3, :3] = found[..., 3:, 3:] = rotation
-    # The columns are w x r for each axis of the frame.
-    turned = np.cross(np.swapaxes(rotation, -1, -2), arms[..., None, :])
-    found[..., :3, 3:] = np.swapaxes(turned, -1, -2)
-    return found
-
-
 def _of_side(side: int, factor: Floats) -> Floats:
     """Extend a factor of one end-effector, (views, 6, draws), to both, (views, 12, draws)."""
     both = np.zeros((len(factor), 12, factor.shape[2]))
@@ -119,64 +108,47 @@ def _of_side(side: int, factor: Floats) -> Floats:
     return both
 
 
-def _of_arms(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
-    arms, views = section.arms, len(scan.time_s)
-    missed = np.zeros((views, 12, 1))
-    for side, (chain, moment) in enumerate(zip(scan.chains, scan.moments, strict=True)):
-        tools = scan.poses[side]
-        frames = chain.frames(moment.joints)[:, :-1]
-        # A link's errors refer to the axes of its frame before the rotation of the joint.
-        still = frames @ np.linalg.inv(exp_matrices(_about_z(moment.joints)))
-        places = {
-            "base": _carried(np.broadcast_to(chain.base, tools.shape), tools)[:, None],
-            "links": _carried(still, tools[:, None]),
-            "tool": _carried(tools, tools)[:, None],
-        }
-        for term, frame, sigma in spreads(arms):
-            factor = places[frame] * sigma
-            yield Term(term, _of_side(side, _columns(factor)), CONSTANT)
-        growth = arms.drift_mm * coldness(arms, moment.time_s)[:, None, None, None]
-        yield Term("drift", _of_side(side, _columns(growth * places["links"][..., :3])), CONSTANT)
-        turns = places["links"][..., 5]  # of each joint about its axis, (views, joints, 6)
-
-        def by_joint(angles: Floats, turns: Floats = turns) -> Floats:
-            return np.swapaxes(turns * angles[..., None], 1, 2)
-
-        torques = chain.gravity_torques(moment.joints)
-        windup = arms.windup_spread * mean_compliance(arms, chain) * torques
-        yield Term("windup", _of_side(side, by_joint(windup)), CONSTANT)
-        periods = arms.gear_periods * moment.joints
-        for wave in (np.cos(periods), np.sin(periods)):
-            gear = np.radians(arms.gear_deg) / np.sqrt(2) * wave
-            yield Term("gear", _of_side(side, by_joint(gear)), CONSTANT)
-        # Quantisation leaves an error that is uniform over one encoder step.
-        step = np.radians(section.encoder_step_deg) / np.sqrt(12)
-        step = np.broadcast_to(step, moment.joints.shape)
-        yield Term("encoder", _of_side(side, by_joint(step)), 0.0)
-        jitter = arms.trigger_jitter_ms * S_PER_MS * moment.speeds
-        missed[:, 6 * side : 6 * side + 6, 0] = by_joint(jitter).sum(axis=2)
-    yield Term("trigger", missed, 0.0)
+def _of_terms(
+    section: Uncertainty, scan: NominalScan, slopes: list[dict[Place, Floats]]
+) -> tuple[list[Term], list[Term]]:
+    """Return the effects of all error terms, random and systematic ones."""
+    found: list[Term] = []
+    shared: dict[tuple[str, int], Term] = {}
+    for term, settings in terms_of(section):
+        for side in range(2):
+            spreads = keyed_spreads(term, settings, scan.motion(side))
+            for k, (spread, _) in enumerate(spreads):
+                factor = _of_side(side, _factor(slopes[side][spread.place], spread))
+                if spread.draws in ("each", "side"):
+                    found.append(Term(term.name, factor, spread.length))
+                    continue
+                # One draw moves both sides.
+                name = f"{term.name}, mean" if spread.draws == "none" else term.name
+                before = shared[term.name, k].factor if (term.name, k) in shared else 0.0
+                shared[term.name, k] = Term(name, before + factor, spread.length)
+    means = [term for term in shared.values() if term.name.endswith(", mean")]
+    return [*found, *(term for term in shared.values() if term not in means)], means
 
 
-def _means(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
-    """Yield the effects of the mean wind-up of all gears and the mean delay of the triggers."""
-    wound, late = np.zeros((2, len(scan.time_s), 12, 1))
-    for side, (chain, moment) in enumerate(zip(scan.chains, scan.moments, strict=True)):
-        frames = chain.frames(moment.joints)[:, :-1]
-        turns = _carried(frames, scan.poses[side][:, None])[..., 5]
-        angles = mean_compliance(section.arms, chain) * chain.gravity_torques(moment.joints)
-        way = section.arms.trigger_delay_ms * S_PER_MS * moment.speeds
-        rows = slice(6 * side, 6 * side + 6)
-        wound[:, rows, 0] = np.einsum("vji,vj->vi", turns, angles)
-        late[:, rows, 0] = np.einsum("vji,vj->vi", turns, way)
-    yield Term("windup, mean", wound, CONSTANT)
-    yield Term("trigger, mean", late, CONSTANT)
+def _factor(slope: Floats, spread: Spread) -> Floats:
+    """Return the errors of one tool per standard draw, (views, 6, draws)."""
+    if spread.place == "joints":
+        factor = np.swapaxes(slope * by_view(spread)[..., None], 1, 2)
+    else:
+        sigma = by_view(spread)
+        sigma = sigma if spread.place == "links" else sigma[:, None]
+        factor = _columns(slope * sigma[..., None, :])
+    return factor if spread.draws == "each" else factor.sum(axis=2, keepdims=True)
 
 
-def _about_z(angles: Floats) -> Floats:
-    twists = np.zeros((*angles.shape, 6))
-    twists[..., 5] = angles
-    return twists
+def _of_encoders(
+    section: Uncertainty, scan: NominalScan, slopes: list[dict[Place, Floats]]
+) -> Iterator[Term]:
+    # Quantisation leaves an error that is uniform over one encoder step.
+    step = np.radians(section.encoder_step_deg) / np.sqrt(12)
+    for side, joints in enumerate(scan.joints):
+        spread = Spread("joints", np.broadcast_to(step, joints.shape), 0.0)
+        yield Term("encoder", _of_side(side, _factor(slopes[side]["joints"], spread)), 0.0)
 
 
 def _columns(factor: Floats) -> Floats:
@@ -185,18 +157,12 @@ def _columns(factor: Floats) -> Floats:
     return flat[:, :, flat.any(axis=(0, 1))]
 
 
-def _of_views(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
-    for side, sigma in enumerate(view_sigmas(section.views)):
-        tools = scan.poses[side]
-        factor = _carried(tools, tools) * sigma
-        yield Term("views", _of_side(side, factor), section.views.correlation_views)
+def _of_patient(section: Uncertainty, scan: NominalScan) -> Iterator[Term]:
     patient = section.patient
     sizes = amplitudes(patient, scan.time_s)  # a random direction has a mean square of 1/3 per axis
     pivot = np.eye(4)
     pivot[:3, 3] = patient.pivot_mm
-    both = np.concatenate(
-        [_carried(np.broadcast_to(pivot, t.shape), t) for t in scan.poses], axis=1
-    )
+    both = np.concatenate([carried(np.broadcast_to(pivot, t.shape), t) for t in scan.poses], axis=1)
     for part in range(4):
         axes = slice(0, 3) if part % 2 == 0 else slice(3, 6)
         factor = -both[:, :, axes] * sizes[:, part, None, None] / np.sqrt(3)

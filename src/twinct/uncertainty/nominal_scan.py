@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twinct.core.error_terms import ToolMotion
 from twinct.geometry import Chain, Floats, ScanGeometry, lock
-from twinct.uncertainty.arms import Moment
+
+SIDES = ("source", "detector")
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,13 +20,15 @@ class NominalScan:
         poses: ``world_from_source`` and ``world_from_detector``, (2, views, 4, 4), mm.
         time_s: time since the scan began, (views,).
         chains: source and detector arm; none with a gantry.
-        moments: motion of each arm.
+        joints: encoder readings of each arm, (views, joints), rad.
+        speeds: joint speeds of each arm, (views, joints), rad/s.
     """
 
     poses: Floats
     time_s: Floats
     chains: tuple[Chain, ...] = ()
-    moments: tuple[Moment, ...] = ()
+    joints: tuple[Floats, ...] = ()
+    speeds: tuple[Floats, ...] = ()
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -35,13 +39,19 @@ class NominalScan:
         cls, chains: tuple[Chain, Chain], joints: Floats, speeds: Floats, time_s: Floats
     ) -> NominalScan:
         """Build a scan from the joints of both arms, source first, (views, joints), rad and s."""
-        first = len(chains[0])
-        moments = tuple(
-            Moment(joints[:, own], speeds[:, own], time_s)
-            for own in (slice(None, first), slice(first, None))
-        )
-        poses = [chain.tools(one.joints) for chain, one in zip(chains, moments, strict=True)]
-        return cls(np.stack(poses), time_s, chains, moments)
+        parts = slice(None, len(chains[0])), slice(len(chains[0]), None)
+        own = tuple(joints[:, part] for part in parts)
+        poses = [chain.tools(one) for chain, one in zip(chains, own, strict=True)]
+        return cls(np.stack(poses), time_s, chains, own, tuple(speeds[:, part] for part in parts))
+
+    def motion(self, side: int, part: slice = slice(None)) -> ToolMotion:
+        """Return the motion of one end-effector over some views."""
+        poses, time_s = self.poses[side, part], self.time_s[part]
+        if not self.chains:
+            none = np.zeros((len(time_s), 0))
+            return ToolMotion(SIDES[side], poses, time_s, None, none, none)
+        joints, speeds = self.joints[side][part], self.speeds[side][part]
+        return ToolMotion(SIDES[side], poses, time_s, self.chains[side], joints, speeds)
 
     @classmethod
     def of_gantry(cls, views: ScanGeometry, time_s: Floats) -> NominalScan:

@@ -30,13 +30,13 @@ def believed_poses(
 ) -> tuple[Pose, Pose]:
     """Return the poses of source and panel that the system reports for a view."""
 
-    def believed(name: str, told: Pose, noise: PoseNoise) -> Pose:
+    def believed(name: str, nominal: Pose, noise: PoseNoise) -> Pose:
         purpose, length = f"believed {name}", noise.correlation_views
         if length:
             error_mm = noise.sigma_mm * view_normals(seed, purpose, view, 3, length)
         else:
             error_mm = truncated_normal(view_rng(seed, purpose, view), noise)
-        noisy = Pose(told.position + error_mm, told.quat)
+        noisy = Pose(nominal.position + error_mm, nominal.quat)
         if not noise.rotation_sigma_deg:
             return noisy
         turn = view_normals(seed, f"{purpose} rotation", view, 3, length)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from twinct.geometry.wire import PosePairs
 from twinct.scenario import Uncertainty
-from twinct.uncertainty.evidence import Evidence
 from twinct.uncertainty.repeatability import believed_poses
 
 
-def reported_poses(evidence: Evidence, uncertainty: Uncertainty, seed: int) -> PosePairs:
+def reported_poses(nominal: PosePairs, uncertainty: Uncertainty, seed: int) -> PosePairs:
     """Return the controllers' poses with the noise of each view; each seed is another report."""
-    told = evidence.told
-    pairs = [believed_poses(*told[view], uncertainty, seed, view) for view in range(len(told))]
+    pairs = [
+        believed_poses(*nominal[view], uncertainty, seed, view) for view in range(len(nominal))
+    ]
     return PosePairs(tuple(source for source, _ in pairs), tuple(panel for _, panel in pairs))

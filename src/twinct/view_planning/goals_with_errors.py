@@ -91,12 +91,12 @@ def rejudged(
 
 def _drawn_poses(scenario: Scenario, scan: NominalScan, draws: int) -> tuple[Floats, Floats]:
     """Return true and believed poses of both tools in each draw, as ``draw`` does."""
-    told_by = None
+    tool_model = None
     if file := scenario.uncertainty.calibration:
         source, detector = scan.chains
-        told_by = CalibratedArms.read(file, (source, detector)).tool
+        tool_model = CalibratedArms.read(file, (source, detector)).tool
     seeds = scenario.seed, scenario.arms_seed
-    parts = list(draw(scenario.uncertainty, scan, draws, *seeds, told_by))
+    parts = list(draw(scenario.uncertainty, scan, draws, *seeds, tool_model))
     true, believed = (
         np.concatenate([getattr(one, name) for _, one in parts], axis=2)
         for name in ("true", "believed")

@@ -145,7 +145,7 @@ def plan_views(
         plan = ViewPlan(
             found, figures, len(all_views), len(within), scan_s, clearance, seen, errors
         )
-        write_json(out / RESULT, _told(plan, choice))
+        write_json(out / RESULT, _plan_data(plan, choice))
         centre = np.asarray(orbit_of(scenario).isocentre_mm)
         draw_view_plan(
             out / PICTURE,
@@ -171,7 +171,7 @@ class _Choice:
         goals: goals of the search.
         figures: figures of each goal, as in ``ViewPlan``.
         worth: worth of the best choice after each step of the search.
-        told: further entries of plan.json.
+        extras: further entries of plan.json.
         section: the trajectory of the views; None: they are written to a file.
         mas: mAs of each view, (views,); None: the source's.
     """
@@ -180,7 +180,7 @@ class _Choice:
     goals: Sequence[Goal]
     figures: dict[str, dict[str, float | None]]
     worth: Sequence[float]
-    told: Mapping[str, Any]
+    extras: Mapping[str, Any]
     section: OrbitSettings | None = None
     mas: Floats | None = None
 
@@ -210,15 +210,15 @@ def _chosen(
         )
     chosen, path = sorted(found.chosen), range(len(within), len(together))
     assert journal.within_reach is not None
-    told: dict[str, Any] = {"chosen": journal.within_reach[chosen].tolist()}
+    data: dict[str, Any] = {"chosen": journal.within_reach[chosen].tolist()}
     figures, mas = _figures(goals, chosen, even, path), None
     if task.exposure is not None:
         shared = share_exposure(task.exposure, goals, chosen)
         mas = shared.exposures * builder.scenario.source.mas
-        told["exposure"] = {"mas": mas.tolist(), "at_equal_mas": shared.equal}
+        data["exposure"] = {"mas": mas.tolist(), "at_equal_mas": shared.equal}
         for name, value in shared.figures.items():
             figures[name]["planned"] = value
-    return _Choice(within[chosen], goals, figures, found.worth, told, mas=mas)
+    return _Choice(within[chosen], goals, figures, found.worth, data, mas=mas)
 
 
 def _tuned(
@@ -238,13 +238,13 @@ def _tuned(
     even, planned, path = (range(k * count, (k + 1) * count) for k in range(3))
     goals = goals_of(builder, together, count, even, SILENT)
     figures = _figures(goals, planned, even, path)
-    told: dict[str, Any] = {"parameters": dict(found.parameters)}
+    data: dict[str, Any] = {"parameters": dict(found.parameters)}
     if task.trying is not None:
         sets = {"planned": found.views, "spread_evenly": reference, "own_path": own}
         error = "error in the region"
         figures[error] = {n: error_of(builder, views) for n, views in sets.items()}
-        told["trying"] = figures[error]
-    return _Choice(found.views, goals, figures, found.worth, told, found.section)
+        data["trying"] = figures[error]
+    return _Choice(found.views, goals, figures, found.worth, data, found.section)
 
 
 def _figures(
@@ -292,7 +292,7 @@ def _driven(
     return plan.duration_s, float(plan.clearance_mm.min())
 
 
-def _told(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
+def _plan_data(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
     """Return the content of plan.json."""
     seen = plan.scouted
     return {
@@ -306,7 +306,7 @@ def _told(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
         },
         "candidates": plan.candidates,
         "reachable": plan.reachable,
-        **choice.told,
+        **choice.extras,
         "worth": list(choice.worth),
         "goals": {
             goal.name: plan.figures[goal.name]

@@ -53,7 +53,7 @@ def trial(
     region, _, _ = _region(builder.scenario)
     file, store = (folder / f"{name}{ending}" for ending in (".csv", ".zarr"))
     write_views(file, geometry, mas)
-    gantry = SimulationBuilder(_of_gantry(builder.scenario, file), kept_specimen=builder.specimen)
+    gantry = SimulationBuilder(_of_gantry(builder.scenario, file), given_specimen=builder.specimen)
     scan = acquire_to_store(gantry, store, local_rig, resume=True).read()
     volume, truth = reconstruct(scan).array, truth_of(scan, gantry)
     off = volume[region].astype(float) - truth.volume[region]

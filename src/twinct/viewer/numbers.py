@@ -47,7 +47,7 @@ def of_view(show: Show, view: int) -> str:
 
 def of_joints(show: Show, view: int, body: str) -> str:
     """Return a body's name, and the joints of its arm."""
-    told = [f"**{plain(body)}**"]
+    lines = [f"**{plain(body)}**"]
     joints = show.joints_at(view)
     if joints is not None and show.plan is not None:
         arm = body.partition("_")[0]
@@ -58,8 +58,8 @@ def of_joints(show: Show, view: int, body: str) -> str:
             if name.startswith(f"{arm}_")
         ]
         if rows:
-            told.append("\n".join(["| joint | deg |", "|---|---|", *rows]))
-    return "\n\n".join(told)
+            lines.append("\n".join(["| joint | deg |", "|---|---|", *rows]))
+    return "\n\n".join(lines)
 
 
 def of_pixel(
@@ -85,14 +85,14 @@ def of_pixel(
     c, r = round(column), round(row)
     if not (0 <= c < panel.columns and 0 <= r < panel.rows):
         return None
-    told = [f"**View {view}, pixel** column {c}, row {r}"]
+    lines = [f"**View {view}, pixel** column {c}, row {r}"]
     if show.transmission is not None and view < show.acquired:
         value = float(show.transmission(view)[r, c])
         integral = -math.log(value) if value > 0 else math.inf
-        told.append(f"transmission {value:.5f}, line integral {integral:.4f}")
+        lines.append(f"transmission {value:.5f}, line integral {integral:.4f}")
     else:
-        told.append("not taken yet")
-    return "\n\n".join(told)
+        lines.append("not taken yet")
+    return "\n\n".join(lines)
 
 
 def of_voxel(show: Show, axis: int, index: int, origin: Floats, direction: Floats) -> str | None:
@@ -108,13 +108,13 @@ def of_voxel(show: Show, axis: int, index: int, origin: Floats, direction: Float
 
 def of_point(show: Show, point: Floats, where: str) -> str | None:
     """Return all volumes' values at a point, mm."""
-    told: list[str] = []
+    lines: list[str] = []
     for name, volume in show.volumes.items():
         found = index_at(volume.grid, point)
         if found is not None:
             value = float(volume.array[found])
-            told.append(f"{plain(name)}: {value:.5f} /mm in voxel (z, y, x) {found}")
-    return "\n\n".join([f"**{where}** at {_point(point)} mm", *told]) if told else None
+            lines.append(f"{plain(name)}: {value:.5f} /mm in voxel (z, y, x) {found}")
+    return "\n\n".join([f"**{where}** at {_point(point)} mm", *lines]) if lines else None
 
 
 def on_surface(

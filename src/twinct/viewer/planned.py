@@ -31,10 +31,10 @@ def planned(builder: SimulationBuilder) -> Show:
         plan, problems, refused = builder.plan, (), ()
     except TrajectoryError as error:
         plan, problems = None, error.problems
-        poses = Poses.of(builder.asked.source_poses(), builder.asked.detector_poses())
+        poses = Poses.of(builder.requested.source_poses(), builder.requested.detector_poses())
         holder = Holder(builder.cell, scenario.motion, roll_free=builder.roll_free)
         refused = tuple(view for view, held in enumerate(holder.held(poses)) if not held)
-    views = len(builder.asked)
+    views = len(builder.requested)
     if scenario.cell.kind == "gantry":
         state = f"not run; {views} views, which a gantry takes exactly as commanded"
     elif plan is None:
@@ -44,7 +44,7 @@ def planned(builder: SimulationBuilder) -> Show:
     if plan is None and builder.plan_chooses:
         from twinct.geometry.wire import PosePairs
 
-        commanded = PosePairs.from_geometry(builder.asked)
+        commanded = PosePairs.from_geometry(builder.requested)
     else:
         commanded = builder.commanded_poses
     return Show(

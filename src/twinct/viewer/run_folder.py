@@ -75,7 +75,7 @@ class RunFolder:
     def _of_scenario(self) -> Show:
         """Return the state of a run without a stored view."""
         scenario = self.paths.scenario_of_run(planned=True)
-        commanded = PosePairs.from_geometry(SimulationBuilder(scenario).asked)
+        commanded = PosePairs.from_geometry(SimulationBuilder(scenario).requested)
         return Show(self.paths.path.name, scenario, commanded, state="no view is stored yet")
 
     def _of_store(self, store: ScanStore) -> Show:

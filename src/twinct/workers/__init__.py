@@ -3,7 +3,17 @@
 from twinct.core.renamed import old_names
 from twinct.workers.local import LocalPool
 from twinct.workers.mapping import each, map_over
-from twinct.workers.work import Artifact, Died, Done, Event, Failed, Made, Place, Pool, Work
+from twinct.workers.work import (
+    Artifact,
+    Died,
+    Done,
+    Event,
+    Failed,
+    Place,
+    Pool,
+    WithArtifacts,
+    Work,
+)
 
 __all__ = [
     "Died",
@@ -11,7 +21,7 @@ __all__ = [
     "Event",
     "Failed",
     "LocalPool",
-    "Made",
+    "WithArtifacts",
     "Artifact",
     "Place",
     "Pool",
@@ -21,3 +31,5 @@ __all__ = [
 ]
 
 __getattr__ = old_names(__name__, {"Parcel": "Artifact"})
+
+__getattr__ = old_names(__name__, {"Made": "WithArtifacts"})

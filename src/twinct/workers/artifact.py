@@ -14,7 +14,7 @@ from twinct.core.files.writing import draft_of, storage_errors
 
 
 @dataclass(frozen=True)
-class Here:
+class LocalArtifact:
     """Artifact that is already on this machine."""
 
     path: Path

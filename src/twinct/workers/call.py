@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError, MemoryShortageError, TwinctError
-from twinct.workers.work import Artifact, Done, Failed, Made, Place, Pool, Work
+from twinct.workers.work import Artifact, Done, Failed, Place, Pool, WithArtifacts, Work
 
 
 @dataclass(frozen=True)
@@ -85,8 +85,8 @@ def call(request: bytes, place: Place) -> Outcome:
         function, argument = pickle.loads(request)
         made = function(argument, place)
         seconds = time.monotonic() - begun
-        if not isinstance(made, Made):
-            made = Made(made)
+        if not isinstance(made, WithArtifacts):
+            made = WithArtifacts(made)
         artifacts = {name: Path(path).absolute() for name, path in made.artifacts.items()}
         for name, path in artifacts.items():
             if not path.exists():

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import replace
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -20,7 +20,7 @@ from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.interruption import postponed
 from twinct.core.memory import available_bytes
 from twinct.core.threads import SETTING
-from twinct.workers.artifact import Here
+from twinct.workers.artifact import LocalArtifact
 from twinct.workers.call import Outcome, event, sent
 from twinct.workers.work import Died, Event, Pool, Work
 
@@ -28,19 +28,12 @@ MOST_PASSED = 16
 """Number of pieces of work that may overtake the first in line while it waits for memory."""
 
 
-@dataclass(frozen=True)
-class _Task:
-    key: str
-    memory_bytes: int
-    message: bytes
-
-
 class _Worker:
     """A worker process and its current task."""
 
     def __init__(self, number: int, folder: Path, threads: int) -> None:
         self.number = number
-        self.task: _Task | None = None
+        self.task: Work | None = None
         self.connection, theirs = Pipe()
         read, self._lifeline = os.pipe()
         log = folder / "logs" / f"worker-{number}.log"
@@ -128,13 +121,13 @@ class LocalPool(Pool):
             InputError: fewer than one worker, thread or byte.
         """
         most = available_bytes()[0] if memory_bytes is None else memory_bytes
-        told = {"workers": workers, "threads": threads, "memory_bytes": most}
-        if problems := [f"{k}={v}: must be at least 1" for k, v in told.items() if v < 1]:
+        data = {"workers": workers, "threads": threads, "memory_bytes": most}
+        if problems := [f"{k}={v}: must be at least 1" for k, v in data.items() if v < 1]:
             raise InputError(problems)
         self.folder = Path(folder).absolute()
         self._slots, self._threads, self._memory = workers, threads, int(min(most, 2**62))
         self._offered: dict[str, Path] = {}
-        self._queue: deque[_Task] = deque()
+        self._queue: deque[Work] = deque()
         self._passed = 0
         self._keys: set[str] = set()
         self._workers: list[_Worker] = []
@@ -165,7 +158,7 @@ class LocalPool(Pool):
         request = sent(work, self, self._keys, self._offered)
         inputs = {name: self._offered[name] for name in work.inputs}
         self._keys.add(work.key)
-        self._queue.append(_Task(work.key, work.memory_bytes, pickle.dumps((request, inputs))))
+        self._queue.append(replace(work, argument=pickle.dumps((request, inputs))))
         self._start_what_fits()
 
     def wait(self, timeout_s: float | None = None) -> list[Event]:
@@ -202,7 +195,7 @@ class LocalPool(Pool):
             worker.task = task
             self._make_room()
             with contextlib.suppress(OSError):  # the worker has just died; ``wait`` reports it
-                worker.connection.send_bytes(task.message)
+                worker.connection.send_bytes(task.argument)
             del self._queue[place]
             self._passed = 0 if place == 0 else self._passed + 1
 
@@ -254,5 +247,5 @@ class LocalPool(Pool):
             return [] if task is None else [Died(task.key, f"its worker {how}")]
         assert task is not None
         worker.task = None
-        artifacts = {name: Here(path) for name, path in outcome.artifacts.items()}
+        artifacts = {name: LocalArtifact(path) for name, path in outcome.artifacts.items()}
         return [event(task.key, outcome, artifacts)]

@@ -37,7 +37,7 @@ class Work:
     Attributes:
         key: unique key among all work in the pool.
         function: ``function(argument, place)``, which can be imported by its name. It returns a
-            plain value, or ``Made``.
+            plain value, or ``WithArtifacts``.
         argument: any object that can be pickled.
         memory_bytes: peak memory of the call.
         inputs: names of offers that the call may fetch; see ``Pool.offer``.
@@ -51,7 +51,7 @@ class Work:
 
 
 @dataclass(frozen=True)
-class Made:
+class WithArtifacts:
     """A value, and files or folders that are sent back with it."""
 
     value: Any

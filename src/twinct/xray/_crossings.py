@@ -14,16 +14,16 @@ from numba import njit, prange
 
 from twinct.xray._sides import CERTAIN, OPTIONS, crossing, side
 
-_FARTHEST = 1e9
+FARTHEST = 1e9
 """Largest column and row, in pixels, that are divided by the depth."""
 
-_MARGIN = 1e-6
+MARGIN = 1e-6
 """Extra pixels around a triangle, more than the rounding of its corners."""
 
-_NARROW = 8
+NARROW = 8
 """Columns up to which every pixel of a row is tested."""
 
-_FLAT = 1e-4
+FLAT = 1e-4
 """Rise of an edge, in rows, below which it counts as horizontal when a row is narrowed."""
 
 
@@ -45,7 +45,7 @@ def project(vertices, frame, places):
     """Write (column, row, 1 / w) of each vertex; 1 / w is 0 beside and behind the source."""
     for i in prange(len(vertices)):
         x, y, w = _seen(vertices, i, frame)
-        if _FARTHEST * w > abs(x) + abs(y):
+        if FARTHEST * w > abs(x) + abs(y):
             places[i, 0], places[i, 1], places[i, 2] = x / w, y / w, 1.0 / w
         else:
             places[i] = 0.0
@@ -54,9 +54,9 @@ def project(vertices, frame, places):
 @njit(**OPTIONS)
 def _meets(xa, ya, xb, yb, row, low, high):
     """Extend a range of columns by those where an edge meets a row."""
-    if min(ya, yb) > row + _MARGIN or max(ya, yb) < row - _MARGIN:
+    if min(ya, yb) > row + MARGIN or max(ya, yb) < row - MARGIN:
         return low, high
-    if abs(yb - ya) < _FLAT:
+    if abs(yb - ya) < FLAT:
         return min(low, xa, xb), max(high, xa, xb)
     x = xa + min(max((row - ya) / (yb - ya), 0.0), 1.0) * (xb - xa)
     return min(low, x), max(high, x)
@@ -66,8 +66,8 @@ def _meets(xa, ya, xb, yb, row, low, high):
 def _centres(low, high, first, last):
     """Return the first and the last pixel centre between two places, within limits."""
     return (
-        int(math.ceil(max(low - _MARGIN, first))),
-        int(math.floor(min(high + _MARGIN, last))),
+        int(math.ceil(max(low - MARGIN, first))),
+        int(math.floor(min(high + MARGIN, last))),
     )
 
 
@@ -146,7 +146,7 @@ def _cover(places, i, j, k, first, last, weight, total):
     if lowest > highest:
         return 0
     depths = places[i, 2], places[j, 2], places[k, 2]
-    if end - begin > _NARROW:
+    if end - begin > NARROW:
         box = begin, end, lowest, highest
         return _cover_wide(xs, ys, depths, certain, box, weight, total)
     doubtful = 0
@@ -164,7 +164,7 @@ def _settle(a, b, c, xs, ys, first, last, weight, total):
     for row in range(lowest, highest + 1):
         da, db, dc = ya - row, yb - row, yc - row
         start, stop = begin, end
-        if end - begin > _NARROW:
+        if end - begin > NARROW:
             start, stop = _narrowed(xs, ys, row, begin, end)
         for column in range(start, stop + 1):
             fa, fb, fc = xa - column, xb - column, xc - column
@@ -283,3 +283,25 @@ def write_lengths(steps, exponential, total, image):
                 z = steps[0, 2] + column * steps[1, 2] + row * steps[2, 2]
                 length = total[row, column] * math.sqrt(x * x + y * y + z * z)
             image[row, column] = math.exp(-length) if exponential else length
+
+
+@njit(**OPTIONS)
+def settle_pixels(vertices, faces, frame, pixels, weight, depths):
+    """Write the depth, times the weight, at which each ray leaves a triangle, with exact signs.
+
+    It is negative where a ray enters. ``pixels`` holds (face, row, column) of each ray, (n, 3); the
+    other arguments are those of ``add_crossings``.
+    """
+    for n in range(len(pixels)):
+        i, j, k = faces[pixels[n, 0], 0], faces[pixels[n, 0], 1], faces[pixels[n, 0], 2]
+        a, b, c = _seen(vertices, i, frame), _seen(vertices, j, frame), _seen(vertices, k, frame)
+        depths[n] = weight * crossing(a, b, c, float(pixels[n, 2]), float(pixels[n, 1]))
+
+
+@njit(**OPTIONS)
+def add_listed(vertices, faces, frame, listed, weight, total):
+    """Add triangles that reach beside or behind the source, as ``add_crossings`` does."""
+    for t in listed:
+        i, j, k = faces[t, 0], faces[t, 1], faces[t, 2]
+        a, b, c = _seen(vertices, i, frame), _seen(vertices, j, frame), _seen(vertices, k, frame)
+        _add_beside(a, b, c, 0, len(total), weight, total)

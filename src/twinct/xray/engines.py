@@ -9,12 +9,13 @@ from importlib.util import find_spec
 from twinct.core.errors import InputError
 from twinct.core.extensions import Offers, offers
 from twinct.core.foreign_text import quoted
+from twinct.xray.cuda_mesh import CUDA_MESH
 from twinct.xray.engine import EngineChoice
 from twinct.xray.gvxr import GVXR
 from twinct.xray.mesh import MESH
 
 DEFAULT_ENGINE = GVXR.name
-BUILT_IN = {choice.name: choice for choice in (GVXR, MESH)}
+BUILT_IN = {choice.name: choice for choice in (GVXR, MESH, CUDA_MESH)}
 
 
 @cache
@@ -39,10 +40,11 @@ def engine_named(name: str) -> EngineChoice:
         raise InputError(f"xray.engine: {reason} (allowed: {', '.join(known)})")
     choice = known[name]
     if missing := [module for module in choice.modules if not _installed(module)]:
+        free = (one.name for one in BUILT_IN.values() if not one.modules)
         raise InputError(
             f"xray.engine: the engine {quoted(name)} needs {', '.join(missing)}, not "
             "installed here "
-            f"(allowed without: {', '.join(BUILT_IN)})"
+            f"(allowed without: {', '.join(free)})"
         )
     return choice
 

@@ -30,13 +30,15 @@ _LEAST_FACES = 50_000
 """Smallest number of triangles per thread: fewer take less time than it takes to wake a thread."""
 
 
-class _Upload(NamedTuple):
+class Upload(NamedTuple):
+    """Body as the kernels take it: vertices (n, 3), mm, faces (m, 3), attenuation."""
+
     vertices: Floats
     faces: NDArray[np.uint32]
     mu_per_mm: float
 
 
-class _Frame(NamedTuple):
+class Frame(NamedTuple):
     """A view as the kernels take it.
 
     Attributes:
@@ -50,12 +52,36 @@ class _Frame(NamedTuple):
     steps: Floats
 
 
+def uploaded(bodies: Sequence[SceneBody]) -> list[Upload]:
+    """Copy bodies."""
+    return [
+        Upload(
+            np.array(body.vertices, dtype=np.float64, order="C"),
+            np.array(body.faces, dtype=np.uint32, order="C"),
+            float(body.mu_per_mm or 0.0),
+        )
+        for body in bodies
+    ]
+
+
+def frame_of(view: SceneView, panel: Panel) -> Frame:
+    """Return a view as the kernels take it."""
+    column, row = panel.middle
+    across, up = panel.pitch_u * view.u, panel.pitch_v * view.v
+    first = view.centre - view.source - column * across - row * up
+    # A point at t (first + c across + r up) has the products t d (c, r, 1): without divisions, so
+    # that simple numbers stay exact.
+    ahead = np.cross(up, across)
+    seen = [np.cross(first, up), np.cross(across, first), ahead, view.source]
+    return Frame(np.array(seen), np.array([first, across, up]) / (first @ ahead))
+
+
 class MeshEngine:
     """Rays through triangles; see ``XrayEngine``."""
 
     def __init__(self) -> None:
         """Create an idle engine."""
-        self._bodies: list[_Upload] = []
+        self._bodies: list[Upload] = []
         self._panel: Panel | None = None
         self._total = np.empty((0, 0))
         self._places = np.empty((0, 3))
@@ -66,14 +92,7 @@ class MeshEngine:
 
     def acquire(self, bodies: Sequence[SceneBody], panel: Panel) -> None:
         """Copy the bodies."""
-        self._bodies = [
-            _Upload(
-                np.array(body.vertices, dtype=np.float64, order="C"),
-                np.array(body.faces, dtype=np.uint32, order="C"),
-                float(body.mu_per_mm or 0.0),
-            )
-            for body in bodies
-        ]
+        self._bodies = uploaded(bodies)
         self._panel = panel
         self._total = np.empty(panel.shape)
         self._places = np.empty((max((len(body.vertices) for body in bodies), default=0), 3))
@@ -87,7 +106,8 @@ class MeshEngine:
         """Write the transmission behind all bodies, (rows, columns)."""
         from twinct.xray._crossings import write_lengths
 
-        frame = self._frame(view)
+        assert self._panel is not None
+        frame = frame_of(view, self._panel)
         self._total[:] = 0
         with _threads(sum(len(body.faces) for body in self._bodies)) as threads:
             for body in self._bodies:
@@ -98,24 +118,14 @@ class MeshEngine:
         """Write the length of each ray inside one body, (rows, columns), mm."""
         from twinct.xray._crossings import write_lengths
 
-        frame = self._frame(view)
+        assert self._panel is not None
+        frame = frame_of(view, self._panel)
         self._total[:] = 0
         with _threads(len(self._bodies[body].faces)) as threads:
             self._add(self._bodies[body], frame, 1.0, threads)
             write_lengths(frame.steps, False, self._total, lengths)
 
-    def _frame(self, view: SceneView) -> _Frame:
-        assert self._panel is not None
-        column, row = self._panel.middle
-        across, up = self._panel.pitch_u * view.u, self._panel.pitch_v * view.v
-        first = view.centre - view.source - column * across - row * up
-        # A point at t (first + c across + r up) has the products t d (c, r, 1): without divisions,
-        # so that simple numbers stay exact.
-        ahead = np.cross(up, across)
-        seen = [np.cross(first, up), np.cross(across, first), ahead, view.source]
-        return _Frame(np.array(seen), np.array([first, across, up]) / (first @ ahead))
-
-    def _add(self, body: _Upload, frame: _Frame, weight: float, threads: int) -> None:
+    def _add(self, body: Upload, frame: Frame, weight: float, threads: int) -> None:
         from twinct.xray._crossings import add_crossings, project
 
         places = self._places[: len(body.vertices)]

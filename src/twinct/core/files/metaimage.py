@@ -46,7 +46,7 @@ class MetaImageHeader:
     """Header of a MetaImage file of three axes.
 
     Attributes:
-        told: values by key, as texts, without those of ``ElementDataFile``.
+        fields: values by key, as texts, without those of ``ElementDataFile``.
         shape: number of voxels along the axes, the fastest first.
         dtype: type of the numbers as they are stored.
         packed_bytes: size of the compressed numbers; None if they are stored as they are.
@@ -55,7 +55,7 @@ class MetaImageHeader:
         where: beginning of messages.
     """
 
-    told: Mapping[str, str]
+    fields: Mapping[str, str]
     shape: tuple[int, ...]
     dtype: np.dtype
     packed_bytes: int | None
@@ -74,12 +74,12 @@ class MetaImageHeader:
         Raises:
             InputError: of this ``kind``; the key is missing, or does not state so many numbers.
         """
-        words = _required(self.told, key, self.where, kind).split()
+        words = _required(self.fields, key, self.where, kind).split()
         with contextlib.suppress(ValueError):
             found = [number(word) for word in words]
             if len(found) == count and all(map(math.isfinite, found)):
                 return found
-        raise kind(f"{self.where}: {key} is {quoted(self.told[key])}; expected {count} numbers")
+        raise kind(f"{self.where}: {key} is {quoted(self.fields[key])}; expected {count} numbers")
 
 
 def read_metaimage(
@@ -139,36 +139,38 @@ def metaimage_header(
     """
     file_bytes(path, where, kind=kind)
     with open_regular(path, where, kind) as stream:
-        told, end = _told(stream, where, kind)
-    if told.get("ObjectType", "Image") != "Image" or told.get("ObjectSubType"):
-        raise kind(f"{where} holds no image (ObjectType {quoted(told.get('ObjectType'))})")
-    axes = _required(told, "NDims", where, kind)
+        fields, end = _read_fields(stream, where, kind)
+    if fields.get("ObjectType", "Image") != "Image" or fields.get("ObjectSubType"):
+        raise kind(f"{where} holds no image (ObjectType {quoted(fields.get('ObjectType'))})")
+    axes = _required(fields, "NDims", where, kind)
     shape = tuple(
-        whole_number(word) or 0 for word in _required(told, "DimSize", where, kind).split()
+        whole_number(word) or 0 for word in _required(fields, "DimSize", where, kind).split()
     )
     if axes != "3" or len(shape) != 3:
         raise kind(f"{where} has {quoted(axes)} axes (NDims); expected one volume with three axes")
     if min(shape) < 1:
-        raise kind(f"{where} states impossible sizes of its axes: {quoted(told['DimSize'])}")
-    _require_plain(told, where, kind)
-    dtype = _dtype(told, where, kind)
-    packed_bytes = _packed_bytes(told, where, kind)
-    name = told[LAST_KEY]
+        raise kind(f"{where} states impossible sizes of its axes: {quoted(fields['DimSize'])}")
+    _require_plain(fields, where, kind)
+    dtype = _dtype(fields, where, kind)
+    packed_bytes = _packed_bytes(fields, where, kind)
+    name = fields[LAST_KEY]
     if name == LOCAL:
-        return MetaImageHeader(told, shape, dtype, packed_bytes, path, end, where)
+        return MetaImageHeader(fields, shape, dtype, packed_bytes, path, end, where)
     one_file = re.fullmatch(r"[^\s/%]+", name) and name not in ("LIST", ".", "..")
     if not one_file:
         raise kind(
             f"{where}: its voxels are in {quoted(name)}; expected LOCAL or one file without blanks "
             "in the same folder"
         )
-    return MetaImageHeader(told, shape, dtype, packed_bytes, path.with_name(name), 0, where)
+    return MetaImageHeader(fields, shape, dtype, packed_bytes, path.with_name(name), 0, where)
 
 
-def _told(stream: BinaryIO, where: str, kind: type[InputError]) -> tuple[dict[str, str], int]:
+def _read_fields(
+    stream: BinaryIO, where: str, kind: type[InputError]
+) -> tuple[dict[str, str], int]:
     """Return the values by key, and the position after the last line of the header."""
-    block, told, end = stream.read(LONGEST_HEADER), dict[str, str](), 0
-    while LAST_KEY not in told:
+    block, fields, end = stream.read(LONGEST_HEADER), dict[str, str](), 0
+    while LAST_KEY not in fields:
         line, newline, _ = block[end:].partition(b"\n")
         end += len(line) + 1
         if not newline or not line.isascii() or b"\0" in line:
@@ -182,28 +184,28 @@ def _told(stream: BinaryIO, where: str, kind: type[InputError]) -> tuple[dict[st
             if line.strip():
                 raise kind(f"{where}: its header has the line {quoted(line.decode())}; expected =")
             continue
-        if key in told:
+        if key in fields:
             raise kind(f"{where} states {quoted(key)} twice, or by two names")
-        told[key] = value.strip()
-    return told, end
+        fields[key] = value.strip()
+    return fields, end
 
 
-def _required(told: Mapping[str, str], key: str, where: str, kind: type[InputError]) -> str:
-    if key not in told:
+def _required(fields: Mapping[str, str], key: str, where: str, kind: type[InputError]) -> str:
+    if key not in fields:
         raise kind(f"{where} does not state {key}")
-    return told[key]
+    return fields[key]
 
 
-def _truth(told: Mapping[str, str], key: str, where: str, kind: type[InputError]) -> bool:
-    value = _required(told, key, where, kind)
+def _truth(fields: Mapping[str, str], key: str, where: str, kind: type[InputError]) -> bool:
+    value = _required(fields, key, where, kind)
     if (found := _TRUTHS.get(value.lower())) is None:
         raise kind(f"{where}: {key} is {quoted(value)}; expected True or False")
     return found
 
 
-def _require_plain(told: Mapping[str, str], where: str, kind: type[InputError]) -> None:
+def _require_plain(fields: Mapping[str, str], where: str, kind: type[InputError]) -> None:
     """Check that the numbers are binary, one for each voxel, and mean what they are."""
-    if not _truth(told, "BinaryData", where, kind):
+    if not _truth(fields, "BinaryData", where, kind):
         raise kind(f"{where} holds its voxels as text (BinaryData); expected binary ones")
     plain = {
         "ElementNumberOfChannels": 1.0,
@@ -213,26 +215,26 @@ def _require_plain(told: Mapping[str, str], where: str, kind: type[InputError]) 
     }
     for key, expected in plain.items():
         with contextlib.suppress(ValueError):
-            if number(told.get(key, str(expected))) == expected:
+            if number(fields.get(key, str(expected))) == expected:
                 continue
-        raise kind(f"{where}: {key} is {quoted(told[key])}; expected {expected:g}")
+        raise kind(f"{where}: {key} is {quoted(fields[key])}; expected {expected:g}")
 
 
-def _dtype(told: Mapping[str, str], where: str, kind: type[InputError]) -> np.dtype:
-    name = _required(told, "ElementType", where, kind)
+def _dtype(fields: Mapping[str, str], where: str, kind: type[InputError]) -> np.dtype:
+    name = _required(fields, "ElementType", where, kind)
     if name not in NUMBERS:
         raise kind(f"{where} has voxels of {quoted(name)}; expected one of {', '.join(NUMBERS)}")
-    if np.dtype(NUMBERS[name]).itemsize == 1 and "BinaryDataByteOrderMSB" not in told:
+    if np.dtype(NUMBERS[name]).itemsize == 1 and "BinaryDataByteOrderMSB" not in fields:
         return np.dtype(NUMBERS[name])
-    big = _truth(told, "BinaryDataByteOrderMSB", where, kind)
+    big = _truth(fields, "BinaryDataByteOrderMSB", where, kind)
     return np.dtype((">" if big else "<") + NUMBERS[name])
 
 
-def _packed_bytes(told: Mapping[str, str], where: str, kind: type[InputError]) -> int | None:
-    if "CompressedData" not in told or not _truth(told, "CompressedData", where, kind):
+def _packed_bytes(fields: Mapping[str, str], where: str, kind: type[InputError]) -> int | None:
+    if "CompressedData" not in fields or not _truth(fields, "CompressedData", where, kind):
         return None
-    size = whole_number(_required(told, "CompressedDataSize", where, kind))
+    size = whole_number(_required(fields, "CompressedDataSize", where, kind))
     if size is None:
-        told_size = quoted(told["CompressedDataSize"])
+        told_size = quoted(fields["CompressedDataSize"])
         raise kind(f"{where}: CompressedDataSize is {told_size}; expected a number of bytes")
     return size

@@ -18,7 +18,7 @@ class Verdict:
 
     test: str
     what: str
-    asked: str
+    required: str
     measured: str
     passed: bool | None
 
@@ -59,8 +59,8 @@ def _coverage(results: Path) -> list[Verdict]:
     )
     sampled = f", {COVERAGE_SAMPLES} x {COVERAGE_SAMPLES} samples a pixel"
     return [
-        Verdict("2D-WE-2", what + sampled, asked, measured, passed)
-        for what, asked, measured, passed in figures
+        Verdict("2D-WE-2", what + sampled, required, measured, passed)
+        for what, required, measured, passed in figures
     ]
 
 
@@ -103,14 +103,14 @@ def _scintillators(results: Path) -> list[Verdict]:
         allowed = np.where(deviation > 0, above, below) + 0.02 * mean
         worst = float((np.abs(deviation) / allowed).max())
         relative = float(np.abs(deviation / mean).max())
-        asked, passed = "reported", None
+        required, passed = "reported", None
         if name.endswith("_Al_50"):
-            asked, passed = "Monte Carlo uncertainty + 2 %", worst <= 1
+            required, passed = "Monte Carlo uncertainty + 2 %", worst <= 1
         elif name.endswith("_Fe_100"):  # see IRON_STEPS_MM
-            asked = "nothing: the steps were taken from this reference"
+            required = "nothing: the steps were taken from this reference"
         what = f"{name}: ratios to D1, primary radiation"
         measured = f"largest deviation {100 * relative:.2f} %, {worst:.2f} of what is allowed"
-        found.append(Verdict("2D-SW-1", what, asked, measured, passed))
+        found.append(Verdict("2D-SW-1", what, required, measured, passed))
     return found
 
 

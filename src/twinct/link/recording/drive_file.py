@@ -61,8 +61,8 @@ class DriveFile:
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._bag = Bag(path, CHUNK_BYTES)
-            told = {"joints": dict(names), "joint_states": list(joint_states)}
-            facts = {key: json.dumps(value) for key, value in told.items()}
+            data = {"joints": dict(names), "joint_states": list(joint_states)}
+            facts = {key: json.dumps(value) for key, value in data.items()}
             self._bag.note(NOTE, {"format": DRIVE_FORMAT, **facts})
             self._bag.attach(SCENARIO, scenario.resolved().encode())
             with tempfile.TemporaryDirectory(prefix="twinct-") as name:

@@ -50,7 +50,7 @@ class LocalRecorder(Recorder):
     def around(self, rig: Rig) -> Rig:
         """See ``Recorder.around``."""
         assert isinstance(rig, LocalRig)
-        return _Told(rig, self)
+        return _RecordedRig(rig, self)
 
     def asked(self, view: int, target: Target) -> None:
         """Record a target that was sent."""
@@ -95,7 +95,7 @@ class LocalRecorder(Recorder):
         self.write(topic, message, self._now_ns)
 
 
-class _Told(LocalRig):
+class _RecordedRig(LocalRig):
     """A rig that records each action before it reports the result."""
 
     def __init__(self, rig: LocalRig, recorder: LocalRecorder) -> None:

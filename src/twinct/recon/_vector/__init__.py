@@ -11,6 +11,7 @@ from twinct.recon._vector.cache import kernels_from_disk
 
 with kernels_from_disk():
     from twinct.recon import _plain
+    from twinct.recon._plain import bring, hold, leave_out, require, room
     from twinct.recon._vector import adjoint as _adjoint
     from twinct.recon._vector.forward import forward
     from twinct.recon._vector.options import CUBE, IMAGE, MATRICES, STACK, kernel
@@ -27,7 +28,21 @@ with kernels_from_disk():
         _plain.primal.py_func
     )
 
-__all__ = ["adjoint", "ascend", "back_project", "chords", "forward", "primal", "ratio", "update"]
+__all__ = [
+    "adjoint",
+    "ascend",
+    "back_project",
+    "bring",
+    "chords",
+    "forward",
+    "hold",
+    "leave_out",
+    "primal",
+    "ratio",
+    "require",
+    "room",
+    "update",
+]
 
 
 def adjoint(y, rays, out):

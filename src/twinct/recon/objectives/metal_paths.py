@@ -116,7 +116,7 @@ def metal_lengths(
     return found
 
 
-def seen_lengths(A: Projector, metal: ArrayLike, points: ArrayLike) -> list[Floats]:
+def lengths_in_metal(A: Projector, metal: ArrayLike, points: ArrayLike) -> list[Floats]:
     """Compute path lengths in metal from a volume, such as a reconstruction of scout views.
 
     Args:
@@ -258,7 +258,7 @@ class _Seen:
         return grid.world_from_grid.apply(local)
 
     def lengths(self, geometry: ScanGeometry, points: Floats) -> list[Floats]:
-        return seen_lengths(Projector(geometry, self.volume.grid), self.there, points)
+        return lengths_in_metal(Projector(geometry, self.volume.grid), self.there, points)
 
     def dim(self, geometry: ScanGeometry, photons: Floats) -> Floats:
         mu_per_mm = self.materials()[0].mu_per_mm(self.patient.energy_kev)

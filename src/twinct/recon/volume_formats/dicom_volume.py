@@ -20,7 +20,7 @@ from twinct.geometry import VolumeGrid
 from twinct.recon.volume_formats.volume_format import (
     LPS_FROM_RAS,
     Singles,
-    Told,
+    VolumeFacts,
     VolumeFormat,
     frame,
 )
@@ -39,7 +39,7 @@ STEPS = 1.0, 2.0, 5.0
 """Leading digits of a rescale step, so that its decimal text is exact."""
 
 
-def rescale_step(array: Singles, told: Told) -> float:
+def rescale_step(array: Singles, told: VolumeFacts) -> float:
     """Return the smallest step 1, 2 or 5 times a power of ten that reaches all values.
 
     HU have a step of at least 1, as those of scanners.
@@ -52,7 +52,7 @@ def rescale_step(array: Singles, told: Told) -> float:
     return next(step for step in map(float, texts) if step >= least)
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: Told) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
     """Write the folder with one file for each slice."""
     from pydicom.dataset import Dataset, FileMetaDataset
     from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
@@ -86,7 +86,7 @@ def _stored(plane: Singles, step: float) -> NDArray[np.int16]:
     return np.rint(plane.astype(np.float64) / step).astype("<i2")
 
 
-def _common(array: Singles, grid: VolumeGrid, told: Told, digest: str, step: float) -> Any:
+def _common(array: Singles, grid: VolumeGrid, told: VolumeFacts, digest: str, step: float) -> Any:
     """Return the attributes that all slices share."""
     from pydicom.dataset import Dataset
     from pydicom.uid import CTImageStorage

@@ -13,13 +13,13 @@ from twinct.geometry import VolumeGrid
 from twinct.recon.volume_formats.volume_format import (
     LPS_FROM_RAS,
     Singles,
-    Told,
+    VolumeFacts,
     VolumeFormat,
     frame,
 )
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: Told) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
     axes, edges, origin = frame(LPS_FROM_RAS @ grid.affine)
     header = {
         "ObjectType": "Image",

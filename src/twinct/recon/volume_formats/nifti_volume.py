@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from twinct.geometry import VolumeGrid
-from twinct.recon.volume_formats.volume_format import Singles, Told, VolumeFormat
+from twinct.recon.volume_formats.volume_format import Singles, VolumeFacts, VolumeFormat
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: Told) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
     """Write one file; its description holds at most 79 bytes of the note."""
     import nibabel
 

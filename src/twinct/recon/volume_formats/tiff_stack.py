@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from twinct.geometry import VolumeGrid
-from twinct.recon.volume_formats.volume_format import Singles, Told, VolumeFormat
+from twinct.recon.volume_formats.volume_format import Singles, VolumeFacts, VolumeFormat
 
 LARGEST_IMAGEJ_BYTES = 2**32 - 2**20
 """Limit of a classic TIFF file; larger volumes are BigTIFF, which ImageJ's importers read."""
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: Told) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
     """Write pages of rising z with rows of rising y; the place of the voxels is in the tags."""
     from tifffile import imwrite
 

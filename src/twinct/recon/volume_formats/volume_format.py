@@ -21,7 +21,7 @@ LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True)
-class Told:
+class VolumeFacts:
     """Facts about a volume that its files tell.
 
     Attributes:
@@ -53,7 +53,7 @@ class VolumeFormat:
     name: str
     title: str
     endings: tuple[str, ...]
-    write: Callable[[Singles, VolumeGrid, Path, Told], None]
+    write: Callable[[Singles, VolumeGrid, Path, VolumeFacts], None]
 
 
 def format_of_name(path: Path, formats: Iterable[VolumeFormat]) -> VolumeFormat:

@@ -8,12 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from twinct.geometry import VolumeGrid
-from twinct.recon.volume_formats.volume_format import Singles, Told, VolumeFormat
+from twinct.recon.volume_formats.volume_format import Singles, VolumeFacts, VolumeFormat
 
 CHUNK = 64
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: Told) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
     import zarr
 
     group = zarr.open_group(path, mode="w", zarr_format=3)

@@ -6,18 +6,19 @@ import difflib
 import os
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twinct.core.arm_files import BUILT_IN
 from twinct.core.errors import MissingExtraError, ScenarioError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
 from twinct.scenario import Arm
+from twinct.scenario.cell import ARMS
 
 if TYPE_CHECKING:
     import mujoco
@@ -67,21 +68,23 @@ def load_arm(arm: Arm, key: str) -> ArmModel:
         origin = f"{key}.file: {arm.file}"
         own = read_own_arm(arm, origin)
         return _normalised(own.spec, own.spec.compile(), arm, key, origin, own)
+    origin = f"{key}.model: {name}"
     if name.startswith("menagerie:"):
         spec = mujoco.MjSpec.from_file(str(_menagerie_file(name.removeprefix("menagerie:"), key)))
-        model = spec.compile()
-    else:
+        return _normalised(spec, spec.compile(), arm, key, origin)
+    if name in BUILT_IN:
         spec, model = _built_in(name)
-        spec = spec.copy()
-    return _normalised(spec, model, arm, key, f"{key}.model: {name}")
+        return _normalised(spec.copy(), model, arm, key, origin)
+    offered = ARMS[name]
+    keys = {k: v for k, v in offered.keys.items() if k not in arm.model_fields_set}
+    own = read_own_arm(arm := arm.model_copy(update={"file": offered.file, **keys}), origin)
+    return _normalised(own.spec, own.spec.compile(), arm, key, origin, own)
 
 
 @cache
 def _built_in(name: str) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Return an arm of this package; a search builds the same arms hundreds of times."""
-    mujoco = mujoco_module()
-    with as_file(files("twinct.robots.cell") / f"{name}.xml") as path:
-        spec = mujoco.MjSpec.from_file(str(path))
+    spec = mujoco_module().MjSpec.from_file(str(BUILT_IN[name].file))
     return spec, spec.compile()
 
 

@@ -86,7 +86,7 @@ def overlaps(cell: CellModel) -> list[Overlap]:
     data, line = mujoco.MjData(model), np.zeros(6)
     mujoco.mj_kinematics(model, data)
     solid = [
-        (geom, _told(cell, int(model.geom_bodyid[geom])))
+        (geom, _names(cell, int(model.geom_bodyid[geom])))
         for geom in range(model.ngeom)
         if (model.geom_contype[geom] or model.geom_conaffinity[geom])
         and model.body_weldid[model.geom_bodyid[geom]] == 0
@@ -120,7 +120,7 @@ def _rank(body: Fixed) -> int:
     return _RANKS.index("table" if body.kind == "holder" else body.kind)
 
 
-def _told(cell: CellModel, body: int) -> Fixed:
+def _names(cell: CellModel, body: int) -> Fixed:
     """Return a fixed body's names in messages and in the scenario."""
     name = _named(cell.model, body)
     for side, arm in zip(ARMS, (cell.cell.source_arm, cell.cell.detector_arm), strict=True):
@@ -136,13 +136,13 @@ def _told(cell: CellModel, body: int) -> Fixed:
     if name.startswith(OBJECT):
         key, one = next(of for of in cell.cell.keyed_objects if f"{OBJECT}{of[1].name}" == name)
         return Fixed("object", f"objects: {one.group}", f"object {quoted(one.name)}", key, name)
-    told = {
+    data = {
         "specimen": ("specimen", "specimen", "the specimen", "specimen.position_mm"),
         "table": ("table", "table", "the table", "cell.table"),
         "holder": ("holder", "table", "the specimen's holder", "cell.table"),
         "floor": ("floor", "floor", "the floor", "cell.floor_z_mm"),
     }
-    return Fixed(*told[name], name)
+    return Fixed(*data[name], name)
 
 
 def _named(model: mujoco.MjModel, body: int) -> str:

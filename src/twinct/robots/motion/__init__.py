@@ -10,7 +10,7 @@ from twinct.robots.motion.layers import speeds_of
 from twinct.robots.motion.limits import limiting
 from twinct.robots.motion.path_search import JointPath, find_joint_path
 from twinct.robots.motion.plan import MotionPlan, plan_motion
-from twinct.robots.motion.plan_check import Asked, checked_plan
+from twinct.robots.motion.plan_check import RequestedViews, checked_plan
 from twinct.robots.motion.plan_file import (
     LARGEST_PLAN_BYTES,
     load_plan,
@@ -27,7 +27,7 @@ from twinct.robots.motion.tour import moving_seconds, shortest_tour
 
 __all__ = [
     "LARGEST_PLAN_BYTES",
-    "Asked",
+    "RequestedViews",
     "GoalError",
     "IkResult",
     "Kinematics",
@@ -53,4 +53,6 @@ __all__ = [
     "speeds_of",
 ]
 
-__getattr__ = old_names(__name__, {"Way": "JointPath", "find_way": "find_joint_path"})
+__getattr__ = old_names(
+    __name__, {"Asked": "RequestedViews", "Way": "JointPath", "find_way": "find_joint_path"}
+)

@@ -55,7 +55,7 @@ class _JointPath:
         return int((~self.solved).sum() + self.flips.sum()), float(self.position_mm.max())
 
 
-def branch_way(cell_model: CellModel, motion: Motion, targets: Sequence[Target]) -> JointPath:
+def branch_path(cell_model: CellModel, motion: Motion, targets: Sequence[Target]) -> JointPath:
     """Find a path through all targets on one branch of each arm.
 
     Args:

@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from twinct.core.errors import NoWayError, TargetRefusedError, TrajectoryError
+from twinct.core.errors import NoPathError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Floats
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.feasible import Feasible
-from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
+from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
 from twinct.robots.motion.plan import MotionPlan, timed
 from twinct.robots.motion.refusals import arms_in
 from twinct.robots.motion.return_path import path_home
@@ -76,7 +76,7 @@ class Guide:
             self._trail = [way.joints[at_home[-1] :]]
         elif self._trail:
             ends = self._home[None], way.joints[-1:]
-            direct = Feasible(self._cell).straight(*ends, kept_mm(self._motion))[0]
+            direct = Feasible(self._cell).straight(*ends, required_gap_mm(self._motion))[0]
             self._trail = list(ends) if direct else [*self._trail, way.joints[1:]]
         return plan
 
@@ -92,7 +92,7 @@ class Guide:
         )
         try:
             return found(start=here)
-        except NoWayError:
+        except NoPathError:
             if not self._trail or np.array_equal(here, self._home):
                 raise
             back, on = self._way_home(here), found(start=self._home)

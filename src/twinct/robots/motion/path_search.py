@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.core.errors import NoWayError, TrajectoryError
+from twinct.core.errors import NoPathError, TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel, Clearance, Gap, mujoco_module
@@ -104,7 +104,7 @@ class _Candidates:
     roll: Floats
 
 
-def kept_mm(motion: Motion) -> float:
+def required_gap_mm(motion: Motion) -> float:
     """Return the clearance of a path: the required clearance plus a margin for the servos."""
     settled = motion.trigger == "settled"
     return motion.clearance_mm + (SETTLED_ROOM_MM if settled else 2 * motion.tolerance_mm)
@@ -134,7 +134,7 @@ def find_joint_path(
     Raises:
         TrajectoryError: views are infeasible; every problem names views, arm, reason and missing
             distance.
-        NoWayError: no path was found from one view to the next.
+        NoPathError: no path was found from one view to the next.
         MissingExtraError: mink or OMPL is not installed.
     """
     return _Finder(cell_model, motion, list(targets), roll_free, seed, most_looks).find(start)
@@ -153,7 +153,7 @@ class _Finder:
         most_looks: float,
     ) -> None:
         self._cell, self._motion, self._targets, self._seed = cell, motion, targets, seed
-        self._least_mm = kept_mm(motion)
+        self._least_mm = required_gap_mm(motion)
         self._kinematics = Kinematics(cell, motion.ik)
         self._both, self._cross = Feasible(cell), Feasible(cell, "cross")
         self._speeds = cell.speed_limits * cell.speed_scales
@@ -369,7 +369,7 @@ class _Finder:
             total = choice.best(np.zeros(len(nodes[0])))[1]
             if count == DETOURS_TRIED or not np.isfinite(total) or self._detours.over:
                 told = _no_way(views[blocked], views[blocked + 1], count, self._detours.looked)
-                raise NoWayError(told)
+                raise NoPathError(told)
 
     def _mostly_straight(
         self,

@@ -22,8 +22,8 @@ from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats, lock
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel, Clearance, Gap
-from twinct.robots.motion.follow import branch_way, gaps_along
-from twinct.robots.motion.path_search import JointPath, find_joint_path, kept_mm
+from twinct.robots.motion.follow import branch_path, gaps_along
+from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
 from twinct.robots.motion.refusals import late_problems, readable
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import FINE_S, Law, TimeLaw
@@ -150,7 +150,7 @@ def plan_motion(
         MissingExtraError: mink or OMPL is not installed.
     """
     if motion.scheme == "reactive":
-        way = branch_way(cell, motion, targets)
+        way = branch_path(cell, motion, targets)
         # A lower bound, because servos take longer: views late by it are late for certain.
         speeds = cell.speed_limits * cell.speed_scales
         least_s = (np.abs(np.diff(way.joints, axis=0)) / speeds).max(axis=1)
@@ -187,7 +187,7 @@ def timed(
     problems: dict[int, str] = {}
     for _ in range(FINER):
         plan = _compose(cell, motion, way, _laws(law, motion, way, spacing), shutter)
-        problems = too_close(plan, kept_mm(motion))
+        problems = too_close(plan, required_gap_mm(motion))
         if not problems:
             return plan
         spacing[np.isin(leads_to, list(problems))] /= 2

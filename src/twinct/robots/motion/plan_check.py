@@ -14,7 +14,7 @@ from twinct.robots.cell import CellModel
 from twinct.robots.cell.rails import JOINT as RAIL_JOINT
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.kinematics import Kinematics
-from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.motion.path_search import required_gap_mm
 from twinct.robots.motion.plan import MotionPlan, gaps_of, too_close, with_gaps
 from twinct.robots.motion.refusals import named, runs
 from twinct.robots.motion.shutter import Shutter
@@ -35,7 +35,7 @@ RESTS_RAD_S = 1e-9
 
 
 @dataclass(frozen=True)
-class Asked:
+class RequestedViews:
     """Views that a plan must cover.
 
     Attributes:
@@ -52,7 +52,7 @@ class Asked:
 
 
 def checked_plan(
-    plan: MotionPlan, cell: CellModel, motion: Motion, asked: Asked, where: str
+    plan: MotionPlan, cell: CellModel, motion: Motion, requested: RequestedViews, where: str
 ) -> MotionPlan:
     """Check a plan, and return it with newly computed clearances.
 
@@ -60,7 +60,7 @@ def checked_plan(
         plan: plan to be executed.
         cell: robot cell.
         motion: tolerances, limits, and the required clearance.
-        asked: requested views.
+        requested: requested views.
         where: origin of the plan, for messages.
 
     Raises:
@@ -72,37 +72,38 @@ def checked_plan(
             f"{where}: the plan is for another cell: it moves {', '.join(plan.joint_names)}, but "
             f"this cell has {', '.join(cell.joint_names)}"
         )
-    problems = _other_views(plan, asked) or _elsewhere(plan, cell, motion)
+    problems = _other_views(plan, requested) or _elsewhere(plan, cell, motion)
     if not problems:
-        problems = _limits(plan, cell, motion) + _hurried(plan, cell, asked.shutter)
+        problems = _limits(plan, cell, motion) + _hurried(plan, cell, requested.shutter)
     if not problems:
         plan = with_gaps(plan, gaps_of(cell, plan))
-        problems = list(too_close(plan, kept_mm(motion)).values())
+        problems = list(too_close(plan, required_gap_mm(motion)).values())
     if problems:
         raise TrajectoryError([f"{where}: {problem}" for problem in problems])
     return plan
 
 
-def _other_views(plan: MotionPlan, asked: Asked) -> list[str]:
-    if len(plan.targets) != len(asked.targets):
+def _other_views(plan: MotionPlan, requested: RequestedViews) -> list[str]:
+    if len(plan.targets) != len(requested.targets):
         return [
-            f"the plan has {len(plan.targets)} views, but the trajectory has {len(asked.targets)}"
+            f"the plan has {len(plan.targets)} views, but the trajectory has "
+            f"{len(requested.targets)}"
         ]
-    wanted = list(asked.targets)
-    if asked.any_order:
+    wanted = list(requested.targets)
+    if requested.any_order:
         places = np.array([(*t.source_m[:3], *t.detector_m[:3]) for t in wanted])
         wanted = []
         for target in plan.targets:
             here = np.array((*target.source_m[:3], *target.detector_m[:3]))
             nearest = int(np.linalg.norm(places - here, axis=1).argmin())
-            wanted.append(asked.targets[nearest])
+            wanted.append(requested.targets[nearest])
             places[nearest] = np.inf
     other = [
         view
         for view, (has, want) in enumerate(zip(plan.targets, wanted, strict=True))
         if not (
-            _same(has.source, want.source, asked.roll_free[0])
-            and _same(has.detector, want.detector, asked.roll_free[1])
+            _same(has.source, want.source, requested.roll_free[0])
+            and _same(has.detector, want.detector, requested.roll_free[1])
         )
     ]
     return [

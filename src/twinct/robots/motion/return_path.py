@@ -11,7 +11,7 @@ from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible
 from twinct.robots.motion.kinematics import mujoco, site_pose
 from twinct.robots.motion.path_planner import SEARCHES, Detours
-from twinct.robots.motion.path_search import JointPath, kept_mm
+from twinct.robots.motion.path_search import JointPath, required_gap_mm
 from twinct.robots.motion.refusals import gap_text
 from twinct.scenario import Motion
 
@@ -47,7 +47,7 @@ def path_home(
     Raises:
         TrajectoryError: bodies touch at the start or at home, or no path was found.
     """
-    least = kept_mm(motion)
+    least = required_gap_mm(motion)
     gap = Clearance(cell).over(np.array([start, home]))
     kept = min(least, gap.distance_mm - 2 * SHORTFALL_MM)
     if kept <= 0:

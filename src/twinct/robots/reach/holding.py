@@ -19,7 +19,7 @@ from twinct.robots.cell import CellModel
 from twinct.robots.motion import Kinematics
 from twinct.robots.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations, matrices
 from twinct.robots.motion.feasible import Feasible
-from twinct.robots.motion.path_search import kept_mm
+from twinct.robots.motion.path_search import required_gap_mm
 from twinct.scenario import Motion
 
 ROLLS_DEG = np.array([0.0, 90.0, 45.0, 135.0, 180.0, 270.0, 225.0, 315.0, *range(15, 360, 15)])
@@ -81,7 +81,7 @@ class Holder:
             rolls: largest number of ROLLS_DEG to try.
             seed: seed of the random starts.
         """
-        self.cell, self.least_mm = cell, kept_mm(motion)
+        self.cell, self.least_mm = cell, required_gap_mm(motion)
         self.motion, self._starts, self._seed = motion, starts, seed
         self._rolls = [np.radians(ROLLS_DEG[: rolls if free else 1]) for free in roll_free]
         self._cross = Feasible(cell, "cross")

@@ -180,7 +180,7 @@ class _Search:
         self._open = [slice(0, 4 if free else 5) for free in roll_free]
 
     def run(self, samples: int, progress: Progress) -> Placement:
-        own = np.array([self._told(arm) for arm in range(2)])
+        own = np.array([self._coordinates(arm) for arm in range(2)])
         places = [self._spread(own[arm], arm, samples) for arm in range(2)]
         with progress.stage("places of each arm", 2 * (samples + 1)) as step:
             alone = [[self._told_of(point, arm, step) for point in places[arm]] for arm in range(2)]
@@ -247,7 +247,7 @@ class _Search:
         steps = [UNITS[k] for k in range(self._open[arm].stop)]
         return [_climbed(point, steps, self._ranges, held, step) for point, _ in best]
 
-    def _told(self, arm: int) -> Floats:
+    def _coordinates(self, arm: int) -> Floats:
         """Return an arm's present coordinates: base x, y, z, stand-off, tool rotation."""
         section = (self._cell.source_arm, self._cell.detector_arm)[arm]
         return np.array([*section.base_position_mm, section.standoff_mm, section.tool_rotation_deg])
@@ -256,7 +256,7 @@ class _Search:
         arms = {}
         for arm, point in enumerate(pair):
             section = (self._cell.source_arm, self._cell.detector_arm)[arm]
-            if not np.array_equal(point, self._told(arm)):
+            if not np.array_equal(point, self._coordinates(arm)):
                 x, y, z, standoff, turn = (round(float(value), 1) for value in point)
                 facing = np.degrees(np.arctan2(self._middle[1] - y, self._middle[0] - x))
                 rotation = (*section.base_rotation_deg[:2], round(float(facing), 1))
@@ -293,7 +293,7 @@ class _Search:
 
         The other arm's base and pillar count as obstacles, but may stand in a wrong place.
         """
-        pair = np.array([self._told(0), self._told(1)])
+        pair = np.array([self._coordinates(0), self._coordinates(1)])
         pair[arm] = point
         holder = self._holder(self._as_cell(pair), SIDES[1 - arm])
         if holder is None:

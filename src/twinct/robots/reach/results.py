@@ -172,8 +172,8 @@ def draw_room(reach: Reach, cell: CellModel, path: Path, radius: int = 0, title:
     axes: Any = figure.add_subplot()
     axes.imshow(picture)
     axes.set_axis_off()
-    told = f"{title}: source at {reach.sod_mm[radius]:g} mm, panel opposite at {reach.odd_mm:g} mm"
-    axes.set_title(f"{told}\ncoloured: both arms can hold the view; grey: they cannot", fontsize=10)
+    text = f"{title}: source at {reach.sod_mm[radius]:g} mm, panel opposite at {reach.odd_mm:g} mm"
+    axes.set_title(f"{text}\ncoloured: both arms can hold the view; grey: they cannot", fontsize=10)
     colours_of = ScalarMappable(scale, MAP)
     figure.colorbar(colours_of, ax=axes, label="clearance, mm", shrink=0.8)
     with complete(path) as draft:

@@ -77,7 +77,7 @@ def poses_of(
     return Poses.of(geometry.source_poses(), geometry.detector_poses())
 
 
-def check_asked(directions: int, sod_mm: Sequence[float], odd_mm: float) -> None:
+def check_reach_request(directions: int, sod_mm: Sequence[float], odd_mm: float) -> None:
     """Check the parameters of ``reach`` before any work.
 
     Raises:
@@ -124,7 +124,7 @@ def reach(
         MissingExtraError: mink, or OMPL for the search for paths, is not installed.
     """
     radii = np.array(sod_mm, dtype=np.float64)
-    check_asked(directions, radii.tolist(), odd_mm)
+    check_reach_request(directions, radii.tolist(), odd_mm)
     centre = np.zeros(3) if isocentre_mm is None else np.array(isocentre_mm, dtype=np.float64)
     towards = fibonacci_directions(directions)
     holder = Holder(cell, motion, seed=seed)

@@ -146,10 +146,10 @@ def reasons(
     held = Holder(build(cell), motion, roll_free=roll_free).held(poses)
     failing, fine = np.flatnonzero(~held), np.flatnonzero(held)
     if not len(failing):
-        told = "each view alone can be held, but no path between them was found"
+        text = "each view alone can be held, but no path between them was found"
         if motion.scheme == "reactive":
-            told += "; motion.scheme: planned searches for detours and changes of configuration"
-        return [], [told]
+            text += "; motion.scheme: planned searches for detours and changes of configuration"
+        return [], [text]
     asked, kept = _some(failing, FAILING), _some(fine, OTHERS)
     scope = f"{len(asked)} tested views (of {len(failing)} that cannot be held)"
     tests = [(make, poses[asked], poses[kept]) for make in ((rough, build) if rough else (build,))]
@@ -157,8 +157,8 @@ def reasons(
     if gained == len(asked):
         return failing.tolist(), [f"cure: {words}; this cures the {scope}"]
     if gained:
-        told = f"partial cure: {words}; this cures {gained} of the {scope}"
-        return failing.tolist(), [told]
+        text = f"partial cure: {words}; this cures {gained} of the {scope}"
+        return failing.tolist(), [text]
     tried = "turns about the beam, base shifts to 200 mm, stand-offs to 100 mm, radii to 20 %"
     return failing.tolist(), [
         f"no single change cures the {scope}; tested: {tried}; see twinct place"

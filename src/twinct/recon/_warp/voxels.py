@@ -1,0 +1,172 @@
+"""Warp kernels that go voxel by voxel: residual images, back projections, total variation.
+
+The formulas are those of the plain engine. Projected places are computed in float32, relative to
+the middles of grid and panel, so that they keep their digits.
+"""
+
+import warp as wp
+
+MATRIX = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
+"""Projection matrix."""
+
+
+@wp.kernel
+def leave_out(length: wp.array2d(dtype=float), mask: wp.array2d(dtype=wp.bool)):
+    """Set the lengths of masked pixels to 0."""
+    row, column = wp.tid()
+    if not mask[row, column]:
+        length[row, column] = 0.0
+
+
+@wp.kernel
+def write_ratio(
+    measured: wp.array2d(dtype=float),
+    estimate: wp.array2d(dtype=float),
+    length: wp.array2d(dtype=float),
+    relaxation: float,
+    shortest: float,
+    image: wp.array2d(dtype=float),
+    counts: wp.array2d(dtype=float),
+):
+    """Write residual over path length for the rays that count, with a border of one pixel."""
+    row, column = wp.tid()
+    r = wp.clamp(row - 1, 0, measured.shape[0] - 1)
+    c = wp.clamp(column - 1, 0, measured.shape[1] - 1)
+    if length[r, c] >= shortest:
+        image[row, column] = relaxation * (measured[r, c] - estimate[r, c]) / length[r, c]
+        counts[row, column] = 1.0
+    else:
+        image[row, column] = 0.0
+        counts[row, column] = 0.0
+
+
+@wp.func
+def _bilinear(image: wp.array2d(dtype=float), row: float, column: float):
+    r = int(row)
+    c = int(column)
+    g = row - float(r)
+    f = column - float(c)
+    low = (1.0 - f) * image[r, c] + f * image[r, c + 1]
+    high = (1.0 - f) * image[r + 1, c] + f * image[r + 1, c + 1]
+    return (1.0 - g) * low + g * high
+
+
+@wp.func
+def _seen(matrix: MATRIX, middle: wp.vec3f, i: int, j: int, k: int):
+    """Return column and row, relative to the panel's middle, and the depth of a voxel."""
+    place = wp.vec4f(float(i) - middle[0], float(j) - middle[1], float(k) - middle[2], 1.0)
+    seen = matrix * place
+    return wp.vec3f(seen[0] / seen[2], seen[1] / seen[2], seen[2])
+
+
+@wp.kernel
+def update(
+    x: wp.array3d(dtype=float),
+    matrix: MATRIX,
+    middle: wp.vec3f,
+    image: wp.array2d(dtype=float),
+    counts: wp.array2d(dtype=float),
+    floor: float,
+):
+    """Add the mean of the counting pixels at each voxel's projection, above a floor."""
+    k, j, i = wp.tid()
+    rows = image.shape[0] - 2
+    columns = image.shape[1] - 2
+    seen = _seen(matrix, middle, i, j, k)
+    half_column = 0.5 * float(columns)
+    half_row = 0.5 * float(rows)
+    if wp.abs(seen[0]) <= half_column and wp.abs(seen[1]) <= half_row:
+        # The image has a border of one pixel.
+        column = seen[0] + half_column + 0.5
+        row = seen[1] + half_row + 0.5
+        weight = _bilinear(counts, row, column)
+        change = float(0.0)
+        if weight > 1.0e-3:
+            change = _bilinear(image, row, column) / weight
+        x[k, j, i] = wp.max(x[k, j, i] + change, floor)
+
+
+@wp.kernel
+def back_project(
+    images: wp.array3d(dtype=float),
+    matrices: wp.array(dtype=MATRIX),
+    scales: wp.array(dtype=float),
+    middle: wp.vec3f,
+    out: wp.array3d(dtype=float),
+):
+    """Add scale / depth^2 times each image at a voxel's projection, in the order of the views."""
+    k, j, i = wp.tid()
+    rows = images.shape[1]
+    columns = images.shape[2]
+    half_column = 0.5 * float(columns)
+    half_row = 0.5 * float(rows)
+    total = out[k, j, i]
+    for view in range(images.shape[0]):
+        seen = _seen(matrices[view], middle, i, j, k)
+        if wp.abs(seen[0]) <= half_column and wp.abs(seen[1]) <= half_row:
+            column = wp.clamp(seen[0] + half_column - 0.5, 0.0, float(columns - 1))
+            row = wp.clamp(seen[1] + half_row - 0.5, 0.0, float(rows - 1))
+            c = int(column)
+            r = int(row)
+            c1 = wp.min(c + 1, columns - 1)
+            r1 = wp.min(r + 1, rows - 1)
+            f = column - float(c)
+            g = row - float(r)
+            low = images[view, r, c] + f * (images[view, r, c1] - images[view, r, c])
+            high = images[view, r1, c] + f * (images[view, r1, c1] - images[view, r1, c])
+            total += scales[view] / (seen[2] * seen[2]) * (low + g * (high - low))
+    out[k, j, i] = total
+
+
+@wp.kernel
+def primal(
+    z: wp.array3d(dtype=float),
+    q: wp.array3d(dtype=float),
+    dual: wp.array4d(dtype=float),
+    inverse: wp.vec3f,
+    floor: float,
+    out: wp.array3d(dtype=float),
+):
+    """Write max(z - (gradient^T dual) / q, floor), with gradients as forward differences."""
+    k, j, i = wp.tid()
+    turned = -inverse[0] * dual[0, k, j, i] - inverse[1] * dual[1, k, j, i]
+    turned -= inverse[2] * dual[2, k, j, i]
+    if i > 0:
+        turned += inverse[0] * dual[0, k, j, i - 1]
+    if j > 0:
+        turned += inverse[1] * dual[1, k, j - 1, i]
+    if k > 0:
+        turned += inverse[2] * dual[2, k - 1, j, i]
+    out[k, j, i] = wp.max(z[k, j, i] - turned / q[k, j, i], floor)
+
+
+@wp.kernel
+def ascend(
+    x: wp.array3d(dtype=float),
+    q: wp.array3d(dtype=float),
+    inverse: wp.vec3f,
+    radius: float,
+    scale: float,
+    dual: wp.array4d(dtype=float),
+):
+    """Step along the gradient of x, with a step for each voxel, then project into the ball."""
+    k, j, i = wp.tid()
+    value = x[k, j, i]
+    s = q[k, j, i]
+    step = wp.vec3f(0.0, 0.0, 0.0)
+    if i + 1 < x.shape[2]:
+        s = wp.min(s, q[k, j, i + 1])
+        step[0] = inverse[0] * (x[k, j, i + 1] - value)
+    if j + 1 < x.shape[1]:
+        s = wp.min(s, q[k, j + 1, i])
+        step[1] = inverse[1] * (x[k, j + 1, i] - value)
+    if k + 1 < x.shape[0]:
+        s = wp.min(s, q[k + 1, j, i])
+        step[2] = inverse[2] * (x[k + 1, j, i] - value)
+    rise = wp.vec3f(dual[0, k, j, i], dual[1, k, j, i], dual[2, k, j, i]) + scale * s * step
+    square = wp.dot(rise, rise)
+    if square > radius * radius:
+        rise = rise * (radius / wp.sqrt(square))
+    dual[0, k, j, i] = rise[0]
+    dual[1, k, j, i] = rise[1]
+    dual[2, k, j, i] = rise[2]

@@ -1,0 +1,1 @@
+"""Error terms of arms and poses, one file for each kind."""

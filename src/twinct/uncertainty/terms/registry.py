@@ -1,0 +1,31 @@
+"""All error terms by name, built in or from extensions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from twinct.core.error_terms import ErrorTerm
+from twinct.scenario import Uncertainty
+from twinct.scenario.uncertainty import ERROR_TERMS
+from twinct.uncertainty.terms.displacements import AGEING, BASE, JOINT_OFFSET, LINK, TOOL
+from twinct.uncertainty.terms.drift import DRIFT
+from twinct.uncertainty.terms.gear import GEAR
+from twinct.uncertainty.terms.trigger import TRIGGER
+from twinct.uncertainty.terms.views import VIEWS
+from twinct.uncertainty.terms.windup import WINDUP
+
+BUILT_IN: dict[str, ErrorTerm] = {
+    term.name: term
+    for term in (JOINT_OFFSET, LINK, BASE, TOOL, AGEING, DRIFT, WINDUP, GEAR, TRIGGER, VIEWS)
+}
+"""Terms of this package; deviations of the joints add up in this order."""
+
+
+def terms_of(uncertainty: Uncertainty) -> list[tuple[ErrorTerm, Any]]:
+    """Return the terms that make executed poses deviate, each with its settings."""
+    found: list[tuple[ErrorTerm, Any]] = []
+    for term in (*BUILT_IN.values(), *ERROR_TERMS.values()):
+        settings = getattr(uncertainty, term.section or term.name, None)
+        if settings is not None and any(settings.sizes):
+            found.append((term, settings))
+    return found

@@ -1,0 +1,32 @@
+"""Late images: the arms move on between the encoders' reading and the image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from twinct.core.error_terms import ArmShift, ErrorTerm, Shift, Spread, ToolMotion, ViewDraws
+from twinct.scenario import ArmErrors
+
+S_PER_MS = 1e-3
+
+
+def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
+    if motion.chain is not None:
+        jitter = section.trigger_jitter_ms * S_PER_MS * motion.speeds
+        yield Spread("joints", jitter, length=0.0, draws="all")
+        delay = section.trigger_delay_ms * S_PER_MS * motion.speeds
+        yield Spread("joints", delay, draws="none")
+
+
+def _drawn(section: ArmErrors, chain: object, draws: object) -> ArmShift:
+    def shift(motion: ToolMotion, of_views: ViewDraws) -> Shift:
+        late_ms = section.trigger_delay_ms
+        jitter = of_views("trigger", 1, 0.0)
+        if jitter is not None:
+            late_ms = late_ms + section.trigger_jitter_ms * jitter
+        return Shift(joints=(late_ms * S_PER_MS * motion.speeds,))
+
+    return shift
+
+
+TRIGGER = ErrorTerm("trigger", ArmErrors, _spreads, section="arms", drawn=_drawn)

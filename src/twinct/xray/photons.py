@@ -1,0 +1,43 @@
+"""Photons of the free beam, as far as a scenario states its noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from twinct import scenario
+from twinct.geometry import ScanGeometry
+
+
+@dataclass(frozen=True)
+class FreePhotons:
+    """Photons of a pixel in the free beam, at ``source.mas``, in the middle of the first view.
+
+    Both count what the noise is equal to: photons of different signals make more of it than as many
+    equal ones.
+
+    Attributes:
+        number: from the noise of many pixels together.
+        single: from the noise of a single pixel, larger where the point spread blurs it.
+    """
+
+    number: float
+    single: float
+
+
+def free_photons(
+    source: scenario.Source, detector: scenario.Detector, commanded: ScanGeometry
+) -> FreePhotons | None:
+    """Return the photons behind a scenario's noise; None if it states none."""
+    from twinct.xray.build import build_spread
+    from twinct.xray.chain import Chain
+
+    noise = detector.noise
+    if noise is None:
+        return None
+    if isinstance(noise, scenario.SnrNoise):
+        return FreePhotons(noise.snr**2, noise.snr**2)  # drawn after the point spread
+    signal, square = Chain(source, detector, (), commanded[:1]).free
+    number = float(signal**2 / square) * detector.binning**2
+    spread, panel = build_spread(detector), detector.panel
+    gain = 1.0 if spread is None else spread.noise_gain(panel.pitch_u, panel.pitch_v)
+    return FreePhotons(number, number / gain**2)
