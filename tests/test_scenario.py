@@ -132,8 +132,11 @@ def test_problems_found_later_get_the_place_of_their_key(tmp_path: Path) -> None
     with pytest.raises(SpecimenError) as caught, named_places(file, ["specimen.parts.0.name=x"]):
         raise SpecimenError(found)
     first, *others = caught.value.problems
-    assert first == f"--set specimen.parts.0.name=x: {found[0]}"
+    assert first == f"{file}:4: {found[0]}"  # the override is of another key
     assert others == found[1:]
+    with pytest.raises(SpecimenError) as caught, named_places(file, ["specimen.parts.0.shape.x=1"]):
+        raise SpecimenError("specimen.parts.0.shape: is odd")
+    assert caught.value.problems[0].startswith("--set specimen.parts.0.shape.x=1: ")
 
 
 def test_nested_problem_is_named_alone() -> None:
@@ -275,6 +278,8 @@ def test_another_algorithm_leaves_inherited_keys_it_lacks_and_keeps_the_rest(
     by_override = load_scenario(base, ["reconstruction.algorithm=fista_tv"]).reconstruction
     said = f"{base}:4: reconstruction.relaxation does not apply to fista_tv and is ignored"
     assert [record.getMessage() for record in caplog.records] == [said], "once for both"
+    load_scenario(base, ["reconstruction.algorithm=cgls"], resolved=True)
+    assert len(caplog.records) == 1, "of a run's own file, nobody chose the keys"
     for section in (by_file, by_override):
         assert section.algorithm == "fista_tv"
         # A number of iterations that somebody chose stays, as all keys that both have.

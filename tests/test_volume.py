@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from twinct.core.errors import InputError
+from twinct.core.errors import InputError, StorageError
 from twinct.geometry import Pose, VolumeGrid
 from twinct.recon.volume import Volume
 
@@ -35,6 +35,12 @@ def test_voxels_lie_where_the_grid_says(tmp_path) -> None:
     np.testing.assert_allclose(back.grid.affine, grid.affine, atol=1e-5)
     assert back.extras["note"] == "note"
     assert [p.name for p in tmp_path.iterdir()] == ["v.nii"]
+
+
+def test_a_volume_needs_a_folder_that_exists(tmp_path) -> None:
+    volume = Volume(np.zeros((1, 2, 3), dtype=np.float32), VolumeGrid((1, 2, 3), 1.0))
+    with pytest.raises(StorageError, match="cannot be written: there is no folder .*none"):
+        volume.write(tmp_path / "none" / "x.nii")
 
 
 def test_upright_grid_is_ras(tmp_path) -> None:

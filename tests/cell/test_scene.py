@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.core.errors import InputError, ScenarioError, StorageError
+from twinct.core.errors import InputError, MemoryShortageError, ScenarioError, StorageError
 from twinct.geometry import Pose
 from twinct.robots.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
+from twinct.robots.cell.render import _add_names
+from twinct.robots.cell.scene import _compile
+from twinct.robots.cell.standing import VISUAL_GROUP
 from twinct.scenario import Cell, Detector, GantryCell
 
 ROUNDING_M = 1e-6
@@ -183,3 +186,22 @@ def test_drawing_that_fails_with_little_memory_tells_of_it(
         monkeypatch.setattr("twinct.core.memory.available_bytes", lambda left=left: (left, "limit"))
         with pytest.raises(InputError, match=f"cannot draw.*no EGL device.*{told}$"):
             render_cell(cell, tmp_path / "room.png")
+
+
+def test_pictures_name_what_one_sees_through() -> None:
+    spec = mujoco.MjSpec()
+    for name, opacity in (("zone Überwachung", 0.28), ("object bed", 1.0), ("object place", 0.1)):
+        body = spec.worldbody.add_body(name=name)
+        sphere = mujoco.mjtGeom.mjGEOM_SPHERE
+        body.add_geom(type=sphere, size=[0.1, 0, 0], rgba=[1, 0, 0, opacity], group=VISUAL_GROUP)
+    model = spec.compile()
+    scene = mujoco.MjvScene(model, maxgeom=10)
+    _add_names(scene, model, mujoco.MjData(model))
+    assert [scene.geoms[i].label for i in range(scene.ngeom)] == ["Uberwachung", "place"]
+
+
+def test_a_model_is_not_compiled_with_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """MuJoCo's compiler may free twice what it could not allocate, which ends the process."""
+    monkeypatch.setattr("twinct.core.files.boundary.available_bytes", lambda: (2**27, "limit"))
+    with pytest.raises(MemoryShortageError, match=r"model of the room needs 0\.188 GiB"):
+        _compile(Mock())

@@ -167,6 +167,12 @@ def test_each_method_has_its_own_options_alone(calls, method: str, capfd) -> Non
     assert calls.arguments() == []
 
 
+def test_a_word_before_the_folder_is_a_method(calls, capfd) -> None:
+    assert run_command(["calibrate", "foo", "out/a"]) == 2
+    assert "twinct calibrate has no command 'foo' (beads, balls, self" in capfd.readouterr().err
+    assert calls.arguments() == []
+
+
 @pytest.mark.parametrize(
     ("words", "method"),
     [(["out/a", "--with", "bead"], "bead"), (["--with="], ""), (["out/a", "--with"], "")],

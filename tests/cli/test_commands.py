@@ -8,10 +8,12 @@ import json
 import logging
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -465,6 +467,24 @@ def test_a_full_disk_keeps_what_was_acquired(tmp_path: Path, capfd) -> None:
         subprocess.run(["umount", str(disk)], check=False)
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["render", "--view", "-1"], "--view -1: the scenario has views 0 to 99"),
+        (["check", "--save", "{}/none/plan.npz"], "cannot be written: there is no folder {}/none"),
+        (["check", "--save", "{}/plan.txt"], "a plan must be an NPZ file: name it plan.npz"),
+        (["check", "--save", "{}/plan.npz", "--set", "motion.scheme=reactive"], "no motion plan"),
+    ],
+)
+def test_what_cannot_be_written_or_drawn_is_refused_at_once(
+    words: list[str], said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command, *options = (word.format(tmp_path) for word in words)
+    assert run_command([command, DEMO, *options]) == 2
+    told = capfd.readouterr().err
+    assert said.format(tmp_path) in told and "planning" not in told
+
+
 def test_version_and_help_say_what_a_user_can_type(capsys) -> None:
     assert run_command(["--version"]) == 0
     assert capsys.readouterr().out.startswith("twinct 0.")
@@ -553,6 +573,16 @@ def test_a_lack_of_memory_is_told_whatever_meets_it(
     monkeypatch.setattr("twinct.cli.available_bytes", Mock(side_effect=MemoryError))
     assert run_command(["check"]) == 2
     assert capfd.readouterr().err == "twinct: too little memory\n"
+
+
+@pytest.mark.process
+def test_a_command_with_little_memory_ends_at_once() -> None:
+    """OpenBLAS, which SciPy brings, would try to allocate its buffers without end."""
+    limit = partial(resource.setrlimit, resource.RLIMIT_AS, (300 * 2**20, 300 * 2**20))
+    words = [sys.executable, "-m", "twinct", "check", DEMO]
+    done = subprocess.run(words, preexec_fn=limit, capture_output=True, text=True, timeout=HANG_S)
+    assert done.returncode == 2
+    assert re.match(r"twinct: too little memory: \d+ MiB are left by the limit", done.stderr)
 
 
 def test_readings_that_an_interrupt_cuts_short_do_not_complain(
@@ -647,6 +677,56 @@ def test_a_job_in_the_background_does_not_hear_ctrl_c() -> None:
     command = [sys.executable, "-c", IGNORING]
     done = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+LATE = """
+import atexit, signal, sys
+import twinct.cli.commands
+from twinct import cli
+class Late:
+    def __init__(self, number):
+        self.number, self.send = number, signal.raise_signal
+    def __del__(self):
+        self.send(self.number)
+kept = Late({number}) if "{moment}" == "end of Python" else None
+if "{moment}" == "last handler":
+    atexit.register(signal.raise_signal, {number})
+if "{moment}" == "sys.exit":
+    before = sys.exit
+    def leave(code):
+        signal.raise_signal({number})
+        before(code)
+    sys.exit = leave
+if "{moment}" == "after the last line":
+    run = cli.run_command
+    def run_command(argv):
+        run(argv)
+        signal.raise_signal({number})
+    cli.run_command = run_command
+twinct.cli.commands.app.cli = lambda **_: None
+cli.main(["run"])
+"""
+"""A command that a signal meets when its work is done."""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("moment", "interrupted"),
+    [
+        ("after the last line", True),
+        ("sys.exit", False),
+        ("last handler", False),
+        ("end of Python", False),
+    ],
+)
+def test_a_signal_after_the_work_does_not_end_the_process_by_itself(
+    moment: str, interrupted: bool, number: signal.Signals
+) -> None:
+    command = [sys.executable, "-c", LATE.format(moment=moment, number=int(number))]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
+    assert done.returncode == (128 + number if interrupted else 0)
+    assert done.stderr == (f"twinct: interrupted: {NOTHING}\n" if interrupted else "")
 
 
 @pytest.mark.parametrize("name", ["check", "run", "render", "node", "schema", "specimen", "report"])

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from twinct.cli import run_command
+from twinct.core.files.writing import check_page
 
 KEPT = Path(__file__).parents[1] / "version_0_1"
 
@@ -29,16 +30,18 @@ def test_runs_of_before_are_compared(
     assert f"wrote {page}: 0 scenario keys differ" in said.out
     text = page.read_text(encoding="utf-8")
     assert text.count('src="data:image/png') == 3 and '<th class="n">ros2</th>' in text
+    check_page(page)  # a page of twinct may be replaced
 
 
 @pytest.mark.parametrize(
     ("folders", "out", "told"),
     [
         (["local", "local"], "page.html", ["local: given twice"]),
-        (["local"], "page.html", ["1 folders: at least two"]),
+        (["local"], "page.html", ["1 folder: at least two"]),
         (["local", "none", "nor"], "page.html", ["none holds no", "nor holds no"]),
         (["local", "ros2"], "page.pdf", ["a page must be an HTML file: name it page.html"]),
         (["local", "ros2"], ".", ["this is a folder"]),
+        (["local", "ros2"], "mine.html", ["the file there is no page of twinct"]),
     ],
 )
 def test_each_bad_input_is_one_message(
@@ -49,6 +52,7 @@ def test_each_bad_input_is_one_message(
     out: str,
     told: list[str],
 ) -> None:
+    (tmp_path / "mine.html").write_text("mine")
     paths = [str(tmp_path / name) for name in folders]
     assert run_command(["compare", *paths, "--out", str(tmp_path / out)]) == 2
     lines = capfd.readouterr().err.strip().splitlines()

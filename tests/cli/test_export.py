@@ -209,7 +209,8 @@ def test_what_is_no_scan_is_named(
     scan_in(tmp_path / "empty", scenario, commanded, 0)
     assert "0 of 5 views" in bad(capfd, "export", tmp_path / "empty", "--to", "rtk")
     said = bad(capfd, "export", tmp_path / "empty", "--to", "rtkk")
-    assert "--to rtkk: unknown; choose from rtk, astra, leap, cil, tigre, openct" in said
+    assert "--to 'rtkk': unknown; choose from rtk, astra, leap, cil, tigre, openct for" in said
+    assert "or from dicom, nifti, metaimage, tiff, zarr for a volume (--volume)" in said
 
 
 def test_an_export_that_is_there_is_not_touched(run_folder: Path, capfd) -> None:
@@ -284,6 +285,20 @@ def test_a_further_reconstruction_becomes_a_file(with_volume: Path, to, ending) 
     np.testing.assert_allclose(hu, 1000 * (plain / 0.02 - 1), atol=1e-3)
 
 
+def test_an_export_replaces_no_file(with_volume: Path, capfd) -> None:
+    there = with_volume / "mine.nii"
+    there.write_text("mine")
+    words = ["export", with_volume, "--volume", "volume", "--to", "nifti"]
+    assert "mine.nii exists already: choose" in bad(capfd, *words, "--out", there)
+    assert there.read_text() == "mine"
+
+
+def test_water_that_no_voxel_reaches_is_doubted(with_volume: Path, capfd) -> None:
+    words = ["export", str(with_volume), "--volume", "volume", "--to", "nifti", "--water"]
+    assert run_command([*words, "0.21"]) == 0  # in 1/cm
+    assert "no voxel attenuates as much (0.06/mm at most)" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
@@ -299,6 +314,10 @@ def test_a_further_reconstruction_becomes_a_file(with_volume: Path, to, ending) 
             "--water 0.02: defines HU, but --values is attenuation",
         ),
         (["--to", "nifti", "--volume", "volume", "--out", "x.mha"], "needs a name in .nii"),
+        (
+            ["--to", "nifti", "--volume", "volume", "--water", "21"],
+            "--water 21: must be at most 5, as it is in 1/mm; 21/m are 0.021/mm",
+        ),
         (["--to", "nifti", "--volume", "volume", "--water", "-1"], "attenuates more than air"),
     ],
 )

@@ -128,9 +128,18 @@ def twinct(arguments: list[str]) -> None:
     for word in named:
         assert (ROOT / word).exists(), word
         if word.startswith("scenarios/"):
-            load_scenario(ROOT / word, given)
+            _load(ROOT / word, given)
     if not any(word.startswith("scenarios/") for word in named) and arguments[0] != "study":
-        load_scenario(ROOT / "scenarios" / "demo.yaml", given)
+        _load(ROOT / "scenarios" / "demo.yaml", given)
+
+
+def _load(scenario: Path, given: list[str]) -> None:
+    """Load a scenario; files that an earlier command of the page writes are not there."""
+    try:
+        load_scenario(scenario, given)
+    except ScenarioError as error:
+        if any(": no file at" not in problem for problem in error.problems):
+            raise
 
 
 # Files --------------------------------------------------------------------------------------------

@@ -4,16 +4,25 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import until
 
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import passing_folder
-from twinct.core.interruption import ENDING, EndedBySignal, end_like_ctrl_c, postponed
+from twinct.core.interruption import (
+    ENDING,
+    EndedBySignal,
+    end_like_ctrl_c,
+    hear_lost_signals,
+    postponed,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -94,3 +103,64 @@ def test_a_second_interruption_does_not_stop_the_clean_up(
         monkeypatch.setattr(os, "unlink", interrupting(os.unlink))
         signal.raise_signal(signal.SIGINT)
     assert not draft.exists()
+
+
+SWALLOWING = """
+try:
+    import {inner}
+except BaseException as error:  # as trimesh does
+    kept = error
+whole = True
+"""
+SIGNALLED = """
+import signal
+for _ in range({times}):
+    signal.raise_signal(signal.SIGTERM)
+"""
+
+
+@pytest.fixture
+def modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A function that makes a module that imports another one, and returns its name."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def make(name: str, times: int) -> str:
+        (tmp_path / f"{name}_inner.py").write_text(SIGNALLED.format(times=times))
+        (tmp_path / f"{name}.py").write_text(SWALLOWING.format(inner=f"{name}_inner"))
+        return name
+
+    return make
+
+
+def test_a_signal_waits_for_the_end_of_an_import(modules: Any) -> None:
+    name = modules("signalled_once", 1)
+    with pytest.raises(EndedBySignal) as ended:
+        import_module(name)
+        until(lambda: False, "the signal")
+    assert ended.value.number == signal.SIGTERM
+    assert sys.modules[name].whole and not hasattr(sys.modules[name], "kept")
+
+
+def test_a_second_signal_ends_the_import(modules: Any) -> None:
+    name = modules("signalled_twice", 2)
+    with pytest.raises(EndedBySignal):
+        import_module(name)
+        assert isinstance(sys.modules[name].kept, EndedBySignal)  # raised at once
+        until(lambda: False, "the signal, which the module swallowed")
+
+
+def test_a_signal_that_python_only_prints_comes_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Dying:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+
+    others: list[Any] = []
+    monkeypatch.setattr(sys, "unraisablehook", others.append)
+    hear_lost_signals()
+    with pytest.raises(EndedBySignal):
+        Dying()
+        until(lambda: False, "the signal")
+    assert not others
+    monkeypatch.setattr(Dying, "__del__", lambda _: 1 / 0)
+    Dying()
+    assert [type(one.exc_value) for one in others] == [ZeroDivisionError]

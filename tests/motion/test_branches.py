@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -82,6 +84,8 @@ def test_search_agrees_with_the_closed_form(odd_cell: CellModel) -> None:
     branches = Branches(odd_cell, 0, IK)
     known = branches.of(wanted)
     branches.closed_form = False
+    assert len(branches.of(wanted[:1]).joints) == np.sum(known.pose == 0)
+    assert not len(branches.of(wanted[:0]).joints)
     found = branches.of(wanted, starts=100)
     again = branches.of(wanted, starts=100)
     assert np.array_equal(found.joints, again.joints)
@@ -107,3 +111,30 @@ def test_a_redundant_arm_is_searched(head: trimesh.Trimesh) -> None:
     assert set(found.pose) == set(range(5))  # the middle one at the very end of a joint's range
     there = poses_of(cell, 1, found.joints)
     assert np.abs(there - wanted[found.pose])[:, :3, 3].max() <= 0.1 + 1e-6
+
+
+@pytest.mark.parametrize("reversed_axis", [False, True])
+def test_one_search_serves_all_rolls_where_the_last_joint_rolls_the_tool(
+    tmp_path: Path, reversed_axis: bool
+) -> None:
+    urdf = Path(__file__).parents[1] / "cell" / "six_axis.urdf"
+    text = urdf.read_text()
+    if reversed_axis:
+        head, last = text.rsplit('<axis xyz="0 0 1"/>', 1)
+        text = f'{head}<axis xyz="0 0 -1"/>{last}'
+    (tmp_path / "arm.urdf").write_text(text)
+    section = Cell.model_validate({"source_arm": {"file": str(tmp_path / "arm.urdf")}})
+    cell = build_cell(section, None, Pose.identity(), Detector().panel)
+    wanted = poses_of(cell, 0, np.array([[0.3, 0.4, 0.9, 0.2, 0.7, 0.1]]))
+    rolls = np.radians([0.0, 100.0, 200.0])
+    found = Branches(cell, 0, IK).rolled(wanted, rolls)
+    assert set(found.pose) == {0, 1, 2}
+    there = poses_of(cell, 0, found.joints)
+    for pose, matrix in zip(found.pose, there, strict=True):
+        turn = np.eye(4)
+        turn[:2, :2] = [
+            [np.cos(rolls[pose]), -np.sin(rolls[pose])],
+            [np.sin(rolls[pose]), np.cos(rolls[pose])],
+        ]
+        assert np.abs(matrix - wanted[0] @ turn)[:3, :3].max() < 2e-3
+        assert np.abs(matrix - wanted[0])[:3, 3].max() <= 0.1 + 1e-6

@@ -146,7 +146,7 @@ def leaning(geometry, degrees, about):
         ),
         (lambda g: g[[*range(30), *range(34, 60)]], "of the step after view 29 from .* is .* deg"),
         (lambda g: g[:20], r"the arc covers 120.0 deg; fdk needs .* 20.* deg"),
-        (lambda g: g[:2], "2 views do not make a circle"),
+        (lambda g: g[:2], "a circular scan of at least 3 views, not 2"),
         (lambda g: g[[0] * 5], "coincide"),
     ],
 )
@@ -161,4 +161,7 @@ def test_free_orbit_is_refused_with_every_deviation(random_geometry):
     A = Projector(random_geometry(20, PANEL, np.random.default_rng(0)), VolumeGrid((4, 4, 4), 2.0))
     with pytest.raises(InputError) as caught:
         fdk(A, np.zeros(A.range_shape))
-    assert len(caught.value.problems) >= 3
+    (problem,) = caught.value.problems
+    assert problem.count("fdk needs") == 1 and problem.count("is allowed") >= 3
+    with pytest.raises(InputError, match="^calibrate circle needs a circular scan: "):
+        fit_circle(A.geometry, "calibrate circle")

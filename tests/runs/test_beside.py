@@ -8,6 +8,7 @@ import pytest
 
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.runs.folder import Folder, refuse_result
+from twinct.runs.reconstruction_folder import free_name
 
 
 @pytest.fixture
@@ -35,6 +36,12 @@ def test_results_are_not_replaced(folder: Folder, tmp_path: Path) -> None:
         refuse_result(folder.path / free)
     folder.scenario.unlink()
     refuse_result(folder.volume)
+
+
+@pytest.mark.parametrize("name", ["", "bad/name", ".hidden", "a" * 65])
+def test_a_name_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at most 64 letters, .* begin with a letter or a digit"):
+        free_name(name, "sart", tmp_path)
 
 
 def test_only_a_command_with_resume_offers_it(folder: Folder) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from twinct import run
 from twinct.cli import run_command
 from twinct.core.errors import DamagedError, ScanExistsError
 from twinct.geometry import Floats
+from twinct.recon.volume import Volume
 from twinct.runs import Run, acquire_to_store, verify
 from twinct.runs.repair import mend_frame
 from twinct.scan import Rig, ScanStore, SimulationBuilder, frame_damage, local_rig, view_damage
@@ -206,6 +208,29 @@ def test_results_beside_the_store_are_looked_at(folder: Path, capsys) -> None:
     for words in ("believed.json", "volume.nii", "metrics.json", "mine.txt: unknown", "3 problems"):
         assert words in said
     assert run_command(["verify", str(folder / "geometries")]) == 2
+
+
+@pytest.mark.usefixtures("unreported")
+def test_a_replaced_volume_is_noticed_and_made_again(folder: Path, finished: Run, capsys) -> None:
+    file, whole = folder / "volume.nii", (folder / "volume.nii").read_bytes()
+    file.write_bytes(whole[:-4] + b"abcd")  # of the run by its header
+    assert run_command(["verify", str(folder)]) == 1
+    assert f"{file} was changed or replaced" in "".join(capsys.readouterr())
+    assert run_command(["report", str(folder)]) == 2
+    assert "--resume' makes it again" in capsys.readouterr().err
+    run(finished.scenario, folder, link="local", resume=True)
+    assert file.read_bytes() == whole and verify(folder).problems == ()
+    file.unlink()
+    assert "volume.nii missing" in verify(folder).problems[0]
+
+
+def test_a_volume_of_another_run_is_noticed_without_digests(folder: Path) -> None:
+    """As the figures of earlier versions have none."""
+    metrics = folder / "metrics.json"
+    metrics.write_text(json.dumps(json.loads(metrics.read_text()) | {"files": None}))
+    assert verify(folder).problems == ()
+    Volume.read(folder / "volume.nii").write(folder / "volume.nii", "another")
+    assert "made with settings other than" in verify(folder).problems[0]
 
 
 def test_a_store_without_manifest_is_looked_at_as_far_as_can_be(tmp_path: Path) -> None:

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from still_scans import chords, still_scan, views_of
+from waiting import HANG_S
 
 from twinct.core.errors import InputError, MemoryShortageError
+from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
 from twinct.runs import line_integrals, reconstruct, require_feasible, volumes
@@ -225,6 +227,14 @@ def test_all_passes_are_told_where_none_is_too_many(scan, tmp_path):
     one = scan(stop="auto", iterations=2, relaxation=0.1)
     for _ in range(2):  # the second finds the checkpoint
         assert reconstruct(one, checkpoints=tmp_path).extras["passes"] == 2
+
+
+def test_progress_ends_at_its_total_though_there_are_fewer_levels(scan, monkeypatch):
+    heard = []
+    monkeypatch.setattr(audience, "LAST_WORDS_S", HANG_S)
+    reconstruct(scan(), algorithm="fast", levels=3, observers=[heard.append])
+    (ended,) = (event for event in heard if isinstance(event, StageEnded))
+    assert ended.done == ended.total == 12 * (1 + 3 * 3)
 
 
 def test_stopping_takes_memory_for_the_volume_before(scan):

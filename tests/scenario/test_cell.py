@@ -45,7 +45,7 @@ def test_a_gantry_starts_afresh(tmp_path: Path) -> None:
 
 def test_keys_of_the_other_kind_are_refused_by_name() -> None:
     text = problems(GANTRY, "cell.source_arm.model=ur10e")
-    assert "cell.source_arm: gantry has no such key, but arms has it" in text
+    assert "cell.source_arm: gantry has no such key, but arms has it: change cell.kind" in text
     assert "cell.view_s: arms has no such key, but gantry has it" in problems("cell.view_s=1")
     assert "unknown key; did you mean 'view_s'?" in problems(GANTRY, "cell.views=1")
     assert "cell.kind: kind 'gantri' is not one of 'arms', 'gantry'; did you mean" in problems(

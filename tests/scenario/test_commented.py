@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,12 @@ def test_each_key_stands_below_its_description(
     at = lines.index("  columns: 160")
     assert lines[at - 1] == f"  # {Detector.model_fields['columns'].description}"
     assert "    - # " not in file.read_text() and any("- name: skull" in line for line in lines)
+    parts = lines.index("  parts:")
+    first = next(line for line in lines[parts + 1 :] if not line.startswith("    #"))
+    assert lines[parts + 1].startswith("    # ") and first.startswith("    - ")
+    assert len(re.findall("# Shape of the part", file.read_text())) == 1  # not of each part
+    check, run = lines[1:3]
+    assert check.index("can it be run?") == run.index("images, volume, report")
 
 
 def test_it_overwrites_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

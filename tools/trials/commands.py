@@ -30,6 +30,8 @@ AXES = [
     {"key": "reconstruction.relaxation", "values": [0.2, 0.5]},
     {"key": "trajectory.views", "values": [3, 4]},
 ]
+CLOSE = " ".join(f"--set {key}={json.dumps(TINY[key], separators=(',', ':'))}" for key in TINY)
+"""The keys as words without spaces."""
 SET = [word for key, value in TINY.items() for word in ("--set", f"{key}={json.dumps(value)}")]
 
 
@@ -93,6 +95,11 @@ COMMANDS = {
     "calibrate": Command(
         "calibrate self OUT", (*SCAN, "geometries/self.json"), of="run",
     ),
+    "predict": Command(
+        "predict OUT --as again", (*SCAN, "predictions/again/views.csv"), of="run",
+    ),
+    "demo": Command(f"demo --out OUT {CLOSE}", SCAN, ("--threads", "1"), VIEW_FILES),
+    "render": Command("render MADE/arms.yaml --out OUT/room.png", ("*",), over=True),
     "report": Command("report OUT", (*SCAN, "metrics.json", "report.html"), of="run"),
     "reach": Command("reach MADE/arms.yaml --out OUT --directions 12", ("reach.*",), over=True),
     "place": Command(

@@ -38,6 +38,9 @@ A panel with fewer pixels is not binned, and has no further round then.
 
 FINEST = ROUNDS[-1][0]
 
+_WHAT = "calibrate circle"
+"""Name of this calibration in messages."""
+
 TOLD = 100
 """Pixels along the diagonal at which standard deviations are computed."""
 
@@ -168,7 +171,7 @@ def circular_consistent(
             finite.
         CalibrationError: no view has enough usable planes.
     """
-    circle = fit_circle(believed)
+    circle = fit_circle(believed, _WHAT)
     checks = Checks((len(believed), *believed.panel.shape))
     p, pixels = checks.projections(line_integrals, mask)
     checks.done()
@@ -290,7 +293,7 @@ def circle_numbers(geometry: ScanGeometry, circle: Circle | None = None) -> Circ
     Raises:
         InputError: the geometry is no circle.
     """
-    circle = circle or fit_circle(geometry)
+    circle = circle or fit_circle(geometry, _WHAT)
     up = circle.axis * (1.0 if float((geometry.v @ circle.axis).mean()) > 0 else -1.0)
     beam = circle.centre - geometry.source
     beam = beam - np.outer(beam @ up, up)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import select
@@ -12,8 +13,16 @@ from collections.abc import Sequence
 
 from twinct.core.errors import TwinctError
 from twinct.core.foreign_text import shortened
-from twinct.core.interruption import EndedBySignal, end_like_ctrl_c, notes_of, swallowed
-from twinct.core.memory import available_bytes, lacks_memory
+from twinct.core.interruption import (
+    EndedBySignal,
+    end_like_ctrl_c,
+    end_no_more,
+    hear_lost_signals,
+    ignore_endings,
+    notes_of,
+    swallowed,
+)
+from twinct.core.memory import available_bytes, lacks_memory, load_blas_if_limited
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
 
@@ -24,7 +33,14 @@ EXIT_SIGNAL = 128
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run one command and end the process; see ``run_command`` for the exit code."""
-    code = run_command(argv)
+    atexit.register(ignore_endings)  # registered first, called last
+    hear_lost_signals()
+    try:
+        code = run_command(argv)
+        end_no_more()
+    except KeyboardInterrupt as stop:  # after the last line of the command
+        end_no_more()
+        code = _code_of_interruption(stop)
     if code > EXIT_SIGNAL:
         logging.getLogger("asyncio").disabled = True  # readings of Zarr that were cut short
         for number in (signal.SIGINT, signal.SIGTERM):  # another one ends the process at once
@@ -46,13 +62,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
         code = _code_of(sys.argv[1:] if argv is None else list(argv))
         sys.stdout.flush()
     except KeyboardInterrupt as stop:  # also while a message is written
-        number = stop.number if isinstance(stop, EndedBySignal) else signal.SIGINT
-        kept = "; ".join(notes_of(stop)) or "before its results were complete; earlier ones stay"
-        code = EXIT_SIGNAL + number
-        try:
-            _say(f"twinct: interrupted: {kept}")
-        except BrokenPipeError:
-            _close_unread()
+        code = _code_of_interruption(stop)
     except BrokenPipeError:
         _close_unread()
         code = EXIT_SIGNAL + signal.SIGPIPE
@@ -61,12 +71,24 @@ def run_command(argv: Sequence[str] | None = None) -> int:
     return code
 
 
+def _code_of_interruption(stop: KeyboardInterrupt) -> int:
+    """Say what an interrupted command keeps."""
+    number = stop.number if isinstance(stop, EndedBySignal) else signal.SIGINT
+    kept = "; ".join(notes_of(stop)) or "before its results were complete; earlier ones stay"
+    try:
+        _say(f"twinct: interrupted: {kept}")
+    except BrokenPipeError:
+        _close_unread()
+    return EXIT_SIGNAL + number
+
+
 def _code_of(arguments: list[str]) -> int:
     if arguments == ["--version"]:
         sys.stdout.write(f"twinct {__version__}\n")
         return EXIT_DONE
     try:
         limit_threads()  # before the libraries that it limits are loaded
+        load_blas_if_limited()
         if arguments[:1] in (["node"], ["drive"]):
             from twinct.link.environment import take_ros_arguments
 
@@ -94,12 +116,19 @@ def _code_of(arguments: list[str]) -> int:
         code = stop.code or EXIT_DONE  # None after completion is printed
         return code if isinstance(code, int) else EXIT_OTHER
     except TwinctError as error:
-        for line in error.lines:
-            _say(f"twinct: {line}")
-        return error.exit_code
+        return _code_of_own(error)
     except Exception as error:
         return _code_of_foreign(error)
     return EXIT_DONE
+
+
+def _code_of_own(error: TwinctError) -> int:
+    """Say an error, unless an interruption led to it or waits for the end of an import."""
+    if stop := swallowed():
+        raise stop from error
+    for line in error.lines:
+        _say(f"twinct: {line}")
+    return error.exit_code
 
 
 def _code_of_foreign(error: Exception) -> int:

@@ -12,6 +12,7 @@ import tyro
 from twinct.cli.arguments import Flag
 from twinct.cli.progress import on_terminal, say
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import counted
 
 if TYPE_CHECKING:
     from twinct.calibration import Aligned, CircularCalibration, EpipolarConsistency, PosePrior
@@ -78,7 +79,7 @@ def beads(folder: Run, *, as_: Name = "beads", to: Others = ()) -> None:
         f"{as_}: {len(told)} of {len(found.views)} views calibrated, "
         f"median {np.median([len(view.shadows) for view in told]):.0f} balls per view, "
         f"reprojection error {np.median([view.rms_px for view in told]):.3f} px (median), "
-        f"{left_out} outliers"
+        f"{counted(left_out, 'outlier')}"
     )
     for view, problem in sorted(found.problems.items()):
         say(f"view {view} keeps its believed pose: {problem}", warning=True)
@@ -117,8 +118,9 @@ def balls(
     seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
     say(
         f"{as_}: {len(seen) - len(found.problems)} of {len(seen)} views calibrated, "
-        f"{len(bundle.balls)} balls found, median {np.median(seen):.0f} per view, reprojection "
-        f"error {found.rms_px:.3f} px (RMS), {bundle.outliers.sum()} outliers"
+        f"{counted(len(bundle.balls), 'ball')} found, median {np.median(seen):.0f} per view, "
+        f"reprojection error {found.rms_px:.3f} px (RMS), "
+        f"{counted(bundle.outliers.sum(), 'outlier')}"
     )
     _say_against_executed(told.believed, told.after, folder)
     for view, ball in np.argwhere(bundle.outliers):
@@ -173,7 +175,7 @@ def self_(
             f"patient moved by {rms(slice(0, 3)):.3f} mm, {np.degrees(rms(slice(3, 6))):.3f} deg"
         )
     say(
-        f"{as_}: {len(found.change)} views, {moved} (RMS); residual "
+        f"{as_}: {counted(len(found.change), 'view')}, {moved} (RMS); residual "
         f"{found.residuals[0]:.4g} at first, {found.residuals[-1]:.4g} in the last round"
     )
     _say_against_executed(told.believed, told.after, folder)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import tyro
 
+from twinct.cli.arm import arm
 from twinct.cli.calibrate import METHODS, calibrate
 from twinct.cli.ctsimu import ctsimu
 from twinct.cli.demo import demo
@@ -33,7 +34,7 @@ CTSIMU = "Scenarios in the CTSimU format: render, export, qualify."
 
 _FUNCTIONS: tuple[Callable[..., None], ...] = (
     *(demo, init, check, run, view, render, reach, plan, uncertainty, place, node, urdf, schema),
-    *(motion, drive, specimen, export, import_, report, compare, verify, reconstruct, predict),
+    *(motion, drive, arm, specimen, export, import_, report, compare, verify, reconstruct, predict),
     *(geometry, study),
 )
 _GROUPS = {"calibrate": (calibrate, CALIBRATE), "ctsimu": (ctsimu, CTSIMU)}

@@ -15,6 +15,7 @@ from twinct.cli.arguments import Flag, Json, Overrides, Threads
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import percent, say_result
+from twinct.core.foreign_text import counted
 from twinct.link.recording.arms_recording import ArmsRecording
 
 
@@ -91,7 +92,7 @@ def _import_driven(files: tuple[Path, ...], out: Path, arms: ArmsRecording) -> b
         say(f"the arms followed the plan {found.lag_ms:.2f} ms late")
     estimated = ", estimated from the images" if arms.estimate_latency else ""
     say(f"images are stamped {found.latency_ms:.2f} ms after their exposures{estimated}")
-    say(f"{found.views} views imported to {out}")
+    say(f"{counted(found.views, 'view')} imported to {out}")
     return True
 
 
@@ -167,7 +168,7 @@ def export(
         water: Attenuation of water in the volume, 1/mm, which becomes 0 HU; that of the scenario's
             beam unless given. A measured scan needs it for HU.
         air: Attenuation of air in the volume, 1/mm, which becomes -1000 HU; 0 unless given.
-        out: What to write; export-NAME beside the scan unless given. A folder must not exist.
+        out: What to write; export-NAME beside the scan unless given. It must not exist.
     """
     if volume is not None:
         _export_volume(scan, volume, to, geometry, values, water, air, out)
@@ -190,13 +191,20 @@ def export(
 def _refuse_volumes(to: str, values: str | None, water: float | None, air: float | None) -> None:
     """Raise if arguments of a volume are given, but no volume."""
     from twinct.core.errors import InputError
+    from twinct.core.foreign_text import quoted
     from twinct.exchange import formats
     from twinct.recon.volume_formats import volume_formats
 
-    if to in volume_formats() and to not in formats():
+    of_scan, of_volume = formats(), volume_formats()
+    if to in of_volume and to not in of_scan:
         raise InputError(f"--to {to}: a format of volumes; name one with --volume")
-    for name, of_volume in (("--water", water), ("--air", air), (f"--values {values}", values)):
-        if of_volume is not None and of_volume not in _SCAN_VALUES:
+    if to not in of_scan and to not in of_scan.broken:
+        raise InputError(
+            f"--to {quoted(to)}: unknown; choose from {', '.join(of_scan)} for the scan, or from "
+            f"{', '.join(of_volume)} for a volume (--volume)"
+        )
+    for name, value in (("--water", water), ("--air", air), (f"--values {values}", values)):
+        if value is not None and value not in _SCAN_VALUES:
             raise InputError(f"{name}: only of a volume; name one with --volume")
 
 
@@ -308,7 +316,8 @@ def compare(
         with storage_errors(out):
             out.parent.mkdir(parents=True, exist_ok=True)
             comparison.write(out)
-        say(f"wrote {out}: {len(comparison.keys)} scenario keys differ")
+        differ = "differs" if len(comparison.keys) == 1 else "differ"
+        say(f"wrote {out}: {counted(len(comparison.keys), 'scenario key')} {differ}")
         answer |= {"page": str(out), "notes": comparison.notes, "keys": comparison.keys}
         answer["runs"] = [
             {"path": one.path, "label": one.label, "image": one.image, "seconds": one.seconds}
@@ -337,7 +346,7 @@ def verify(
             say(problem, warning=True)
         for file in found.unknown:
             say(f"{file}: unknown file, ignored")
-        told = f"{len(found.problems)} problems" if found.problems else "intact"
+        told = counted(len(found.problems), "problem") if found.problems else "intact"
         say(f"{folder}: {told} ({found.in_words})")
         answer |= {"intact": not found.problems, "problems": found.problems}
         answer["unknown"] = [str(file) for file in found.unknown]

@@ -30,7 +30,7 @@ def respelled(arguments: Sequence[str]) -> list[str]:
             method = value if equals else next(words, "")
         else:
             others.append(word)
-    if method is None and (others[0] in METHODS or _mistyped(others[0])):
+    if method is None and (others[0] in METHODS or _mistyped(others)):
         return list(arguments)
     method = "beads" if method is None else method
     if method not in METHODS:
@@ -40,6 +40,8 @@ def respelled(arguments: Sequence[str]) -> list[str]:
     return new
 
 
-def _mistyped(word: str) -> bool:
-    """Return whether a word looks like the name of a method, and not like a folder."""
-    return bool(difflib.get_close_matches(word, METHODS, n=1)) and not Path(word).exists()
+def _mistyped(words: Sequence[str]) -> bool:
+    """Return whether the first of several words is meant as the name of a method, not a folder."""
+    before_folder = len(words) > 1 and not words[0].startswith("-") and not words[1].startswith("-")
+    near = difflib.get_close_matches(words[0], METHODS, n=1)
+    return before_folder or (bool(near) and not Path(words[0]).exists())

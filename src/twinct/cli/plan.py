@@ -13,6 +13,7 @@ from rich.table import Table
 from twinct.cli.progress import on_terminal
 from twinct.core.errors import InputError
 from twinct.core.extras import require
+from twinct.core.foreign_text import counted
 from twinct.core.threads import limit_threads
 from twinct.scenario import load_scenario, named_places
 from twinct.workers import LocalPool, Pool
@@ -54,7 +55,7 @@ def plan_command(
             progress=audience,
         )
     table = Table(
-        title=f"{len(found.views)} views; "
+        title=f"{counted(len(found.views), 'view')}; "
         f"{found.reachable} of {found.candidates} candidates reachable"
     )
     for name in ("", "planned", "evenly spread", "the scenario's path"):

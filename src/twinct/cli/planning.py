@@ -9,6 +9,7 @@ import tyro
 
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
+from twinct.core.foreign_text import counted
 
 
 def reach(
@@ -161,4 +162,4 @@ def motion(
     _, program = planned(scenario, set_, (source_prefix, detector_prefix))
     write_program(out, language.write(program))
     plan = program.plan
-    say(f"wrote {out}: {len(plan.targets)} views in {plan.duration_s:.1f} s")
+    say(f"wrote {out}: {counted(len(plan.targets), 'view')} in {plan.duration_s:.1f} s")

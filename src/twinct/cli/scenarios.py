@@ -20,9 +20,7 @@ from twinct.cli.time_limit import limited
 
 if TYPE_CHECKING:
     from twinct.scan import SimulationBuilder
-
-MIDDLE = -1
-"""Placeholder for the view in the middle of the scan."""
+    from twinct.scenario import Scenario
 
 
 def check(
@@ -67,6 +65,8 @@ def _check(
     from twinct.scenario import load_scenario, named_places
 
     loaded = load_scenario(scenario, set_)
+    if save is not None:
+        _check_plan_file(loaded, save)
     from twinct.runs import (  # a mistake in the scenario is reported without loading these
         check_geometries,
         check_physics,
@@ -108,7 +108,10 @@ def _check(
         for name, words in found.items():
             table.add_row(name, words)
         if save is not None:
-            _save_plan(builder, save)
+            from twinct.robots.motion import save_plan
+
+            assert builder.followed is not None  # as _check_plan_file has found
+            save_plan(builder.followed, save)
     answer |= {"can_be_run": True, "findings": found}
     Console().print(table)
 
@@ -121,23 +124,24 @@ def _planned(builder: SimulationBuilder) -> None:
             step()
 
 
-def _save_plan(builder: SimulationBuilder, path: Path) -> None:
+def _check_plan_file(scenario: Scenario, path: Path) -> None:
+    """Check that a scenario has a plan, and that a path can become its file."""
     from twinct.core.errors import InputError
-    from twinct.robots.motion import save_plan
+    from twinct.core.files.writing import check_plan_file
 
-    if builder.followed is None:
-        why = "a gantry" if builder.plan is None else "motion.scheme: reactive"
+    if scenario.cell.kind != "arms" or scenario.motion.scheme == "reactive":
+        why = "motion.scheme: reactive" if scenario.cell.kind == "arms" else "a gantry"
         raise InputError(f"--save {path}: {why} has no motion plan")
-    if path.suffix != ".npz":
-        raise InputError(f"--save {path}: a plan file must end in .npz")
-    save_plan(builder.followed, path)
+    check_plan_file(path)
 
 
 def render(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("room.png"),
-    view: Annotated[int, tyro.conf.arg(help_behavior_hint="(default: the middle one)")] = MIDDLE,
+    view: Annotated[
+        int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="(default: the middle one)")
+    ] = None,
     width: int = 1600,
     height: int = 1000,
     set_: Overrides = (),
@@ -168,7 +172,7 @@ def render(
     check_drawing()
     builder = SimulationBuilder(loaded)
     views = len(builder.requested)  # commanded views need a plan, which may not exist
-    view = views // 2 if view == MIDDLE else view
+    view = views // 2 if view is None else view
     if not 0 <= view < views:
         raise InputError(f"--view {view}: the scenario has views 0 to {views - 1}")
     with named_places(scenario, set_), storage_errors(out):
@@ -223,12 +227,15 @@ def urdf(
     scenario: ScenarioFile,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    moveit: Flag = False,
     set_: Overrides = (),
 ) -> None:
     """Write a robot description of the operating room, for ROS 2 and other readers of URDF.
 
     Args:
         out: Folder for cell.urdf and its meshes.
+        moveit: Write the arms (arms.urdf, arms.srdf, joint_limits.yaml) and the room with its
+            forbidden zones (room.scene) for MoveIt instead. MoveIt has not read them yet.
     """
     from twinct.core.extras import require
     from twinct.core.files.writing import check_folder, storage_errors, write_text
@@ -238,10 +245,13 @@ def urdf(
     loaded = load_scenario(scenario, set_)
     check_folder(out)
     require("robots")
-    file = out / "cell.urdf"
+    builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), storage_errors(out):
-        write_text(file, SimulationBuilder(loaded).urdf(meshes=out))
-    Console().print(f"wrote {file}", highlight=False)
+        files = builder.moveit(out) if moveit else {"cell.urdf": builder.urdf(meshes=out)}
+        for name, text in files.items():
+            write_text(out / name, text)
+    told = ", ".join(str(out / name) for name in files)
+    Console().print(f"wrote {told}", highlight=False)
 
 
 def init(

@@ -15,6 +15,7 @@ from rich.text import Text
 from twinct.cli.arguments import Flag
 from twinct.cli.progress import on_terminal
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import counted
 
 if TYPE_CHECKING:
     from twinct.study import DryRun, Tally
@@ -72,7 +73,7 @@ def study(
         )
     failed = f", {finished.failed} failed" if finished.failed else ""
     Console().print(
-        f"{finished.done} trials done{failed}; the page is {finished.folder.page}",
+        f"{counted(finished.done, 'trial')} done{failed}; the page is {finished.folder.page}",
         highlight=False,
         soft_wrap=True,
     )

@@ -14,6 +14,7 @@ from twinct.cli.progress import on_terminal
 from twinct.cli.reach import explained
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, complete, storage_errors, write_text
+from twinct.core.foreign_text import counted
 from twinct.core.progress import Progress
 from twinct.report.errors import errors_picture
 from twinct.runs.propagating import errors_of, figures, propagation_data, summary
@@ -43,7 +44,7 @@ def uncertainty_command(
     if not (loaded.uncertainty.calibration and loaded.task):
         with named_places(scenario, set_), explained(builder, picture):
             found = errors_of(builder, draws)
-        rows = _of_poses(found, f"{loaded.name}: executed minus believed, {draws} draws")
+        rows = _of_poses(found, f"{loaded.name}: executed minus believed, {counted(draws, 'draw')}")
         data = propagation_data(found, builder)
         drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed minus believed")
     if loaded.task is not None:
@@ -94,7 +95,8 @@ def _of_the_task(builder: SimulationBuilder, draws: int, progress: Progress) -> 
     assert task is not None
     judged, blur_mm = rejudged(builder, draws, progress)
     table = Table(
-        title=f"effect on the task: {draws} scans, blurred by {blur_mm.mean():.3f} mm in the region"
+        title=f"effect on the task: {counted(draws, 'scan')}, blurred by {blur_mm.mean():.3f} mm "
+        "in the region"
     )
     for name in ("", "as planned", "mean", "smallest", "largest"):
         table.add_column(name)

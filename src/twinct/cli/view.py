@@ -14,6 +14,7 @@ from twinct.cli.progress import on_terminal, say
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_film, check_page
+from twinct.core.foreign_text import counted
 from twinct.scenario import load_scenario, named_places
 from twinct.viewer.locate import folder_of_run
 
@@ -37,7 +38,9 @@ def view_command(
 ) -> None:
     """Show runs or a scenario until interrupted, or write them to files."""
     if not 1 <= len(targets) <= MOST_RUNS:
-        raise InputError(f"{len(targets)} folders: the page shows one, or two side by side")
+        raise InputError(
+            f"{counted(len(targets), 'folder')}: the page shows one, or two side by side"
+        )
     if export is not None:
         check_page(export, "--export")
     if movie is not None:

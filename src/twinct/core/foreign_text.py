@@ -79,3 +79,8 @@ def stated(problems: Sequence[str], more: int = 0) -> list[str]:
     if left := len(problems) - len(lines) + more:
         lines.append(f"and {left} more {'problem' if left == 1 else 'problems'}")
     return lines
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, as in 1 view and 2 views."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"

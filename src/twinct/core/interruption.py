@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end work."""
@@ -27,27 +29,103 @@ class EndedBySignal(KeyboardInterrupt):
 
 
 _received: list[EndedBySignal] = []
+_waiting: list[int] = []
+"""Signals that come again, by a thread, when the main thread imports nothing any more."""
+
+_IMPORT = "<frozen importlib._bootstrap>"
+_LOOK_S = 0.01
 
 
 def end_like_ctrl_c(*numbers: signal.Signals) -> None:
-    """Let signals end work as Ctrl-C does, except those that this process ignores (``nohup``)."""
+    """Let signals end work as Ctrl-C does, except those that this process ignores (``nohup``).
 
-    def end(number: int, frame: FrameType | None) -> NoReturn:
+    A signal that meets an import waits for its end, as some libraries catch every exception while
+    they are imported (trimesh), and others stay half imported. A second one ends the import too.
+    """
+
+    def end(number: int, frame: FrameType | None) -> None:
         _received.append(EndedBySignal(number))
-        raise _received[-1]
+        if not (_imports(frame) and number not in _waiting and _comes_again(number)):
+            raise _received[-1]
 
     _received.clear()
+    _waiting.clear()
     for number in numbers:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, end)
 
 
+def _imports(frame: FrameType | None) -> bool:
+    """Return True if a frame, or one that called it, imports a module."""
+    while frame is not None:
+        if frame.f_code.co_filename == _IMPORT:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _comes_again(number: int) -> bool:
+    """Send a signal again when the main thread imports nothing; False if no thread can start."""
+    main = threading.main_thread().ident
+    if main is None:
+        return False
+
+    def send() -> None:
+        while _imports(sys._current_frames().get(main)):
+            time.sleep(_LOOK_S)
+        if number in _waiting:
+            _waiting.remove(number)
+            signal.pthread_kill(main, number)
+
+    _waiting.append(number)
+    try:
+        _thread.start_new_thread(send, ())  # threading's locks may be held by what was interrupted
+    except RuntimeError:
+        return False
+    return True
+
+
 def swallowed() -> EndedBySignal | None:
     """Return the newest signal that was to end work since ``end_like_ctrl_c``, if any.
 
-    Some libraries catch every exception while they are imported (trimesh), and fail by it later.
+    Some libraries catch every exception (trimesh), and fail by it later.
     """
     return _received[-1] if _received else None
+
+
+def hear_lost_signals() -> None:
+    """Let a signal come again that met a callback whose exceptions Python only prints.
+
+    As in ``__del__``, callbacks of weak references, or those that C code calls.
+    """
+    before = sys.unraisablehook
+
+    def hear(lost: sys.UnraisableHookArgs) -> None:
+        if not (isinstance(lost.exc_value, EndedBySignal) and _comes_again(lost.exc_value.number)):
+            before(lost)
+
+    sys.unraisablehook = hear
+
+
+def end_no_more() -> None:
+    """Let the process end although signals arrive, as its work is over; a second one kills it."""
+
+    def pass_once(number: int, frame: FrameType | None) -> None:
+        signal.signal(number, signal.SIG_DFL)
+
+    _replace_handlers(pass_once)
+
+
+def ignore_endings() -> None:
+    """Ignore signals that end work; called last, as Python removes its own handlers at its end."""
+    _replace_handlers(signal.SIG_IGN)
+
+
+def _replace_handlers(handler: Callable[[int, FrameType | None], None] | signal.Handlers) -> None:
+    _waiting.clear()
+    for number in ENDING:
+        if callable(signal.getsignal(number)):
+            signal.signal(number, handler)
 
 
 @contextmanager

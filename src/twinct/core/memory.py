@@ -8,9 +8,14 @@ import resource
 from collections.abc import Iterator
 from pathlib import Path
 
+from twinct.core.errors import MemoryShortageError
+
 _MEMINFO = Path("/proc/meminfo")
 _STATUS = Path("/proc/self/status")
 _CGROUPS = Path("/sys/fs/cgroup")
+_ULIMIT = "limit of this process (ulimit)"
+_SQUARE = 256
+"""Size of matrices whose product takes BLAS's buffers."""
 
 
 _NO_MEMORY = (
@@ -43,6 +48,33 @@ def if_little() -> str:
     return f"; only {available / 2**30:.2f} GiB of memory are left, by the {limit}"
 
 
+LEAST_BYTES = 512 * 2**20
+"""Memory below which no command that computes has room for its libraries."""
+
+
+def load_blas_if_limited() -> None:
+    """Load BLAS while there is room, if a limit of this process may end its memory.
+
+    OpenBLAS tries to allocate its buffers without end, in C code that hears no Ctrl-C.
+
+    Raises:
+        MemoryShortageError: the limit leaves less than ``LEAST_BYTES``.
+    """
+    limits = [left for left, cause in _limits() if cause == _ULIMIT]
+    if not limits:
+        return
+    if min(limits) < LEAST_BYTES:
+        raise MemoryShortageError(
+            f"too little memory: {min(limits) / 2**20:.0f} MiB are left by the {_ULIMIT}; at least "
+            f"{LEAST_BYTES / 2**20:.0f} MiB are needed"
+        )
+    import numpy as np
+    from scipy.linalg import blas
+
+    square = np.ones((_SQUARE, _SQUARE))
+    _ = square @ square, blas.dgemm(1.0, square, square)  # each library has buffers of its own
+
+
 def available_bytes() -> tuple[float, str]:
     """Return the bytes that this process may still allocate, or infinity, and the limit's cause."""
     return min(_limits(), default=(math.inf, "unknown"))
@@ -56,7 +88,7 @@ def _limits() -> Iterator[tuple[float, str]]:
         soft, _ = resource.getrlimit(kind)
         used = _kilobytes(_STATUS, name)
         if soft != resource.RLIM_INFINITY and used is not None:
-            yield max(soft - used, 0), "limit of this process (ulimit)"
+            yield max(soft - used, 0), _ULIMIT
     for limit, usage, cache in (
         ("memory.max", "memory.current", "memory.stat"),
         ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes", "memory/memory.stat"),

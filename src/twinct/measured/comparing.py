@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import counted
 from twinct.geometry import Pose
 from twinct.measured.volume_folder import MeasuredVolume, is_measured_scan, measured_volumes
 from twinct.observers import Observers, audience_of
@@ -42,7 +43,7 @@ def compare_measured(
     if len(set(places)) < len(places):
         raise InputError("a volume is given twice; each is compared once")
     if len(found) < 2:
-        raise InputError(f"{len(found)} volumes: at least two are needed")
+        raise InputError(f"{counted(len(found), 'volume')}: at least two are needed")
     scans = [folder.path.resolve() for folder, _ in found]
     common = Path(os.path.commonpath([scan.parent for scan in scans]))
     planes: dict[str, Plane] = {}

@@ -101,7 +101,7 @@ def import_measured(
         draft.rename(folder.scan)
     sentences = *_told_of_images(images, geometry, scales), *views, *_told_of_grid(scenario)
     scan = ScanStore(folder.scan).read()
-    show(partial(_draw, scan), (10.4, 6.2), folder.imported)
+    show(partial(_draw, scan), (10.4, 7.0), folder.imported)
     return Imported(folder.path, scenario, sentences)
 
 
@@ -233,17 +233,18 @@ def _draw(scan: Scan, figure: Any) -> None:
     images: NDArray[np.float32] = line_integrals(scan.transmission[chosen])
     width, height = panel.size_mm
     extent = (-width / 2, width / 2, -height / 2, height / 2)
-    axes = figure.subplots(1, 4)
-    for at, view, image in zip(axes[:3], chosen, images, strict=True):
+    views, above = figure.subfigures(2, 1, height_ratios=(1.0, 1.3))
+    for at, view, image in zip(views.subplots(1, 3), chosen, images, strict=True):
         at.imshow(image, cmap="gray", origin="lower", extent=extent)
         at.set(title=f"view {view}", xlabel="u / mm", ylabel="v / mm")
+    axes = above.subplots()
     geometry = scan.geometry("executed")
     for points, name, colour in (
         (geometry.source, "source", "#b3452c"),
         (geometry.detector, "panel", "#2c6fb3"),
     ):
-        axes[3].plot(points[:, 0], points[:, 1], ".", markersize=2, color=colour, label=name)
-        axes[3].plot(*points[0, :2], "o", color=colour, label=f"{name}, view 0")
-    axes[3].plot(0, 0, "k+")
-    axes[3].set(title="from above", xlabel="x / mm", ylabel="y / mm", aspect="equal")
-    figure.legend(loc="outside lower center", ncols=4)
+        axes.plot(points[:, 0], points[:, 1], ".", markersize=2, color=colour, label=name)
+        axes.plot(*points[0, :2], "o", color=colour, label=f"{name}, view 0")
+    axes.plot(0, 0, "k+", label="origin")
+    axes.set(title="from above", xlabel="x / mm", ylabel="y / mm", aspect="equal")
+    axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0))

@@ -27,6 +27,7 @@ from twinct.core.files.writing import (
     write_json,
     write_text,
 )
+from twinct.core.foreign_text import counted
 from twinct.core.interruption import keeping
 from twinct.geometry import Pose, ScanGeometry
 from twinct.measured.prediction_picture import show_prediction
@@ -87,8 +88,8 @@ class Prediction:
         worst = sorted(found.views, key=lambda one: -one.rms_rel)[:3]
         return (
             self.in_words,
-            f"{len(found.views)} views predicted: residual {100 * found.rms_rel:.2f} %, of which "
-            f"may be explained: {left}",
+            f"{counted(len(found.views), 'view')} predicted: residual {100 * found.rms_rel:.2f} %, "
+            f"of which may be explained: {left}",
             f"shadows are off by {across:.3f} px along columns and {down:.3f} px along rows "
             f"(medians, largest {shifts.max():.3f} px); worst views: "
             + ", ".join(f"{one.view} ({100 * one.rms_rel:.2f} %)" for one in worst),
@@ -129,7 +130,9 @@ def predict(
     which = geometry or scan.scenario.reconstruction.geometries[0]
     scan.poses(which)
     if len(scan) < 4:
-        raise InputError(f"{folder.path}: {len(scan)} views; a prediction needs at least 4")
+        raise InputError(
+            f"{folder.path}: {counted(len(scan), 'view')}; a prediction needs at least 4"
+        )
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from twinct.core.files.pictures import show
 from twinct.measured.residuals import CAUSES, Residuals
 
+_IMAGE_INCH = 2.0
+"""Width of one image in the picture; the picture is as high as three of them need."""
+
 SHARE_SHOWN = 99.5
 """Percentile of the residuals at which their grey window ends."""
 
@@ -27,7 +30,9 @@ def show_prediction(
         predicted: the same.
         found: their residuals.
     """
-    show(partial(_draw, measured, predicted, found), (11.0, 7.2), path)
+    rows, columns = measured.shape[1:]
+    height = min(max(3 * (_IMAGE_INCH * rows / columns + 0.35), 5.0), 12.0)
+    show(partial(_draw, measured, predicted, found), (11.0, height), path)
 
 
 def _draw(
@@ -52,7 +57,8 @@ def _draw(
         for axes, title in zip(grid[row], titles, strict=True):
             axes.set_title(title, fontsize=9)
             axes.set_axis_off()
-        pictures.colorbar(shown, ax=grid[row].tolist(), shrink=0.8, label="p - q")
+        if row == 2:  # all rows have this scale
+            pictures.colorbar(shown, ax=grid.ravel().tolist(), shrink=0.6, label="p - q")
     by_view, by_value = curves.subplots(2, 1)
     views = [one.view for one in found.views]
     by_view.plot(views, [100 * one.rms_rel for one in found.views], lw=1, label="residual")

@@ -237,9 +237,7 @@ def _from_coarse_to_fine(
         views = np.tile(spread_order(len(A)), number)
         work = WorkingVolume(level.A.kernels, x)
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
-            square, rays = level.update(
-                work, int(view), float(share), steps.floor, listener.wanted
-            )
+            square, rays = level.update(work, int(view), float(share), steps.floor, listener.wanted)
             ended = best.watches and factor == 1 and used % len(A) == 0
             if ended and best.is_over(work.array):
                 break

@@ -50,24 +50,28 @@ class Circle:
         return float(self.steps.sum())
 
 
-def fit_circle(geometry: ScanGeometry) -> Circle:
+def fit_circle(geometry: ScanGeometry, what: str = "fdk") -> Circle:
     """Fit the circle of a scan.
 
     The plane is a least-squares fit; the circle in the plane is fitted algebraically (Kasa 1976).
+
+    Args:
+        geometry: views of the scan.
+        what: name of what needs the circle, for messages.
 
     Raises:
         InputError: the scan deviates from a circle by more than the bounds above; the error lists
             every deviation with its bound.
     """
     if len(geometry) < 3:
-        raise InputError(f"{len(geometry)} views do not make a circle; at least 3 are needed")
+        raise InputError(f"{what} needs a circular scan of at least 3 views, not {len(geometry)}")
     s = geometry.source
     mean = s.mean(axis=0)
     normal = np.linalg.svd(s - mean)[2][2]
     e1 = s[0] - mean
     e1 -= normal * (e1 @ normal)
     if np.linalg.norm(e1) < 1e-9:
-        raise InputError("the sources of all views coincide: fdk needs a circular scan")
+        raise InputError(f"{what} needs a circular scan: the sources of all views coincide")
     e1 /= np.linalg.norm(e1)
     e2 = np.cross(normal, e1)
     x, y = (s - mean) @ e1, (s - mean) @ e2
@@ -76,7 +80,7 @@ def fit_circle(geometry: ScanGeometry) -> Circle:
     (cx, cy, c), rank = solution[0].tolist(), int(solution[2])
     square = c + cx * cx + cy * cy
     if rank < 3 or square <= 0:
-        raise InputError("the sources lie on a line: fdk needs a circular scan")
+        raise InputError(f"{what} needs a circular scan: the sources lie on a line")
     radius = float(np.sqrt(square))
     centre = mean + cx * e1 + cy * e2
     angles = np.unwrap(np.arctan2(y - cy, x - cx))
@@ -87,7 +91,7 @@ def fit_circle(geometry: ScanGeometry) -> Circle:
     circle = Circle(centre, normal, radius, angles, steps, full)
     problems = _problems(circle, geometry)
     if problems:
-        raise InputError(f"fdk needs a circular scan: {problem}" for problem in problems)
+        raise InputError(f"{what} needs a circular scan: {'; '.join(problems)}")
     return circle
 
 

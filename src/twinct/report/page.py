@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from twinct.core.files.writing import write_text
+from twinct.core.foreign_text import counted
 from twinct.evaluation import DEPTHS_MM, IMAGE_FIGURES, MOTION_FIGURES, pose_errors
 from twinct.report.algorithm_results import with_results
 from twinct.report.data import ReportData
@@ -207,7 +208,7 @@ def _setting(report: ReportData) -> dict[str, str]:
     return {
         "Specimen": ", ".join(f"{p.label} ({_made_of(p)})" for p in scenario.specimen.parts),
         **({"Motion": report.motion} if report.motion else {}),
-        "Trajectory": f"{scenario.trajectory.kind}, {report.metrics['views']} views",
+        "Trajectory": f"{scenario.trajectory.kind}, {counted(report.metrics['views'], 'view')}",
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),
         "Reconstruction": with_results(scenario.reconstruction.in_words, report.metrics),

@@ -182,7 +182,7 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
     if builder.scenario.cell.kind == "arms" and builder.cell.notes:
-        clearance["supplied inertia"] = "; ".join(builder.cell.notes)
+        clearance["arms, supplied or changed"] = "; ".join(builder.cell.notes)
     parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
         "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twinct.core.errors import InputError
+from twinct.core.foreign_text import counted
 from twinct.evaluation import region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.observers import Observers, audience_of
@@ -83,7 +84,7 @@ def _entries(paths: Sequence[Path]) -> list[_Entry]:
         except InputError as error:
             problems += error.problems
     if len(paths) < 2:
-        problems += [f"{len(paths)} folders: at least two are needed{_advice(paths)}"]
+        problems += [f"{counted(len(paths), 'folder')}: at least two are needed{_advice(paths)}"]
     if problems:
         raise InputError(problems)
     return list(found.values())

@@ -16,6 +16,7 @@ from twinct.core.files.plain_json import read_json
 from twinct.core.files.plain_yaml import read_file, written
 from twinct.core.files.writing import check_folder, draft_of, write_text
 from twinct.link.recording import recordings
+from twinct.runs.reconstruction_folder import file_digest
 from twinct.scan import OWN, named_geometries
 from twinct.scenario import Scenario, load_scenario, stage_digests, with_paths
 
@@ -89,7 +90,7 @@ class Folder:
         motion scheme, so it is added.
         """
         scheme = () if planned else ("motion.scheme=reactive",)
-        return load_scenario(self.scenario, (*scheme, *overrides))
+        return load_scenario(self.scenario, (*scheme, *overrides), resolved=True)
 
     def write_scenario(self, scenario: Scenario) -> None:
         """Write the scenario, which names files below ``inputs`` relative to this folder."""
@@ -106,7 +107,27 @@ class Folder:
         if not all(p.exists() for p in self.results):
             return False
         told = read_metrics(self.metrics).get("reconstruction_digest")
-        return told == self.volume_digest(scenario)
+        return told == self.volume_digest(scenario) and not self.replaced()
+
+    def file_digests(self) -> dict[str, str]:
+        """Return the digests of the files with the volume and its truth, by name."""
+        files = (self.volume, self.truth)
+        return {path.name: file_digest(path) for path in files if path.is_file()}
+
+    def replaced(self) -> tuple[str, ...]:
+        """Return a sentence for each file that is missing or not the one that was judged.
+
+        Figures of earlier versions tell no digests; then there is none.
+        """
+        told: dict[str, Any] = read_metrics(self.metrics).get("files") or {}
+        there = self.file_digests()
+        changed = [name for name in (self.volume.name, self.truth.name) if name in told]
+        changed = [name for name in changed if told[name] != there.get(name)]
+        return tuple(
+            f"{self.path / name} {'was changed or replaced' if name in there else 'is missing'}: "
+            f"it is not the file that {self.metrics.name} belongs to"
+            for name in changed
+        )
 
     def measured(self, scenario: Scenario) -> bool:
         """Return True if a run was judged with the section ``evaluation`` of a scenario."""

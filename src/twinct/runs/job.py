@@ -203,10 +203,15 @@ def finished_run(folder: Folder) -> Run:
     run = Run(scenario, folder)
     if run.volume.extras["note"] not in (_note_of(folder, scenario), _note_of_0_1(store, folder)):
         raise InputError(
-            f"{folder.volume} was made with settings other than those in {folder.scenario.name}: "
-            f"finish the run with 'twinct run {folder.scenario} --out {folder.path} --resume'"
+            f"{folder.volume} was made with settings other than those in {folder.scenario.name}; "
+            f"{again_in_words(folder)}"
         )
     return run
+
+
+def again_in_words(folder: Folder) -> str:
+    """Return the command that makes the results of a run again."""
+    return f"'twinct run {folder.scenario} --out {folder.path} --resume' makes it again"
 
 
 def rewrite_report(
@@ -220,12 +225,14 @@ def rewrite_report(
         overrides: changes ``evaluation.KEY=VALUE`` to the run's scenario, for other figures.
 
     Raises:
-        InputError: see ``finished_run``; a key of another section; regions or bodies that cannot
-            be measured.
+        InputError: see ``finished_run``; the volume was replaced; a key of another section; regions
+            or bodies that cannot be measured.
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "evaluation")
     made = finished_run(folder)
+    if changed := folder.replaced():
+        raise InputError([f"{problem}; {again_in_words(folder)}" for problem in changed])
     planned = ScanStore(folder.scan).plan is not None
     scenario = folder.scenario_of_run(overrides, planned=planned) if overrides else made.scenario
     return _judged_again(made, scenario, observers)

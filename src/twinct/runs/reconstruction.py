@@ -124,6 +124,8 @@ def reconstruct_run(
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "reconstruction")
+    if name is not None:
+        checked_name(name)
     finished_run(folder)
     scenario = _scenario_of(folder, overrides)
     which = geometry or scenario.reconstruction.geometries[0]

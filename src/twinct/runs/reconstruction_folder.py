@@ -169,7 +169,7 @@ def free_name(asked: str | None, base: str, folder: Path, what: str = "reconstru
         InputError: the name is no name of a file.
         ScanExistsError: the name that was asked for is taken.
     """
-    if asked:
+    if asked is not None:
         if (there := folder / checked_name(asked)).exists():
             raise ScanExistsError(f"{there} is another {what}; choose another --as")
         return asked
@@ -185,7 +185,8 @@ def reconstruction_base(scenario: Scenario, which: str) -> str:
 
 def file_digest(path: Path) -> str:
     """Return the SHA-256 of a file, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def stored_reconstructions(folder: Path) -> dict[str, Reconstruction]:

@@ -151,6 +151,7 @@ def write_results(
         },
         geometries=_geometries(scan),
         reference_material=builder.specimen.reference_name,
+        files=folder.file_digests(),
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)

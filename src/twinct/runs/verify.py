@@ -9,6 +9,7 @@ from pathlib import Path
 from twinct.core.errors import InputError
 from twinct.recon.volume import Volume
 from twinct.runs.folder import Folder, read_metrics
+from twinct.runs.job import finished_run
 from twinct.runs.reconstruction_folder import check_files
 from twinct.scan import NamedGeometry, ScanStore, frame_damage, unknown_files, view_damage
 from twinct.scan.status import views_taken
@@ -64,6 +65,8 @@ def verify(path: str | Path) -> Verdict:
             problems += _undecodable(scan)
     if store == folder.scan:
         problems += _of_results(folder)
+        if not problems and folder.metrics.exists():
+            problems += _not_of_run(folder)
     unknown = tuple(store / file for file in unknown_files(store))
     return Verdict(tuple(problems), unknown, looked_at)
 
@@ -95,3 +98,14 @@ def _of_results(folder: Folder) -> list[str]:
         except InputError as error:
             problems += error.problems
     return problems
+
+
+def _not_of_run(folder: Folder) -> list[str]:
+    """Return the readable results that are not those of the run."""
+    if "image" not in read_metrics(folder.metrics):  # of a measured scan, which has no truth
+        return []
+    try:
+        finished_run(folder)
+        return list(folder.replaced())
+    except InputError as error:
+        return list(error.problems)

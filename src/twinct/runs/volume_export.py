@@ -10,7 +10,7 @@ from twinct import scenario as sections
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.writing import require_space
 from twinct.core.foreign_text import quoted
-from twinct.observers import Observers, audience_of
+from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
 from twinct.runs.folder import Folder, refuse_result
 from twinct.runs.reconstruction import load_scan
@@ -18,6 +18,9 @@ from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import Scenario
 
 VolumeValues = Literal["attenuation", "hounsfield"]
+
+MOST_WATER_PER_MM = 5.0
+"""Largest attenuation of water, 1/mm: that of photons of 5 keV is 4.2."""
 
 OWN_VOLUME, TRUTH = "volume", "truth"
 """Names of the run's own volume and of its truth; other names are further reconstructions."""
@@ -55,13 +58,13 @@ def export_volume(
         values: attenuation in 1/mm, or HU; None: HU in DICOM if water is known, else attenuation.
         water: attenuation of water and air; None: of a run, the regions of its first entry of
             ``evaluation.hounsfield``, or else the attenuation of water at the effective energy.
-        out: file or folder to write; None: ``export-VOLUME`` beside the volume. A folder must not
-            exist.
+        out: file or folder to write, which must not exist; None: ``export-VOLUME`` beside the
+            volume.
         observers: notified of the stage.
 
     Raises:
         InputError: there is no such volume or format, or HU are asked for and water is unknown.
-        ScanExistsError: the folder exists.
+        ScanExistsError: the file or folder exists.
         StorageError: the disk is too small or not writable.
     """
     from twinct.recon.volume_formats import VolumeFacts
@@ -75,13 +78,10 @@ def export_volume(
         require_space(out.parent, found.array.nbytes, "the export needs")
         if values == "attenuation" or (values is None and to != "dicom" and not water):
             water = None
+        elif water:
+            _check_water(water, found, audience)
         else:
-            water = water or _water_of(folder, scenario, found)
-        if values == "hounsfield" and water is None:
-            raise InputError(
-                "--values hounsfield: the attenuation of water in a measured scan is unknown; "
-                "state --water and --air in 1/mm, as regions of the volume have them"
-            )
+            water = _water_of(folder, scenario, found, needed=values == "hounsfield")
         if water:
             found = found.in_hu(water.water_per_mm, water.air_per_mm)
         told = VolumeFacts(
@@ -98,6 +98,18 @@ def export_volume(
     return out
 
 
+def _check_water(water: Water, volume: Volume, audience: Audience) -> None:
+    """Check that the attenuation of water may be in 1/mm, the unit of a volume."""
+    told = f"--water {water.water_per_mm:g}"
+    if water.water_per_mm > MOST_WATER_PER_MM:
+        raise InputError(
+            f"{told}: must be at most {MOST_WATER_PER_MM:g}, as it is in 1/mm; {told[8:]}/m are "
+            f"{water.water_per_mm / 1000:g}/mm"
+        )
+    if water.water_per_mm > (most := float(volume.array.max())):
+        audience.say(f"{told}: no voxel attenuates as much ({most:.4g}/mm at most)", warning=True)
+
+
 def _free_path(folder: Folder, volume: str, to: str, out: str | Path | None) -> Path:
     """Return where a volume may be written in a format."""
     from twinct.recon.volume_formats import volume_format_named
@@ -106,7 +118,7 @@ def _free_path(folder: Folder, volume: str, to: str, out: str | Path | None) -> 
     ending = form.endings[0] or f"-{form.name}"
     path = folder.path / f"export-{volume}{ending}" if out is None else Path(out)
     refuse_result(path)
-    if path.is_dir():
+    if path.exists():
         raise ScanExistsError(f"{path} exists already: choose another --out")
     if not any(path.name.lower().endswith(end) for end in form.endings):
         raise InputError(f"--out {path}: {form.title} needs a name in {', '.join(form.endings)}")
@@ -132,13 +144,22 @@ def _file_of(folder: Folder, volume: str) -> Path:
     return known[volume]
 
 
-def _water_of(folder: Folder, scenario: Scenario, volume: Volume) -> Water | None:
-    """Return water and air of a run's volume; None for a measured scan, where they are unknown."""
+def _water_of(folder: Folder, scenario: Scenario, volume: Volume, *, needed: bool) -> Water | None:
+    """Return water and air of a run's volume; None for a measured scan, where they are unknown.
+
+    Raises:
+        InputError: they are ``needed``, and unknown.
+    """
     from twinct.runs.regions import Places
     from twinct.specimen.materials import material
     from twinct.xray.build import effective_energy_kev
 
     if scenario.specimen.unknown:
+        if needed:
+            raise InputError(
+                "--values hounsfield: the attenuation of water in a measured scan is unknown; "
+                "state --water and --air in 1/mm, as regions of the volume have them"
+            )
         return None
     energy = effective_energy_kev(scenario.source, scenario.detector)
     found = {"water": material("water").mu_per_mm(energy), "air": 0.0}

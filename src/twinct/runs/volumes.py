@@ -189,9 +189,8 @@ def _reconstruct(
     def on_iteration(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
         watch(iteration, residual)
         if audience.wants(IterationDone):
-            whole = Volume(volume.copy(), grid)
-            course = iteration, iterations, residual
-            audience.tell(IterationDone(algorithm.name, which, *course, whole))
+            course = iteration, iterations, residual, Volume(volume.copy(), grid)
+            audience.tell(IterationDone(algorithm.name, which, *course))
 
     stage = audience.stage(name, iterations * updates, done * updates)
     with keeping(lambda: kept.in_words(iterations)), stage as tick:
@@ -204,9 +203,10 @@ def _reconstruct(
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
-            callback=_Follower(tick, kept, on_iteration, done, residuals),
+            callback=(follower := _Follower(tick, kept, on_iteration, done, residuals)),
         )
         volume = _counted(algorithm.solve(problem, section), section, done)
+        follower.finish((iterations - done) * updates)
     return metal.put_back(volume) if metal else volume
 
 
@@ -422,9 +422,16 @@ class _Follower:
     residuals: list[float]
     square: float = field(default=0.0, init=False)
     rays: int = field(default=0, init=False)
+    ticks: int = field(default=0, init=False)
+
+    def finish(self, updates: int) -> None:
+        """End the progress: an algorithm may stop early, or need fewer levels than it may have."""
+        for _ in range(self.ticks, updates):
+            self.tick()
 
     def __call__(self, step: Step) -> None:
         self.tick()
+        self.ticks += 1
         self.square += step.rays * step.residual**2
         self.rays += step.rays
         if step.update + 1 < step.updates:

@@ -202,10 +202,28 @@ class SimulationBuilder:
         """
         from twinct.robots.cell import cell_urdf
 
+        return cell_urdf(self.cell if meshes is None else self.room, self._optical, meshes)
+
+    @property
+    def _optical(self) -> Pose:
+        """Frame of the camera in the panel's, at the first view's source."""
         source, detector = PosePairs.from_geometry(self.requested)[0]
         to_source = detector.inverse().apply(source.position)
-        optical = Pose.from_matrix(to_source, np.diag([1.0, -1.0, -1.0]))
-        return cell_urdf(self.cell if meshes is None else self.room, optical, meshes)
+        return Pose.from_matrix(to_source, np.diag([1.0, -1.0, -1.0]))
+
+    def moveit(self, meshes: Path) -> dict[str, str]:
+        """Return the cell for MoveIt: text by the name of the file.
+
+        Args:
+            meshes: folder for the meshes that the robot description names.
+
+        Raises:
+            InputError: the cell has no arms.
+            StorageError: the meshes cannot be written.
+        """
+        from twinct.robots.cell.moveit import moveit_files
+
+        return moveit_files(self.room, self._optical, meshes)
 
     def cell_of(self, section: Cell) -> CellModel:
         """Return the operating room that another ``cell`` section describes.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.extras import optional
 from twinct.core.files.pictures import show
-from twinct.core.foreign_text import quoted
+from twinct.core.foreign_text import counted, quoted
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import Instant, PosePairs, Reached
@@ -223,7 +223,8 @@ class Scan:
     def __repr__(self) -> str:
         """Return a one-line summary without arrays and poses."""
         rows, columns = self.transmission.shape[1:]
-        return f"Scan({quoted(self.scenario.name)}, {len(self)} views, {columns} x {rows} px)"
+        size = f"{counted(len(self), 'view')}, {columns} x {rows} px"
+        return f"Scan({quoted(self.scenario.name)}, {size})"
 
     def poses(self, which: str) -> PosePairs:
         """Return the poses of ``commanded``, ``executed``, ``believed`` or a derived geometry.

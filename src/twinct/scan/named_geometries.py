@@ -111,7 +111,8 @@ def checked_name(name: str) -> str:
     """
     if not _NAME.fullmatch(name):
         raise InputError(
-            f"name {quoted(name)}: use at most 64 letters, digits, dots, hyphens and underscores"
+            f"name {quoted(name)}: use at most 64 letters, digits, dots, hyphens and underscores, "
+            "and begin with a letter or a digit"
         )
     return name
 

@@ -46,7 +46,7 @@ def _offered_file(model: str | None) -> Path | None:
     return offered and offered.file
 
 
-_OF_FILE = ("base", "flange", "link_density_kg_m3")
+_OF_FILE = ("base", "flange", "link_density_kg_m3", "joint_torque_nm")
 """Keys that only an arm from a file has."""
 
 
@@ -96,7 +96,7 @@ class Arm(Section):
     file: Annotated[Path | None, ReadBy("plan")] = Field(
         default=None,
         description="Instead of model: MJCF or URDF file of your own arm, see docs/arms.md. Its "
-        "includes and meshes must lie in its folder or below.",
+        "includes and meshes lie in its folder or below, those of a URDF also in ROS packages.",
     )
     base: Annotated[str | None, ReadBy("plan")] = Field(
         default=None,
@@ -160,6 +160,12 @@ class Arm(Section):
         description="With file: density of links whose inertia the file does not state; they get "
         "that of their collision shapes. null: such a file is refused.",
         json_schema_extra=facts(unit="kg/m^3"),
+    )
+    joint_torque_nm: Annotated[tuple[Positive, ...] | None, ReadBy("executed")] = Field(
+        default=None,
+        description="With file: torque limits of joints whose limit the file does not state, one "
+        "number for each joint from base to flange, or one for all. null: such a file is refused.",
+        json_schema_extra=facts(unit="N m"),
     )
 
     @field_validator("model")

@@ -16,8 +16,8 @@ from twinct.scenario.reading import drafted, is_list, is_mapping
 WIDTH = 100
 _HEAD = """\
 # A scenario of twinct, made by 'twinct init' from the built-in scenario {name}.
-#   twinct check {file}                    can it be run?
-#   twinct run {file} --out out/{name}     images, volume, report
+#   {check}  can it be run?
+#   {run}  images, volume, report
 # Keys that are left out have defaults: 'twinct schema' lists all keys. Lengths are in mm.
 """
 
@@ -35,40 +35,56 @@ def commented_scenario(name: str, file: str) -> str:
         ScenarioError: there is no such scenario.
     """
     data, model = drafted(Path(name)).data, load_scenario(name)
-    return "\n".join([_HEAD.format(name=name, file=file), *_section(data, model, "")]) + "\n"
+    run = f"twinct run {file} --out out/{name}"
+    head = _HEAD.format(name=name, check=f"twinct check {file}".ljust(len(run)), run=run)
+    return "\n".join([head, *_section(data, model, "")]) + "\n"
 
 
-def _section(data: dict[str, Any], model: object, indent: str) -> Iterator[str]:
-    """Yield the lines of a section; its keys are fields of the model."""
+def _section(
+    data: dict[str, Any], model: object, indent: str, told: set[str] | None = None
+) -> Iterator[str]:
+    """Yield the lines of a section; its keys are fields of the model.
+
+    In a list, ``told`` holds the comments so far: no item repeats them.
+    """
     for key, value in data.items():
         inner = getattr(model, key, None)
-        yield from _comment(model, key, indent)
+        yield from _comment(model, key, indent, told)
         if is_mapping(value) and value and isinstance(inner, BaseModel):
             yield f"{indent}{key}:"
-            yield from _section(value, inner, f"{indent}  ")
+            yield from _section(value, inner, f"{indent}  ", told)
         elif is_list(value) and value and all(map(is_mapping, value)):
             yield f"{indent}{key}:"
+            already = set[str]() if told is None else told
             for item, its_model in zip(value, inner or [None] * len(value), strict=False):
-                yield from _item(item, its_model, f"{indent}  ")
+                yield from _item(item, its_model, f"{indent}  ", already)
         else:
             yield f"{indent}{key}: {_flow(value)}"
         if not indent:
             yield ""
 
 
-def _item(item: dict[str, Any], model: object, indent: str) -> Iterator[str]:
+def _item(item: dict[str, Any], model: object, indent: str, told: set[str]) -> Iterator[str]:
     """Yield the lines of a section in a list: the first key stands behind a dash."""
     comments = True
-    for line in _section(item, model, f"{indent}  "):
-        if comments and not line.lstrip().startswith("#"):
-            line, comments = f"{indent}- {line.lstrip()}", False
-        yield line
+    for line in _section(item, model, f"{indent}  ", told):
+        if not comments:
+            yield line
+        elif line.lstrip().startswith("#"):
+            yield f"{indent}{line.lstrip()}"
+        else:
+            yield f"{indent}- {line.lstrip()}"
+            comments = False
 
 
-def _comment(model: object, key: str, indent: str) -> Iterator[str]:
-    """Yield the description of a key as a comment."""
+def _comment(model: object, key: str, indent: str, told: set[str] | None) -> Iterator[str]:
+    """Yield the description of a key as a comment, unless it was told."""
     field = type(model).model_fields.get(key) if isinstance(model, BaseModel) else None
     text = " ".join(((field and field.description) or "").split()).replace("``", "")
+    if told is not None and text in told:
+        return
+    if told is not None:
+        told.add(text)
     prefix = f"{indent}# "
     yield from textwrap.wrap(text, WIDTH, initial_indent=prefix, subsequent_indent=prefix)
 

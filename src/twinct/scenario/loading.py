@@ -27,7 +27,9 @@ from twinct.scenario.scenario import Scenario
 log = logging.getLogger(__name__)
 
 
-def load_scenario(source: str | Path | Mapping[str, Any], overrides: Overrides = ()) -> Scenario:
+def load_scenario(
+    source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, resolved: bool = False
+) -> Scenario:
     """Read, extend, override and validate a scenario.
 
     Args:
@@ -36,13 +38,15 @@ def load_scenario(source: str | Path | Mapping[str, Any], overrides: Overrides =
             files are relative to the working folder.
         overrides: values by dotted key, such as ``{"trajectory.views": 12}``; or ``KEY=VALUE``
             texts, as ``--set`` takes them.
+        resolved: True if twinct wrote the file, with all defaults: then no key is reported that
+            another algorithm leaves out.
 
     Raises:
         ScenarioError: with one sentence for each problem, naming key, value and origin.
     """
     draft = drafted(source, overrides)
     scenario = _checked(draft)
-    for sentence in draft.left_out:
+    for sentence in () if resolved else draft.left_out:
         _warn_once(sentence)
     return scenario
 

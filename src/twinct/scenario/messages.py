@@ -155,8 +155,10 @@ def _unknown_key(key: Key, model: type[BaseModel] | None, others: list[type[Base
     known = list(model.model_fields) if model else []
     if having := [str(_tag(other)) for other in others if key[-1] in other.model_fields]:
         own, has = model and _tag(model), "has" if len(having) == 1 else "have"
+        by = next(tag for tag in (*KIND_KEYS, "algorithm") if tag in known)
+        tag = ".".join(map(str, (*key[:-1], by)))
         but = f"{own} has no such key, but {', '.join(having)} {has} it"
-        return f"{but} (known: {', '.join(known)})"
+        return f"{but}: change {tag}, or use keys of {own} ({', '.join(known)})"
     hint = _nearest(str(key[-1]), known, 0.5)
     if "." in str(key[-1]):
         hint = "; nest keys in a file, dotted keys are for --set only"

@@ -21,6 +21,9 @@ from twinct.scenario.objects import as_settings
 from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
 from twinct.scenario.version_0_1 import upgraded
 
+_SET = "--set "
+"""Beginning of the origin of a key that an override set."""
+
 LONGEST_CHAIN = 16
 """Largest number of files that extend one another."""
 
@@ -36,13 +39,15 @@ class Draft:
 
     A section counts as set by the last file or override that set one of its keys, since that change
     caused any problem of the section as a whole. ``left_out`` has one sentence for each key that
-    was dropped together with its algorithm. ``overridden`` holds the keys that overrides set.
+    was dropped together with its algorithm. ``overridden`` holds the keys that overrides set,
+    ``beneath`` the origins in files that sections had before overrides of keys in them.
     """
 
     data: dict[str, Any] = field(default_factory=dict[str, Any])
     origins: dict[Key, str] = field(default_factory=dict[Key, str])
     left_out: list[str] = field(default_factory=list[str])
     overridden: set[Key] = field(default_factory=set[Key])
+    beneath: dict[Key, str] = field(default_factory=dict[Key, str])
 
     def set_over(self, key: Key) -> bool:
         """Return whether an override set a key, or one below or around it.
@@ -53,15 +58,27 @@ class Draft:
         return any(around) or any(other[: len(key)] == key for other in self.overridden)
 
     def origin(self, key: Key) -> str:
-        """Return the origin of a key, or of the nearest key around it."""
-        while key and key not in self.origins:
-            key = key[:-1]
-        return self.origins.get(key, "")
+        """Return the origin of a key, or of the nearest key around it.
+
+        A section's last override explains a problem of another key only if it set the section's
+        kind, or the section itself.
+        """
+        around = key
+        while around and around not in self.origins:
+            around = around[:-1]
+        origin = self.origins.get(around, "")
+        if around == key or not origin.startswith(_SET):
+            return origin
+        last = key_of(origin.removeprefix(_SET).partition("=")[0].strip())
+        explains = key[: len(last)] == last or last[-1] in (*KIND_KEYS, "algorithm")
+        return origin if explains else self.beneath.get(around, "")
 
     def record(self, places: Mapping[Key, str]) -> None:
         """Record the origins of keys as the latest ones."""
         for key, place in places.items():
-            self.origins.pop(key, None)
+            before = self.origins.pop(key, "")
+            if not before.startswith(_SET):
+                self.beneath[key] = before
             self.origins[key] = place
 
     def forget(self, key: Key) -> None:
@@ -130,6 +147,7 @@ def varied(draft: Draft, changes: Mapping[str, Any], places: Mapping[str, str]) 
     changed = Draft(
         copy.deepcopy(draft.data), dict(draft.origins), overridden=set(draft.overridden)
     )
+    changed.beneath = dict(draft.beneath)
     for key, value in changes.items():
         _apply(changed, key, value, places[key])
     return changed
@@ -229,7 +247,7 @@ def _merge(base: Draft, data: dict[str, Any], origins: dict[Key, str], key: Key)
 
 def _apply_override(draft: Draft, override: str) -> None:
     key_text, equals, value_text = override.partition("=")
-    place = f"--set {shortened(override, 100)}"
+    place = _SET + shortened(override, 100)
     steps = key_text.strip().split(".")
     if not equals or not all(step.strip() for step in steps):
         raise ScenarioError(f"{place}: expected KEY=VALUE, such as detector.columns=320")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, cast
 import numpy as np
 from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
+from twinct.core.foreign_text import counted
 from twinct.core.settings import Length, Lengths, Section, Vector, facts, setting
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
@@ -206,7 +207,7 @@ def _in_words(key: str, value: Any) -> str:
     if value is None or value is False:
         return ""
     if key == "iterations":
-        return f"{value} iterations"
+        return counted(value, "iteration")
     name = key.replace("_", " ")
     if value is True:
         return name

@@ -6,6 +6,7 @@ import trimesh
 
 from twinct.core.errors import TrajectoryError
 from twinct.core.extras import require
+from twinct.core.foreign_text import counted
 from twinct.evaluation import region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.robots.reach import Holder, Poses
@@ -36,11 +37,11 @@ def planned(builder: SimulationBuilder) -> Show:
         refused = tuple(view for view, held in enumerate(holder.held(poses)) if not held)
     views = len(builder.requested)
     if scenario.cell.kind == "gantry":
-        state = f"not run; {views} views, which a gantry takes exactly as commanded"
+        state = f"not run; {counted(views, 'view')}, which a gantry takes exactly as commanded"
     elif plan is None:
         state = f"not run; {views - len(refused)} of {views} views are within reach; no motion plan"
     else:
-        state = f"not run; {views} views planned"
+        state = f"not run; {counted(views, 'view')} planned"
     if plan is None and builder.plan_chooses:
         from twinct.geometry.wire import PosePairs
 

@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from twinct.core.files.writing import storage_errors, write_text
+from twinct.core.files.writing import MADE_BY, storage_errors, write_text
 from twinct.core.progress import Progress
 from twinct.scan import SimulationBuilder
 from twinct.viewer.curves import Curve, curves
@@ -110,6 +110,7 @@ def _with_pictures(text: str, show: Show, look: Look) -> str:
     )
     end = text.rindex("</body>")
     named = text[:end] + box + text[end:]
+    named = named.replace("<head>", f"<head>{MADE_BY}", 1)
     start, stop = named.index("<title>") + 7, named.index("</title>")
     return f"{named[:start]}{html.escape(show.name)} - twinct{named[stop:]}"
 

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 from twinct.core.errors import ScenarioError
 from twinct.core.files.boundary import ABSENT, no_file, read_bytes
 from twinct.core.files.reading import reason
+from twinct.core.files.ros_packages import PATHS, is_package, package_folder, package_of
 from twinct.core.foreign_text import number, quoted, shortened
 
 LARGEST_BYTES = 16 * 2**20
@@ -59,7 +60,10 @@ def read_arm_xml(path: Path, where: str) -> ArmXml:
         path = path.resolve()
         root, files = _parsed(path, where), [path]
         if any("xacro" in element.tag for element in root.iter()):
-            raise ScenarioError(f"{where} contains macros: expand them first (xacro IN > OUT.urdf)")
+            raise ScenarioError(
+                f"{where} contains macros: twinct arm {path.name} --out FOLDER writes it without "
+                "them, with all meshes"
+            )
         if root.tag not in ("mujoco", "robot"):
             raise ScenarioError(
                 f"{where} is neither MJCF, which begins with <mujoco>, nor URDF, which begins with "
@@ -92,12 +96,20 @@ def _parsed(path: Path, where: str) -> Any:
         raise ScenarioError(f"{where} is not readable XML: {shortened(str(error))}") from None
 
 
-def _inside(main: Path, name: str, where: str) -> Path:
-    """Return the file that ``name`` refers to, relative to the folder of the arm's own file."""
+def _inside(main: Path, name: str, where: str, folder: Path | None = None) -> Path:
+    """Return the file that ``name`` refers to, relative to the folder of the arm's own file.
+
+    Args:
+        main: the arm's own file.
+        name: name of the other file.
+        where: name of the description in messages.
+        folder: folder that the file must lie in; None stands for that of the arm's own file.
+    """
+    folder = folder or main.parent
     file = (main.parent / name).resolve()
-    if not file.is_relative_to(main.parent):
+    if not file.is_relative_to(folder):
         raise ScenarioError(
-            f"{where} names {quoted(name)}, outside its folder {main.parent}: copy the file into it"
+            f"{where} names {quoted(name)}, outside its folder {folder}: copy the file into it"
         )
     if why := no_file(file):
         told = f"there is no file {file}" if why == ABSENT else f"{file} {why}"
@@ -162,6 +174,8 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
                 parent.remove(visual)  # such as Collada; only the picture loses it
         for texture in parent.findall("texture"):
             parent.remove(texture)
+        for shape in (*parent.findall("visual"), *parent.findall("collision")):
+            shape.attrib.pop("name", None)  # MuJoCo warns of names that occur twice
     extension = root.find("mujoco")
     if extension is None:
         extension = ElementTree.SubElement(root, "mujoco")
@@ -179,25 +193,42 @@ def _urdf_meshes(root: Any, main: Path, where: str) -> list[Path]:
                 f"{where} names the collision mesh {quoted(name)}; only {', '.join(MESHES)} "
                 "can be read"
             )
-        if name.startswith(_PACKAGE):
-            name = _beside(name, main.parent, where)
-        files.append(_inside(main, str(Path(folder) / name), where))
+        files.append(mesh_file(name, folder, main, where))
         mesh.set("filename", str(files[-1]))
     return files
 
 
-def _beside(name: str, folder: Path, where: str) -> str:
-    """Return the file of a package, relative to the folder of the arm."""
+def mesh_file(name: str, folder: str, main: Path, where: str) -> Path:
+    """Return the file that a mesh of a URDF refers to.
+
+    Args:
+        name: ``package://NAME/PATH``, ``file://PATH``, or a path.
+        folder: MuJoCo's ``meshdir``, for plain paths.
+        main: the URDF.
+        where: name of the URDF in messages.
+
+    Raises:
+        ScenarioError: there is no such package or file, or the file is outside of the package.
+    """
+    if not name.startswith(_PACKAGE):
+        path = str(Path(folder) / name.removeprefix("file://"))
+        return _inside(main, path, where, package_of(main))
     with_package = name.removeprefix(_PACKAGE)
-    tries = (with_package, with_package.partition("/")[2])
-    for file in tries:
-        if (folder / file).is_file():
-            return file
-    raise ScenarioError(
-        f"{where} names {quoted(name)}, but packages are searched only in its own folder, and "
-        f"{folder} "
-        f"holds neither {tries[0]} nor {tries[1]}: copy the meshes there"
-    )
+    package, _, rest = with_package.partition("/")
+    for file in (with_package, rest):
+        if (main.parent / file).is_file():
+            return _inside(main, file, where)
+    if (found := package_folder(package, main)) is None:
+        raise ScenarioError(
+            f"{where} names {quoted(name)}, but the package {quoted(package)} was not found: it "
+            f"was searched in {main.parent} and the folders above, and in {' and '.join(PATHS)}. "
+            f"Set {PATHS[0]} to the folder that contains the package, or copy the meshes to "
+            f"{main.parent / rest}"
+        )
+    # An installed package may consist of links to its sources.
+    inside = package_of((found / rest).resolve())
+    linked = inside is not None and is_package(inside, package)
+    return _inside(main, str(found / rest), where, inside if linked else found.resolve())
 
 
 def _speeds(root: Any, where: str) -> Iterator[tuple[str, float]]:

@@ -10,10 +10,14 @@ import shutil
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
-from twinct.core.errors import InputError, StorageError
+from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.interruption import postponed
 
+MADE_BY = '<meta name="generator" content="twinct">'
+"""Line in the head of each page, which may replace an earlier one."""
+
+_HEAD_BYTES = 2**12
 _SPARE_BYTES = 64 * 2**20
 """Disk space to leave free in addition to the output."""
 
@@ -23,6 +27,9 @@ def complete(path: Path) -> Iterator[Path]:
     """Yield a draft beside a path, which takes the path's place if the block succeeds.
 
     The block writes a file, which may replace another one, or a folder, whose path must be free.
+
+    Raises:
+        StorageError: the folder of the path does not exist.
     """
     draft = draft_of(path)
     if draft.is_dir():  # a killed process may have left it
@@ -30,6 +37,11 @@ def complete(path: Path) -> Iterator[Path]:
     try:
         yield draft
         draft.replace(path)
+    except FileNotFoundError as error:
+        if path.parent.is_dir():
+            raise
+        problem = f"{path}: cannot be written: there is no folder {path.parent}"
+        raise StorageError(problem) from error
     finally:
         if draft.is_dir():
             remove_folder(draft)
@@ -146,13 +158,35 @@ def check_picture(path: Path) -> None:
 
 
 def check_page(path: Path, option: str = "--out") -> None:
-    """Check that a path can become an HTML file; ``option`` is its option in messages."""
+    """Check that a path can become an HTML file; ``option`` is its option in messages.
+
+    Raises:
+        InputError: the path is a folder, or has another suffix.
+        ScanExistsError: another program's file is there.
+        StorageError: the file cannot be written.
+    """
     _check_file(path, "an HTML file", "a page", ".html", option)
+    if no_file(path) == "" and path.stat().st_size and MADE_BY.encode() not in _head_of(path):
+        raise ScanExistsError(
+            f"{option} {path}: the file there is no page of twinct: choose another name"
+        )
+
+
+def _head_of(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_HEAD_BYTES)
 
 
 def check_film(path: Path, option: str = "--out") -> None:
     """Check that a path can become an MP4 file; ``option`` is its option in messages."""
     _check_file(path, "an MP4 file", "a film", ".mp4", option)
+
+
+def check_plan_file(path: Path) -> None:
+    """Check that a path can become the file of a motion plan (``--save``)."""
+    _check_file(path, "an NPZ file", "a plan", ".npz", "--save")
+    if not path.parent.is_dir():
+        raise StorageError(f"--save {path}: cannot be written: there is no folder {path.parent}")
 
 
 def _check_file(path: Path, kind: str, what: str, suffix: str, option: str = "--out") -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ import numpy as np
 
 from twinct.core.arm_files import BUILT_IN
 from twinct.core.errors import MissingExtraError, ScenarioError
-from twinct.core.foreign_text import quoted
+from twinct.core.foreign_text import counted, quoted
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
@@ -37,6 +37,7 @@ class ArmModel:
         home: start of the path search, rad, (joints,), if the scenario states one.
         notes: data that the scenario supplied in place of the file, in words.
         file_from_base: pose of the base in the model's world; None at the origin.
+        files: files of a user's arm, with those that it names.
     """
 
     spec: mujoco.MjSpec
@@ -47,6 +48,7 @@ class ArmModel:
     home: Floats | None = None
     file_from_base: Pose | None = None
     notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
 
 def load_arm(arm: Arm, key: str) -> ArmModel:
@@ -65,9 +67,7 @@ def load_arm(arm: Arm, key: str) -> ArmModel:
     mujoco = mujoco_module()
     name = arm.model
     if name is None:
-        origin = f"{key}.file: {arm.file}"
-        own = read_own_arm(arm, origin)
-        return _normalised(own.spec, own.spec.compile(), arm, key, origin, own)
+        return _from_file(arm, key, f"{key}.file: {arm.file}")
     origin = f"{key}.model: {name}"
     if name.startswith("menagerie:"):
         spec = mujoco.MjSpec.from_file(str(_menagerie_file(name.removeprefix("menagerie:"), key)))
@@ -77,8 +77,37 @@ def load_arm(arm: Arm, key: str) -> ArmModel:
         return _normalised(spec.copy(), model, arm, key, origin)
     offered = ARMS[name]
     keys = {k: v for k, v in offered.keys.items() if k not in arm.model_fields_set}
-    own = read_own_arm(arm := arm.model_copy(update={"file": offered.file, **keys}), origin)
-    return _normalised(own.spec, own.spec.compile(), arm, key, origin, own)
+    return _from_file(arm.model_copy(update={"file": offered.file, **keys}), key, origin)
+
+
+_PLACED = ("base_position_mm", "base_rotation_deg", "standoff_mm", "tool_rotation_deg", "rail")
+"""Keys of an arm that its model does not depend on."""
+
+_kept: dict[tuple[str, str], tuple[tuple[object, ...], ArmModel]] = {}
+
+
+def _from_file(arm: Arm, key: str, origin: str) -> ArmModel:
+    """Return an arm of a file; a search builds the same arms hundreds of times."""
+    assert arm.file is not None
+    keys = origin, arm.model_dump_json(exclude=set(_PLACED))
+    if (known := _kept.get(keys)) is None or known[0] != _stamps(known[1].files):
+        own = read_own_arm(arm, origin)
+        model = _normalised(own.spec, own.spec.compile(), arm, key, origin, own)
+        if len(_kept) >= _MOST_KEPT:
+            _kept.clear()
+        known = _kept[keys] = _stamps(model.files), model
+    return replace(known[1], spec=known[1].spec.copy())
+
+
+def _stamps(files: tuple[Path, ...]) -> tuple[object, ...]:
+    """Return what changes when one of some files is written."""
+    try:
+        return tuple((found.st_mtime_ns, found.st_size) for found in map(os.stat, files))
+    except OSError:
+        return (object(),)  # equal to no other
+
+
+_MOST_KEPT = 8
 
 
 @cache
@@ -142,20 +171,15 @@ def _normalised(
     mujoco = mujoco_module()
     if model.njnt < 5 or (model.jnt_type != mujoco.mjtJoint.mjJNT_HINGE).any():
         raise ScenarioError(
-            f"{origin} is not a single arm: it has {model.njnt} joints; an arm needs five or more, "
-            "all of them hinges"
+            f"{origin} is not a single arm: it has {counted(model.njnt, 'joint')}; an arm needs "
+            "five or more, all of them hinges"
         )
     if (np.diff(model.jnt_bodyid) <= 0).any() or not _is_chain(model):
         raise ScenarioError(f"{origin} is not a single arm: its joints do not form one chain")
     names = tuple(model.joint(i).name for i in range(model.njnt))
     if not all(names):
         raise ScenarioError(f"{origin} has joints without a name")
-    torques = _torque_limits(model)
-    known = np.isfinite(torques) & (torques > 0)
-    if not known.all():
-        bad = ", ".join(n for n, good in zip(names, known, strict=True) if not good)
-        cure = " (MJCF: actuatorfrcrange, in N m; URDF: effort)" if own else ""
-        raise ScenarioError(f"{origin} states no torque limit for {bad}{cure}")
+    torques, supplied = _torques(model, names, arm, origin, own)
     speeds = _speed_limits(spec, names, arm, origin, own)
     home = _home(model, names, arm, key)
     flange = own.flange_site if own else _flange(spec, model)
@@ -163,8 +187,9 @@ def _normalised(
         for element in list(getattr(spec, group)):
             spec.delete(element)
     base = own.file_from_base if own else None
-    notes = own.notes if own else ()
-    return ArmModel(spec, names, flange, torques, np.radians(speeds), home, base, notes)
+    notes = (*own.notes, *supplied) if own else ()
+    files = own.files if own else ()
+    return ArmModel(spec, names, flange, torques, np.radians(speeds), home, base, notes, files)
 
 
 def _is_chain(model: mujoco.MjModel) -> bool:
@@ -175,6 +200,32 @@ def _is_chain(model: mujoco.MjModel) -> bool:
         if body != inner:
             return False
     return True
+
+
+def _torques(
+    model: mujoco.MjModel, names: tuple[str, ...], arm: Arm, origin: str, own: OwnArm | None
+) -> tuple[Floats, tuple[str, ...]]:
+    """Return the torque limits of the model, or else of the scenario, with a note about these."""
+    torques = _torque_limits(model)
+    known = np.isfinite(torques) & (torques > 0)
+    if known.all():
+        return torques, ()
+    bad = ", ".join(n for n, good in zip(names, known, strict=True) if not good)
+    if arm.joint_torque_nm is None:
+        cure = (
+            " (MJCF: actuatorfrcrange, in N m; URDF: effort): write it into the file, or set the "
+            "key joint_torque_nm"
+        )
+        raise ScenarioError(f"{origin} states no torque limit for {bad}{cure if own else ''}")
+    stated = np.array(arm.joint_torque_nm)
+    if len(stated) not in (1, len(names)):
+        raise ScenarioError(
+            f"{origin}: joint_torque_nm has {len(stated)} numbers; expected 1 or {len(names)}, one "
+            f"for each of {', '.join(names)}"
+        )
+    told = ", ".join(f"{torque:g}" for torque in stated)
+    note = f"torque limits of {bad}, from joint_torque_nm ({told} N m)"
+    return np.where(known, torques, stated), (note,)
 
 
 def _torque_limits(model: mujoco.MjModel) -> Floats:
@@ -224,8 +275,8 @@ def _home(model: mujoco.MjModel, names: tuple[str, ...], arm: Arm, key: str) -> 
         return None
     if len(arm.home) != len(names):
         raise ScenarioError(
-            f"{key}.home: has {len(arm.home)} numbers, but the arm has {len(names)} joints: "
-            f"{', '.join(names)}"
+            f"{key}.home: has {len(arm.home)} numbers, but the arm has "
+            f"{counted(len(names), 'joint')}: {', '.join(names)}"
         )
     outside = [
         f"{value:g} for {name}, whose range is {low:g} to {high:g}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from twinct.core.files.arm_xml import read_arm_xml
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.robots.cell._mujoco import mujoco_module
+from twinct.robots.cell.urdf_tree import FLANGE_LINKS, Reduced, arm_alone
 from twinct.scenario import Arm
 
 if TYPE_CHECKING:
@@ -19,9 +21,6 @@ if TYPE_CHECKING:
 
 FLANGE_SITES = ("flange", "attachment_site", "attachment")
 """Names of the tool flange in MJCF models, in order of preference."""
-
-FLANGE_LINKS = ("tool0", "flange")
-"""Names of the flange in URDF; by ROS's REP 199, z of ``tool0`` and x of ``flange`` point away."""
 
 ALONG, ROUNDING_M = 0.99, 1e-6
 """Limits for z of an unnamed flange: cosine to the last joint's axis, and offset inwards."""
@@ -31,6 +30,9 @@ FLANGE_SITE = "twinct_flange"
 
 DEFAULT_DENSITY = 1000.0
 """Density that MuJoCo assumes for a shape whose file states none, kg/m^3."""
+
+IN_SCALE = 1 / 300, 20.0
+"""Least and largest ratio of the largest mesh to the arm's length, if they share a unit."""
 
 _HIDDEN_GROUP = 3
 
@@ -45,6 +47,7 @@ class OwnArm:
         speed_limits: rad/s by joint, if stated.
         file_from_base: pose of the base in the file's world.
         notes: data that the scenario supplied in place of the file, in words.
+        files: the file, and all files that it names.
     """
 
     spec: mujoco.MjSpec
@@ -52,6 +55,7 @@ class OwnArm:
     speed_limits: dict[str, float]
     file_from_base: Pose
     notes: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()
 
 
 def read_own_arm(arm: Arm, where: str) -> OwnArm:
@@ -67,20 +71,23 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
     mujoco = mujoco_module()
     assert arm.file is not None
     xml = read_arm_xml(arm.file, where)
+    alone = arm_alone(xml.text, arm.flange, where) if xml.is_urdf else Reduced(xml.text, ())
     try:
-        spec = mujoco.MjSpec.from_string(xml.text)
+        spec = mujoco.MjSpec.from_string(alone.text)
+        balanced = _balanced(spec) if xml.is_urdf else ()
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise ScenarioError(f"{where} is not a model that MuJoCo can read: {reason}") from None
     _check(model, where)
-    notes = _weigh(spec, model, arm, xml.is_urdf, where)
+    _check_sizes(model, where)
+    notes = (*alone.notes, *balanced, *_weigh(spec, model, arm, xml.is_urdf, where))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     base = _base(model, data, arm.base, where)
     _show_visuals(spec, model)
     flange = _flange(spec, model, data, arm.flange, xml.is_urdf, where)
-    return OwnArm(spec, flange, xml.speed_limits, base, notes)
+    return OwnArm(spec, flange, xml.speed_limits, base, notes, xml.files)
 
 
 def _check(model: mujoco.MjModel, where: str) -> None:
@@ -115,6 +122,38 @@ def _check(model: mujoco.MjModel, where: str) -> None:
         raise ScenarioError(
             f"{where} has no collision geometry on {', '.join(bare)}: without it, collisions would "
             "go unnoticed"
+        )
+
+
+def _balanced(spec: mujoco.MjSpec) -> tuple[str, ...]:
+    """Let MuJoCo mend moments of inertia that no body can have, and return a note about them."""
+    try:
+        spec.compile()
+    except (ValueError, mujoco_module().FatalError) as error:
+        if "balanceinertia" not in str(error):
+            raise
+        spec.compiler.balanceinertia = True
+        return ("moments of inertia that no body can have, made equal in each such link",)
+    return ()
+
+
+def _check_sizes(model: mujoco.MjModel, where: str) -> None:
+    """Refuse meshes in another unit than m, which URDF and MJCF share."""
+    mujoco = mujoco_module()
+    meshes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH)
+    sizes = 2 * np.linalg.norm(model.geom_aabb[meshes, 3:], axis=1)
+    between = np.linalg.norm(model.body_pos[1:], axis=1)
+    arm = float(between[model.body_weldid[1:] != 0].sum())
+    if not len(meshes) or arm <= 0:
+        return
+    geom = int(meshes[sizes.argmax()])
+    name, largest = model.mesh(model.geom_dataid[geom]).name, float(sizes.max())
+    if not IN_SCALE[0] < largest / arm < IN_SCALE[1]:
+        unit, factor = ("mm", "0.001") if largest > arm else ("m already", "1")
+        raise ScenarioError(
+            f"{where}: its largest mesh, {name}, has a diagonal of {largest:.3g} m, where the "
+            f"links are {arm:.3g} m long in total: the mesh is probably in {unit}. Set its scale "
+            f'to "{factor} {factor} {factor}"'
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +19,7 @@ from twinct.core.memory import if_little
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
+from twinct.robots.cell.standing import OBJECT, VISUAL_GROUP, ZONE
 
 _ADVICE = "leave MUJOCO_GL unset to use EGL, which needs no display"
 
@@ -28,6 +30,11 @@ MOST_SHOWN = 10_000
 RED = (0.90, 0.08, 0.08)
 BEAM_RGBA = (0.96, 0.78, 0.31, 0.8)
 LINE_RADIUS_MM = 1.5
+NAME_RGBA = (0.1, 0.15, 0.2, 1.0)
+SEE_THROUGH = 0.3
+"""Opacity below which a body is a region, whose name is written into it."""
+LONGEST_NAME = 60
+"""Characters of a name in a picture; MuJoCo takes 99 bytes."""
 GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
 
 
@@ -173,6 +180,7 @@ def room_pictures(
             renderer.scene.flags[mujoco.mjtRndFlag.mjRND_FOG] = True
             renderer.update_scene(data, camera, option)
             _add(renderer.scene, model, data, moment.marks)
+            _add_names(renderer.scene, model, data)
             yield renderer.render()
     finally:
         if renderer is not None:
@@ -201,6 +209,21 @@ def _reddened(model: Any, bodies: tuple[str, ...]) -> Any:
             model.geom_matid[geom] = -1
             model.geom_rgba[geom] = (*RED, opacity)
     return model
+
+
+def _add_names(scene: Any, model: Any, data: Any) -> None:
+    """Write the name of each translucent region: forbidden zones, and places of staff."""
+    mujoco, rgba = mujoco_module(), np.array(NAME_RGBA, np.float32)
+    for geom in np.flatnonzero((0 < model.geom_rgba[:, 3]) & (model.geom_rgba[:, 3] < SEE_THROUGH)):
+        name = model.body(model.geom_bodyid[geom]).name
+        prefix = next((prefix for prefix in (ZONE, OBJECT) if name.startswith(prefix)), None)
+        if prefix is None or model.geom_group[geom] != VISUAL_GROUP or scene.ngeom >= scene.maxgeom:
+            continue
+        label, place, turned = scene.geoms[scene.ngeom], data.geom_xpos[geom], np.eye(3).ravel()
+        mujoco.mjv_initGeom(label, mujoco.mjtGeom.mjGEOM_LABEL, np.zeros(3), place, turned, rgba)
+        plain = unicodedata.normalize("NFKD", name.removeprefix(prefix)).encode("ascii", "ignore")
+        label.label = plain.decode()[:LONGEST_NAME]  # MuJoCo's font has no other letters
+        scene.ngeom += 1
 
 
 def _add(scene: Any, model: Any, data: Any, marks: Marks) -> None:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twinct.core.errors import ScenarioError
+from twinct.core.errors import MemoryShortageError, ScenarioError
+from twinct.core.files.boundary import require_memory
 from twinct.geometry import Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
@@ -399,7 +400,12 @@ _KEYS = {
 """Scenario key for each part of the model, by the prefix of its name."""
 
 
+COMPILE_BYTES = 192 * 2**20
+"""Memory that the compiler of models may take: 136 MiB for two arms. Without it, it may crash."""
+
+
 def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    require_memory("the model of the room", COMPILE_BYTES, MemoryShortageError)
     try:
         return spec.compile()
     except (ValueError, mujoco_module().FatalError) as error:

@@ -8,7 +8,7 @@ source. The format: https://wiki.ros.org/urdf/XML.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -26,7 +26,12 @@ from twinct.robots.cell.standing import COLLISION_GROUP
 WORLD, OPTICAL = "world", "detector_optical"
 
 
-def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None = None) -> str:
+def cell_urdf(
+    cell: CellModel,
+    detector_from_optical: Pose,
+    meshes: Path | None = None,
+    without: Collection[int] = (),
+) -> str:
     """Return the robot description of a cell, in metres and rad, with root ``world``.
 
     Args:
@@ -34,6 +39,7 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
         detector_from_optical: frame of the camera, z towards the panel.
         meshes: folder for one file (STL) per mesh, referenced by its URI; None replaces each mesh
             by its bounding box.
+        without: bodies to leave out.
 
     Raises:
         StorageError: the meshes cannot be written.
@@ -42,7 +48,7 @@ def cell_urdf(cell: CellModel, detector_from_optical: Pose, meshes: Path | None 
     robot = Xml.Element("robot", name="twinct")
     Xml.SubElement(robot, "link", name=WORLD)
     names = link_names(cell)
-    for body in range(1, model.nbody):
+    for body in sorted(set(range(1, model.nbody)) - set(without)):
         link = Xml.SubElement(robot, "link", name=names[body])
         _fill(link, cell, body, meshes)
         _join(robot, cell, body, names)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import CellModel, mujoco_module
 from twinct.robots.cell.rails import direction
+from twinct.robots.motion.arm_search import SerialArm
 from twinct.scenario import InverseKinematics
 
 if TYPE_CHECKING:
@@ -44,12 +45,11 @@ SEARCH_STARTS = 48
 KEPT = 16
 """Largest number of configurations of such a pose that are starts for the next pose."""
 
-SEARCH_STEPS = 40
-SOLVED = 1e-7
-"""Error below which Newton's method ends, m and rad."""
+SWEEPS = 2
+"""Number of times that neighbouring poses try each other's configurations."""
 
-TO_MIDDLE = 0.05
-"""Fraction of the distance to the middle of its ranges that a redundant arm moves per step."""
+NEAR_STEPS = 12
+"""Largest number of steps from a configuration of a neighbouring pose."""
 
 SAME_RAD = 0.05
 """Configurations closer than this in every joint count as one."""
@@ -80,36 +80,38 @@ class Branches:
             ik: tolerances of the search; the closed form is exact.
             seed: seed of the search; the closed form needs none.
         """
-        self._cell, self._part, self._seed = cell, cell.arm_joints[arm], seed
-        self._site = cell.site_ids[arm]
-        self._data = mujoco.MjData(cell.model)
+        self._seed = seed
+        self._arm = SerialArm(cell, arm)
         self._off = np.array(
             [ik.position_tolerance_mm / MM_PER_M, np.radians(ik.rotation_tolerance_deg)]
         )
-        self._ranges = cell.joint_ranges[self._part]
+        self._ranges = self._arm.ranges
         section = (cell.cell.source_arm, cell.cell.detector_arm)[arm]
         self.closed_form = section.model == "ur10e"
         self._rail = None if section.rail is None else direction(section.rail)
-        mujoco.mj_kinematics(cell.model, self._data)
-        base = self._data.body(f"{SIDES[arm]}_base") if self.closed_form else None
-        if base is not None:
+        self.redundant = not self.closed_form and len(self._ranges) > 6
+        if self.closed_form:
+            data, site = mujoco.MjData(cell.model), cell.site_ids[arm]
+            mujoco.mj_kinematics(cell.model, data)
+            base = data.body(f"{SIDES[arm]}_base")
             self._world_from_base = _matrix(base.xpos, base.xmat)
-            at_zero = _matrix(self._data.site_xpos[self._site], self._data.site_xmat[self._site])
+            at_zero = _matrix(data.site_xpos[site], data.site_xmat[site])
             # With all joints at zero, the flange points along -y.
             flange = _matrix((A2 + A3, -D4 - D6, D1 - D5), ((1, 0, 0), (0, 0, -1), (0, 1, 0)))
             self._tool_from_flange = np.linalg.inv(at_zero) @ self._world_from_base @ flange
 
-    def of(self, poses: Floats, starts: int = SEARCH_STARTS) -> Configurations:
+    def of(self, poses: Floats, starts: int = SEARCH_STARTS, abreast: int = 1) -> Configurations:
         """Compute all configurations for some poses; a search may miss some.
 
         Args:
             poses: ``world_from_tool``, (poses, 4, 4), mm.
             starts: random starts for each pose; the closed form needs none.
+            abreast: distance, in poses, of the pose from whose configurations a search continues.
         """
         poses = poses.copy()
         poses[:, :3, 3] /= MM_PER_M
         if not self.closed_form:
-            return self._searched(poses, starts)
+            return self._searched(poses, starts, abreast)
         if self._rail is None:
             return self._closed(poses, self._ranges)
         places = self._rail_places(poses, self._rail)
@@ -146,62 +148,113 @@ class Branches:
         following[(following < low) | (following > high)] = np.nan
         return np.hstack([np.tile(fixed, (len(poses), 1)), following])
 
-    def _searched(self, poses: Floats, starts: int) -> Configurations:
-        low, high = np.maximum(self._ranges[:, 0], -np.pi), np.minimum(self._ranges[:, 1], np.pi)
-        before = np.zeros((0, len(low)))
-        found: list[Floats] = []
-        for index, pose in enumerate(poses):
-            rng = np.random.default_rng([self._seed, index])
-            draws = rng.uniform(low, high, (starts, len(low)))
-            here = self._newton(pose, np.vstack([before, draws]))
-            before = here[:KEPT]
-            found.append(here)
-        pose = np.repeat(np.arange(len(poses)), [len(f) for f in found])
-        return Configurations(np.vstack(found) if found else before, pose)
+    def rolled(self, poses: Floats, rolls: Floats, starts: int = SEARCH_STARTS) -> Configurations:
+        """Compute the configurations for poses that are rolled about their own z.
 
-    def _newton(self, pose: Floats, joints: Floats) -> Floats:
-        """Compute distinct solutions, (m, k), by damped Newton steps from all starts at once."""
-        model, data, n = self._cell.model, self._data, joints.shape[1]
-        open_ = np.arange(len(joints))
-        solved = np.zeros(len(joints), bool)
-        low, high = self._ranges.T
-        middle = (low + high) / 2
-        jacobian = np.zeros((2, 3, model.nv))
-        wanted = scipy.spatial.transform.Rotation.from_matrix(pose[:3, :3])
-        for _ in range(SEARCH_STEPS):
-            error, matrices = np.empty((len(open_), 6)), np.empty((len(open_), 6, n))
-            turned = np.empty((len(open_), 3, 3))
-            for row, start in enumerate(open_):
-                data.qpos[self._part] = joints[start]
-                mujoco.mj_kinematics(model, data)
-                mujoco.mj_comPos(model, data)
-                mujoco.mj_jacSite(model, data, jacobian[0], jacobian[1], self._site)
-                matrices[row] = jacobian.reshape(6, -1)[:, self._part]
-                error[row, :3] = pose[:3, 3] - data.site_xpos[self._site]
-                turned[row] = data.site_xmat[self._site].reshape(3, 3)
-            back = scipy.spatial.transform.Rotation.from_matrix(turned).inv()
-            error[:, 3:] = (wanted * back).as_rotvec()
-            left = np.linalg.norm(error.reshape(-1, 2, 3), axis=2)
-            # At the end of a range, some poses can only be reached within the tolerance.
-            solved[open_] = (left <= self._off).all(axis=1)
-            go = left.max(axis=1) >= SOLVED
-            open_, error, matrices = open_[go], error[go], matrices[go]
-            if not len(open_):
-                break
-            here = joints[open_]
-            step = _step(matrices, error, middle - here)
-            # Hold a joint that would leave its range, and let the other joints compensate.
-            over = ((here <= low) & (step < 0)) | ((here >= high) & (step > 0))
-            if over.any():
-                step = np.where(over, 0, _step(matrices * ~over[:, None], error, middle - here))
-            # More than half a radian at once leaves the range in which the linear model holds.
-            step *= np.minimum(1.0, 0.5 / np.abs(step).max(axis=1, keepdims=True).clip(1e-12))
-            joints[open_] = np.clip(here + step, low, high)
-        distinct: list[Floats] = []
-        for q in _without_turns(joints[solved], self._ranges):
-            if all(np.abs(q - other).max() >= SAME_RAD for other in distinct):
-                distinct.append(q)
-        return np.array(distinct).reshape(-1, n)
+        Where the last joint of a searched arm rolls the tool and does no more, one search serves
+        all rolls of a pose.
+
+        Args:
+            poses: ``world_from_tool``, (poses, 4, 4), mm.
+            rolls: rad, (r,).
+            starts: random starts for each pose; the closed form needs none.
+
+        Returns:
+            configurations; ``pose`` counts the rolls of the first pose first.
+        """
+        if self.closed_form or not self._arm.roll_sign or len(rolls) == 1:
+            turned = np.tile(np.eye(4), (len(rolls), 1, 1))
+            about_z = scipy.spatial.transform.Rotation.from_euler("z", rolls[:, None])
+            turned[:, :3, :3] = about_z.as_matrix()
+            asked = (poses[:, None] @ turned).reshape(-1, 4, 4)
+            return self.of(asked, starts, abreast=len(rolls))
+        metres = poses.copy()
+        metres[:, :3, 3] /= MM_PER_M
+        low, high = self._ranges[-1]
+        free = np.vstack([self._ranges[:-1], [-np.inf, np.inf]])
+        found = self._searched(metres, starts, 1, free)
+        joints = np.repeat(found.joints[:, None], len(rolls), axis=1)
+        joints[..., -1] += self._arm.roll_sign * rolls
+        joints = joints.reshape(-1, joints.shape[-1])
+        joints[:, -1] = _turned_into(joints[:, -1], low, high)
+        pose = (found.pose[:, None] * len(rolls) + np.arange(len(rolls))).ravel()
+        inside = np.flatnonzero(np.isfinite(joints[:, -1]))
+        order = inside[np.argsort(pose[inside], kind="stable")]
+        return Configurations(joints[order], pose[order])
+
+    def _searched(
+        self, poses: Floats, starts: int, abreast: int, ranges: Floats | None = None
+    ) -> Configurations:
+        """Search from random starts for all poses at once, then from the poses before.
+
+        Args:
+            poses: ``world_from_tool``, m, (poses, 4, 4).
+            starts: random starts for each pose.
+            abreast: number of poses that are continued at once.
+            ranges: rad and m, (n, 2); None stands for the joints' own.
+        """
+        ranges = self._ranges if ranges is None else ranges
+        low, high = np.maximum(ranges[:, 0], -np.pi), np.minimum(ranges[:, 1], np.pi)
+        draws = [
+            np.random.default_rng([self._seed, index]).uniform(low, high, (starts, len(low)))
+            for index in range(len(poses))
+        ]
+        if not draws:
+            return Configurations(np.zeros((0, len(low))), np.zeros(0, np.intp))
+        which = np.repeat(np.arange(len(poses)), starts)
+        joints, solved = self._arm.solve(poses, which, np.vstack(draws), self._off, ranges)
+        found: list[Floats] = [
+            _distinct(own[good], ranges)
+            for own, good in zip(
+                joints.reshape(len(poses), starts, -1),
+                solved.reshape(len(poses), starts),
+                strict=True,
+            )
+        ]
+        if len(low) > 6:
+            self._continue(poses, found, abreast, ranges)
+        else:
+            for _ in range(SWEEPS):
+                self._share(poses, found, abreast, ranges)
+        pose = np.repeat(np.arange(len(poses)), [len(f) for f in found])
+        return Configurations(np.vstack(found), pose)
+
+    def _continue(self, poses: Floats, found: list[Floats], abreast: int, ranges: Floats) -> None:
+        """Continue the configurations of each pose to the next, which get to the front there.
+
+        A redundant arm has infinitely many, so that neighbours need to continue each other.
+        """
+        for begin in range(abreast, len(poses), abreast):
+            here = np.arange(begin, min(begin + abreast, len(poses)))
+            before = [found[k - abreast][:KEPT] for k in here]
+            self._add(poses, found, here, before, ranges)
+
+    def _share(self, poses: Floats, found: list[Floats], abreast: int, ranges: Floats) -> None:
+        """Try the configurations of each pose at the poses before and after it."""
+        count = len(poses)
+        here = np.tile(np.arange(count), 2)
+        there = np.concatenate([np.arange(count) - abreast, np.arange(count) + abreast])
+        inside = (there >= 0) & (there < count)
+        self._add(poses, found, here[inside], [found[k] for k in there[inside]], ranges)
+
+    def _add(
+        self,
+        poses: Floats,
+        found: list[Floats],
+        here: NDArray[np.intp],
+        starts: list[Floats],
+        ranges: Floats,
+    ) -> None:
+        """Search for poses from near starts, and put what is found before the known ones."""
+        which = np.repeat(here, [len(of) for of in starts])
+        if not len(which):
+            return
+        joints, solved = self._arm.solve(
+            poses, which, np.vstack(starts), self._off, ranges, NEAR_STEPS
+        )
+        for k in np.unique(which[solved]):
+            own = joints[solved & (which == k)]
+            found[k] = _distinct(np.vstack([own, found[k]]), ranges)
 
 
 def matrices(poses: list[Pose]) -> Floats:
@@ -216,15 +269,25 @@ def _matrix(position: object, rotation: object) -> Floats:
     return matrix
 
 
-def _step(jacobian: Floats, error: Floats, rest: Floats) -> Floats:
-    """Compute damped Newton steps, (m, k); the null space pulls redundant arms to the middle."""
-    transposed = jacobian.transpose(0, 2, 1)
-    damping = 1e-9 + 1e-3 * (error * error).sum(axis=1)  # small steps far away
-    square = jacobian @ transposed + damping[:, None, None] * np.eye(6)
-    pull = TO_MIDDLE * rest[:, :, None]
-    return (pull + transposed @ np.linalg.solve(square, error[:, :, None] - jacobian @ pull))[
-        ..., 0
-    ]
+def _distinct(joints: Floats, ranges: Floats) -> Floats:
+    """Return the configurations that differ from all before them, (k, n)."""
+    joints = _without_turns(joints, ranges)
+    apart = np.abs(joints[:, None] - joints).max(axis=2) >= SAME_RAD
+    kept: list[int] = []
+    for k in range(len(joints)):
+        if apart[k, kept].all():
+            kept.append(k)
+    return joints[kept]
+
+
+def _turned_into(angles: Floats, low: float, high: float) -> Floats:
+    """Return angles by full turns nearest to zero within a range, NaN where none is."""
+    wrapped = (angles + np.pi) % (2 * np.pi) - np.pi
+    for turns in (0, 1, -1):
+        moved = wrapped + 2 * np.pi * turns
+        inside = (moved >= low) & (moved <= high)
+        wrapped = np.where(inside, moved, wrapped)
+    return np.where((wrapped >= low) & (wrapped <= high), wrapped, np.nan)
 
 
 def _without_turns(joints: Floats, ranges: Floats) -> Floats:

@@ -51,12 +51,16 @@ class Speeds:
 
     def seconds(self, a: Floats, b: Floats) -> Floats:
         """Return the time of the slowest joint from each of (m, k) to each of (p, k), (m, p)."""
-        slowest = np.zeros((len(a), len(b)), np.float32)
+        shape = len(a), len(b)
+        slowest, apart, way = np.zeros(shape, np.float32), np.empty(shape), np.empty(shape, "f4")
         for j, limit in enumerate(self.limits):
-            way = np.abs(a[:, None, j] - b[None, :, j]).astype(np.float32)
+            np.subtract(a[:, None, j], b[None, :, j], out=apart)
+            np.abs(apart, out=apart)
+            way[:] = apart
             if self.turns[j]:
                 np.minimum(way, np.float32(2 * np.pi) - way, out=way)
-            np.maximum(slowest, way / np.float32(limit), out=slowest)
+            way /= np.float32(limit)
+            np.maximum(slowest, way, out=slowest)
         return slowest.astype(np.float64)
 
 

@@ -47,6 +47,9 @@ else:
 ROLL_STEP_DEG = 5.0
 """Step between the roll angles that are tried where the roll is free."""
 
+REDUNDANT_ROLL_STEP_DEG = 10.0
+"""The step for searched arms of seven joints, which have many configurations for each roll."""
+
 SETTLED_ROOM_MM = 0.5
 """Margin of a path above the required clearance, for arms that come to rest in every view."""
 
@@ -160,8 +163,7 @@ class _Finder:
         self._arms = speeds_of(cell)
         self._turns = np.concatenate([arm.turns for arm in self._arms])
         self._detours = Detours(cell, self._both, self._turns, seed, most_looks)
-        full = np.arange(0.0, 360.0, ROLL_STEP_DEG)
-        self._rolls = [np.radians(full if free else full[:1]) for free in roll_free]
+        self._roll_free = roll_free
         self._known: dict[bytes, Floats | None] = {}
 
     def find(self, start: Floats | None) -> JointPath:
@@ -212,15 +214,12 @@ class _Finder:
     def _of_arm(self, arm: int) -> tuple[list[_Candidates], list[str]]:
         """Return the clear candidates of every view, and messages for views without any."""
         poses = [(t.source, t.detector)[arm] for t in self._targets]
-        rolls, side = self._rolls[arm], SIDES[arm]
-        turned = np.zeros((len(rolls), 4, 4))
-        about_z = scipy.spatial.transform.Rotation.from_euler("z", rolls[:, None])
-        turned[:, :3, :3] = about_z.as_matrix()
-        turned[:, 3, 3] = 1
-        asked = matrices(poses)[:, None] @ turned
         branches = Branches(self._cell, arm, self._motion.ik, self._seed)
+        step = REDUNDANT_ROLL_STEP_DEG if branches.redundant else ROLL_STEP_DEG
+        rolls = np.radians(np.arange(0.0, 360.0 if self._roll_free[arm] else step, step))
+        side = SIDES[arm]
         room = Feasible(self._cell, side)
-        found = branches.of(asked.reshape(-1, 4, 4))
+        found = branches.rolled(matrices(poses), rolls)
         clear = room.clear(self._placed(found.joints, arm), self._least_mm)
         candidates, far, gaps = [], {}, {}
         ends = np.searchsorted(found.pose, np.arange(len(poses) + 1) * len(rolls))
@@ -231,7 +230,7 @@ class _Finder:
             joints, roll = found.joints[mine], rolls[found.pose[mine] - view * len(rolls)]
             good = clear[mine]
             if not good.any() and not branches.closed_form:
-                more = branches.of(asked[view], MANY_STARTS)
+                more = branches.rolled(matrices(poses[view : view + 1]), rolls, MANY_STARTS)
                 joints, roll = more.joints, rolls[more.pose]
                 good = room.clear(self._placed(joints, arm), self._least_mm)
             if not len(joints):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct.core.errors import TrajectoryError
+from twinct.core.foreign_text import counted
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import Target
 from twinct.robots.cell import CellModel
@@ -86,7 +87,7 @@ def checked_plan(
 def _other_views(plan: MotionPlan, requested: RequestedViews) -> list[str]:
     if len(plan.targets) != len(requested.targets):
         return [
-            f"the plan has {len(plan.targets)} views, but the trajectory has "
+            f"the plan has {counted(len(plan.targets), 'view')}, but the trajectory has "
             f"{len(requested.targets)}"
         ]
     wanted = list(requested.targets)

@@ -152,13 +152,10 @@ class Holder:
         self, branches: Branches, room: Feasible, poses: Floats, arm: int
     ) -> Configurations:
         """Compute the result of ``alone`` if the last joint does more than roll the tool."""
-        turned = np.zeros((len(self._rolls[arm]), 4, 4))
-        turned[:, 3, 3] = 1
-        about_z = scipy.spatial.transform.Rotation.from_euler("z", self._rolls[arm][:, None])
-        turned[:, :3, :3] = about_z.as_matrix()
-        found = branches.of((poses[:, None] @ turned).reshape(-1, 4, 4), self._starts)
+        rolls = self._rolls[arm]
+        found = branches.rolled(poses, rolls, self._starts)
         clear = room.clear(self.placed(found.joints, arm), self.least_mm)
-        return Configurations(found.joints[clear], found.pose[clear] // len(turned))
+        return Configurations(found.joints[clear], found.pose[clear] // len(rolls))
 
     def _last_joint_rolls(self, arm: int) -> bool:
         kinematics = Kinematics(self.cell, self.motion.ik)

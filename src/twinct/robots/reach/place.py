@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -54,6 +55,9 @@ UNITS = np.diag([1.0, 1.0, 1.0, 0.5, 1.0])
 
 ALONE_COUNTS = 0.05
 """Weight of views that an arm holds alone, which gives a slope to plateaus of the score."""
+
+ALL_HELD = 1.0 + 2 * ALONE_COUNTS - 1e-9
+"""Score of a pair of places from which both arms hold every view."""
 
 BASES_APART_MM = 450.0
 """Least distance between the two bases."""
@@ -197,6 +201,9 @@ class _Search:
             for pair in pairs:
                 self._judged(pair)
                 step()
+                if self._judged(pair)[0] >= ALL_HELD:
+                    break
+        pairs = [pair for pair in pairs if pair.tobytes() in self._known]
         best = sorted([own, *pairs], key=lambda pair: -self._judged(pair)[0])[:IMPROVED]
         with progress.stage("improved", len(best) * len(STEPS)) as step:
             best = [self._improved(pair, step) for pair in best]
@@ -245,7 +252,8 @@ class _Search:
 
         best = sorted(alone, key=lambda of: -of[1].sum())[:IMPROVED_ALONE]
         steps = [UNITS[k] for k in range(self._open[arm].stop)]
-        return [_climbed(point, steps, self._ranges, held, step) for point, _ in best]
+        climb = partial(_climbed, steps=steps, ranges=self._ranges, most=len(some))
+        return [climb(point, score=held, step=step) for point, _ in best]
 
     def _coordinates(self, arm: int) -> Floats:
         """Return an arm's present coordinates: base x, y, z, stand-off, tool rotation."""
@@ -344,7 +352,7 @@ class _Search:
         def score(trial: Floats) -> float:
             return self._judged(trial)[0] if self._allowed(trial) else -np.inf
 
-        return _climbed(pair, steps, self._ranges, score, step)
+        return _climbed(pair, steps, self._ranges, score, step, ALL_HELD)
 
 
 def _climbed(
@@ -353,11 +361,15 @@ def _climbed(
     ranges: Floats,
     score: Callable[[Floats], float],
     step: Callable[[], None],
+    most: float,
 ) -> Floats:
-    """Return the best point of a pattern search with all step sizes from a start within ranges."""
+    """Return the best point of a pattern search with all step sizes from a start within ranges.
+
+    The search ends at a score of ``most``, than which there is none better.
+    """
     best, (low, high) = start, ranges.T
     for size in STEPS:
-        moved = True
+        moved = score(best) < most
         while moved:
             moved = False
             for direction in steps:

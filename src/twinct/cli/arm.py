@@ -1,0 +1,58 @@
+"""The command that takes an arm from its vendor's description."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from twinct.core.errors import InputError
+from twinct.core.foreign_text import quoted
+
+_SUPPLY = {
+    "joint_torque_nm": "no torque limit",
+    "joint_speed_deg_s": "no speed limit",
+    "link_density_kg_m3": "no inertia",
+}
+
+
+def arm(
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")],
+    arguments: Annotated[
+        tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME:=VALUE ...]")
+    ] = (),
+    /,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+) -> None:
+    """Write the URDF of a vendor's arm into a folder of its own, with all meshes.
+
+    Macros are expanded by xacro, which evaluates expressions of the file: use files that you trust.
+    Packages are searched from the file upwards, in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH.
+
+    Args:
+        file: URDF or xacro.
+        arguments: Values of xacro's arguments.
+        out: Folder to write, which must not exist.
+    """
+    from twinct.cli.progress import say
+    from twinct.robots.cell.vendor import write_arm
+    from twinct.robots.programs import check_absent
+
+    given = dict(_pair(text) for text in arguments)
+    check_absent(out)
+    written = write_arm(file, given, out)
+    say(f"wrote {written.file}: {len(written.links)} links, {written.meshes} meshes")
+    for link, parts in written.parts.items():
+        say(f"{link}: collides as {parts} convex parts")
+    for key, names in written.lacking.items():
+        say(f"{_SUPPLY[key]}: {', '.join(names)}: set {key} in the scenario")
+    say(f"in the scenario: cell: {{source_arm: {{model: null, file: {written.file}}}}}")
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, separator, value = text.partition(":=")
+    if not separator or not name:
+        raise InputError(f"arguments have the form NAME:=VALUE, but one is {quoted(text)}")
+    return name, value

@@ -1,0 +1,272 @@
+"""Descriptions of arms as vendors ship them, written into a folder of their own.
+
+Macros are expanded by xacro's own library. As it evaluates expressions of Python, nothing but the
+command ``twinct arm`` calls it: a scenario never names a file with macros.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import dataclass
+from importlib import import_module
+from io import StringIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+
+from twinct.core.errors import ScenarioError
+from twinct.core.files.arm_xml import LARGEST_BYTES, mesh_file
+from twinct.core.files.boundary import read_bytes
+from twinct.core.files.ros_packages import PATHS, package_folder
+from twinct.core.files.writing import remove_folder, storage_errors
+from twinct.core.foreign_text import quoted, shortened
+
+if TYPE_CHECKING:
+    import trimesh
+
+FILE, MESHES = "arm.urdf", "meshes"
+"""What the folder holds."""
+
+MOST_PARTS = 8
+"""Largest number of parts of a collision mesh; one of more parts counts as one convex hull."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """Result of ``write_arm``.
+
+    Attributes:
+        file: the URDF.
+        meshes: number of mesh files.
+        parts: number of convex parts of each collision mesh with more than one, by its link.
+        links: names of all links.
+        lacking: joints without torque limit, joints without speed limit, and moving links without
+            inertia, by the scenario's key that supplies it.
+    """
+
+    file: Path
+    meshes: int
+    parts: Mapping[str, int]
+    links: tuple[str, ...]
+    lacking: Mapping[str, tuple[str, ...]]
+
+
+def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written:
+    """Expand a robot description, and write it with all of its meshes.
+
+    Args:
+        file: URDF, or xacro.
+        arguments: values of xacro's arguments.
+        folder: folder to write, which does not exist.
+
+    Raises:
+        ScenarioError: xacro is needed and not installed; the file, a package or a mesh cannot be
+            read.
+        StorageError: the folder cannot be written.
+    """
+    where, file = str(file), file.resolve()
+    text = read_bytes(file, where, LARGEST_BYTES, ScenarioError)
+    if b"xacro" in text:
+        text = _expanded(file, arguments, where).encode()
+    elif arguments:
+        raise ScenarioError(
+            f"{where} has no macros, but arguments are given: {', '.join(arguments)}"
+        )
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ScenarioError(f"{where} is not readable XML: {shortened(str(error))}") from None
+    if root.tag != "robot":
+        raise ScenarioError(f"{where} is not a robot description: it begins with <{root.tag}>")
+    for name in ("gazebo", "transmission", "ros2_control"):
+        for element in root.findall(name):
+            root.remove(element)
+    meshes = _Meshes(file, where)
+    for link in root.findall("link"):
+        meshes.place(link)
+    ElementTree.indent(root)
+    with storage_errors(folder):
+        (folder / MESHES).mkdir(parents=True)
+        try:
+            for name, mesh in meshes.written.items():
+                mesh.export(folder / name)
+            (folder / FILE).write_text(ElementTree.tostring(root, encoding="unicode") + "\n")
+        except BaseException:
+            remove_folder(folder)
+            raise
+    links = tuple(link.get("name", "") for link in root.findall("link"))
+    return Written(folder / FILE, len(meshes.written), meshes.parts, links, _lacking(root))
+
+
+def _expanded(file: Path, arguments: Mapping[str, str], where: str) -> str:
+    """Return a description without macros.
+
+    Raises:
+        ScenarioError: xacro is not installed, or refuses the file.
+    """
+    try:
+        xacro: Any = import_module("xacro")
+        substitution_args: Any = import_module("xacro.substitution_args")
+    except ImportError as error:
+        raise ScenarioError(
+            f"{where} contains macros, and xacro is not installed: python -m pip install xacro, or "
+            "expand the file with ROS's xacro"
+        ) from error
+
+    def find(name: str) -> str:
+        if (folder := package_folder(name, file)) is None:
+            raise ScenarioError(
+                f"{where} needs the package {quoted(name)}, which was not found: it was "
+                f"searched in {file.parent} and the folders above, and in {' and '.join(PATHS)}. "
+                f"Set {PATHS[0]} to the folder that contains it"
+            )
+        return str(folder)
+
+    before = substitution_args._eval_find
+    substitution_args._eval_find = find
+    try:
+        with _quiet():
+            return xacro.process_file(str(file), mappings=dict(arguments)).toxml()
+    except ScenarioError:
+        raise
+    except Exception as error:  # whatever the file's expressions raise
+        if isinstance(cause := getattr(error, "exc", None), ScenarioError):
+            raise cause from None
+        told = shortened(" ".join(str(error).split()) or type(error).__name__, 400)
+        hint = "; arguments are given as NAME:=VALUE" if "arg" in told else ""
+        raise ScenarioError(f"{where}: xacro cannot expand it: {told}{hint}") from None
+    finally:
+        substitution_args._eval_find = before
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep xacro's messages off the terminal: its errors are raised as well."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout = sys.stderr = StringIO()
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = streams
+
+
+class _Meshes:
+    """Mesh files of a robot description, as STL under names of their links."""
+
+    def __init__(self, main: Path, where: str) -> None:
+        self._main, self._where = main, where
+        self.written, self.parts = dict[str, "trimesh.Trimesh"](), dict[str, int]()
+
+    def place(self, link: Any) -> None:
+        """Replace the meshes of a link: pictures as they are, collision meshes by convex parts."""
+        name = link.get("name", "")
+        for role in ("visual", "collision"):
+            for number, element in enumerate(link.findall(role)):
+                mesh = element.find("geometry/mesh")
+                if mesh is None:
+                    continue
+                try:
+                    read = self._read(mesh.get("filename", ""))
+                except ScenarioError:
+                    if role == "visual":  # only the picture loses it
+                        link.remove(element)
+                        continue
+                    raise
+                pieces = [read] if role == "visual" else _convex(read)
+                if len(pieces) > 1:
+                    self.parts[name] = self.parts.get(name, 0) + len(pieces)
+                at = list(link).index(element)
+                link.remove(element)
+                for part, piece in enumerate(pieces):
+                    copy = deepcopy(element)
+                    stem = "_".join((name, role, str(number), *([str(part)] if part else [])))
+                    copy.find("geometry/mesh").set("filename", self._kept(piece, stem))
+                    link.insert(at + part, copy)
+
+    def _read(self, name: str) -> trimesh.Trimesh:
+        """Read a mesh in m.
+
+        Raises:
+            ScenarioError: there is no such file, or it is no mesh.
+        """
+        import trimesh
+
+        file = mesh_file(name, "", self._main, self._where)
+        try:
+            logging.getLogger("trimesh").setLevel(logging.ERROR)
+            read = trimesh.load(file)
+            scale = 1.0
+            if file.suffix.lower() == ".dae" and read.units not in (None, "meter", "meters", "m"):
+                scale = trimesh.units.unit_conversion(read.units, "meters")
+            mesh = read.to_mesh() if isinstance(read, trimesh.Scene) else read
+            if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
+                raise ValueError("it holds no triangles")
+        except Exception as error:  # trimesh raises whatever its readers raise
+            told = shortened(" ".join(str(error).split()) or type(error).__name__)
+            raise ScenarioError(
+                f"{self._where} names {quoted(name)}, but {file} cannot be read: {told}"
+            ) from None
+        return mesh.apply_scale(scale) if scale != 1.0 else mesh
+
+    def _kept(self, mesh: trimesh.Trimesh, stem: str) -> str:
+        """Keep a mesh, and return the name of its file."""
+        safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in stem)
+        self.written[name := f"{MESHES}/{safe}.stl"] = mesh
+        return name
+
+
+def _convex(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
+    """Return the convex hulls of a mesh's connected pieces, or of the whole if they are many.
+
+    Pieces inside the hull of a larger one, such as screws, do not count.
+    """
+    kept: list[trimesh.Trimesh] = []
+    whole = mesh.convex_hull
+    least = 1e-6 * whole.volume
+    pieces = sorted(mesh.split(only_watertight=False), key=lambda piece: -piece.bounding_box.volume)
+    for piece in pieces:
+        try:
+            hull = piece.convex_hull
+        except Exception:  # a flat piece has none
+            return [whole]
+        if hull.volume <= least:
+            continue
+        if any(_inside(hull, other) for other in kept):
+            continue
+        kept.append(hull)
+        if len(kept) > MOST_PARTS:
+            return [whole]
+    return kept or [whole]
+
+
+def _inside(hull: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
+    """Return True if one convex body lies in another."""
+    import numpy as np
+
+    across = hull.vertices @ other.face_normals.T - (
+        other.face_normals * other.triangles_center
+    ).sum(axis=1)
+    return bool(np.max(across) <= 1e-6)
+
+
+def _lacking(root: Any) -> dict[str, tuple[str, ...]]:
+    moved, lacking = (
+        set(),
+        {"joint_torque_nm": [], "joint_speed_deg_s": [], "link_density_kg_m3": []},
+    )
+    for joint in root.findall("joint"):
+        if joint.get("type") not in ("revolute", "continuous"):
+            continue
+        child, limit = joint.find("child"), joint.find("limit")
+        moved.add("" if child is None else child.get("link", ""))
+        for name, key in (("effort", "joint_torque_nm"), ("velocity", "joint_speed_deg_s")):
+            if limit is None or float(limit.get(name, "0") or 0) <= 0:
+                lacking[key].append(joint.get("name", ""))
+    for link in root.findall("link"):
+        if link.get("name") in moved and link.find("inertial") is None:
+            lacking["link_density_kg_m3"].append(link.get("name", ""))
+    return {key: tuple(names) for key, names in lacking.items() if names}
