@@ -205,10 +205,10 @@ def main() -> None:
                 f"{before[0]:.2f}, {before[1]:.2f} mm -> {after[0]:.3f}, {after[1]:.3f} mm "
                 f"(without repeatability {mean[0]:.3f}, {mean[1]:.3f}); at the views left out "
                 f"{found.predicted_mm[0]:.3f}, {found.predicted_mm[1]:.3f}; misfit "
-                f"{found.misfit:.2f}, {len(found.untold)} combinations left to the prior; "
+                f"{found.misfit:.2f}, {len(found.undetermined)} combinations left to the prior; "
                 f"{seconds[0]:.1f} + {seconds[1]:.1f} s\n"
             )
-            for one in found.untold if asked.untold else ():
+            for one in found.undetermined if asked.untold else ():
                 sys.stdout.write(f"  {one.left:.3f}  {one}\n")
             sys.stdout.flush()
     for views, rows in errors.items():

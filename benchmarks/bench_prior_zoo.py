@@ -94,7 +94,7 @@ def scans(change, seed, size, folder):
     if not kept.exists():
         told = drawn(change, seed, size)
         for one in told[:2]:
-            one.A = one.case = None  # neither can be stored
+            vars(one).update(A=None, case=None)  # neither can be stored
         kept.write_bytes(pickle.dumps(told))
     before, now, without = pickle.loads(kept.read_bytes())
     for one in (before, now):

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.recon.engine import Singles, asked_for
+from twinct.recon.engine import Singles, requested_engine
 from twinct.recon.projector import LOWEST, Projector, readable, writable
 
 MAP_VOXELS = 8
@@ -140,7 +140,7 @@ class MovingProjector(Projector):
                 deformations differ.
         """
         super().__init__(geometry, grid, engine)
-        if asked_for(engine) == "cuda":
+        if requested_engine(engine) == "cuda":
             raise InputError(
                 "the engine cuda does not compensate motion; use vector (unset TWINCT_ENGINE)"
             )
