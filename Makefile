@@ -89,6 +89,7 @@ qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; 20 minutes)
 
 docs: setup ## Build the documentation site into build/site; its tutorials run meanwhile
 	@$(VENV)/python tools/scenario_reference.py
+	@$(VENV)/python tools/validation_pages.py
 	@$(VENV)/python tools/check_links.py
 	@$(VENV)/python -m sphinx -q -W --keep-going docs build/site
 	@echo "Site: $(CURDIR)/build/site/index.html"

@@ -12,6 +12,7 @@ first run compiles its kernels; that time is printed. `TWINCT_CUDA_DEVICE` choos
 from __future__ import annotations
 
 import argparse
+import resource
 import time
 from collections.abc import Callable
 from functools import partial
@@ -40,9 +41,15 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=399)
     parser.add_argument("--voxels", type=int, default=512)
     parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--pixels", type=int, help="columns and rows; the panel keeps its size")
+    parser.add_argument(
+        "--card-alone", action="store_true", help="views and `fast`, without rivals"
+    )
     options = parser.parse_args()
     limit_threads(options.threads)  # before anything loads a library
     geometry, bodies = loaded(options.scene) if options.scene else made(options)
+    if options.pixels:
+        geometry = with_pixels(geometry, options.pixels)
     if options.save:
         save(options.save, geometry, bodies)
         return
@@ -52,11 +59,12 @@ def main() -> None:
     faces, panel = sum(len(body.faces) for body in bodies), geometry.panel
     print(f"{device().name}; processor with {options.threads} threads")
     print(f"{len(geometry)} views of {panel.columns} x {panel.rows} pixels, {faces} triangles")
-    transmission = views(geometry, bodies)
-    integrals = -np.log(np.maximum(transmission, np.float32(1e-6)))
+    integrals = views(geometry, bodies, FEW * (not options.card_alone))
+    np.negative(np.log(np.maximum(integrals, 1e-6, out=integrals), out=integrals), out=integrals)
     grid = VolumeGrid((options.voxels,) * 3, 160.0 / options.voxels)
-    steps(geometry, grid, integrals)
-    volumes(geometry, grid, integrals)
+    if not options.card_alone:
+        steps(geometry, grid, integrals)
+    volumes(geometry, grid, integrals, ("cuda",) if options.card_alone else ("cuda", "vector"))
 
 
 def made(options: argparse.Namespace) -> tuple[ScanGeometry, list[SceneBody]]:
@@ -101,29 +109,41 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - start, result
 
 
-def views(geometry: ScanGeometry, bodies: list[SceneBody]) -> NDArray[np.float32]:
-    """Time both mesh engines; return the transmissions that the card makes."""
+def with_pixels(geometry: ScanGeometry, pixels: int) -> ScanGeometry:
+    """Return the views with other pixels on panels of this size."""
+    from twinct.geometry import Panel
+
+    panel, own = geometry.panel, (geometry.source, geometry.detector, geometry.u, geometry.v)
+    pitch_v, pitch_u = panel.pitch_v * panel.rows, panel.pitch_u * panel.columns
+    return type(geometry)(*own, Panel(pixels, pixels, pitch_v / pixels, pitch_u / pixels))
+
+
+def views(geometry: ScanGeometry, bodies: list[SceneBody], compared: int) -> NDArray[np.float32]:
+    """Time the card's engine, and ``mesh`` in some views; return the card's transmissions."""
     from twinct.xray.engine import SceneView
     from twinct.xray.engines import engine_named
 
-    images = np.empty((2, len(geometry), *geometry.panel.shape), np.float32)
+    few = min(compared, len(geometry))
+    images = [np.empty((n, *geometry.panel.shape), np.float32) for n in (len(geometry), few)]
     medians = []
-    for which, name in enumerate(("cuda_mesh", "mesh")):
+    for name, own in zip(("cuda_mesh", "mesh"), images if few else images[:1], strict=False):
         engine = engine_named(name).engine
         engine.prepare()
         start, _ = timed(partial(engine.acquire, bodies, geometry.panel))
         seconds = []
-        for i in range(len(geometry) if which == 0 else min(FEW, len(geometry))):
+        for i in range(len(own)):
             one = geometry[i]
             view = SceneView(one.source[0], one.detector[0], one.u[0], one.v[0])
-            seconds.append(timed(partial(engine.expose, view, images[which, i]))[0])
+            seconds.append(timed(partial(engine.expose, view, own[i]))[0])
         print(f"{name}: start {start:.1f} s, first view {seconds[0]:.2f} s", end=", ")
         print(f"then {1e3 * np.median(seconds[1:]):.2f} ms a view")
         medians.append(np.median(seconds[1:]))
         engine.release()
-    few = min(FEW, len(geometry))
-    worst = np.abs(images[0, :few] - images[1, :few]).max()
-    print(f"views: {medians[0] / medians[1]:.4f} x; transmissions differ by at most {worst:.1e}")
+    if few:
+        worst = np.abs(images[0][:few] - images[1]).max()
+        print(
+            f"views: {medians[0] / medians[1]:.4f} x; transmissions differ by at most {worst:.1e}"
+        )
     return images[0]
 
 
@@ -161,17 +181,25 @@ def steps(geometry: ScanGeometry, grid: VolumeGrid, integrals: NDArray[np.float3
         print(f"{what}: {ratio:.4f} x; differs by {off:.1e} of the largest value, RMS")
 
 
-def volumes(geometry: ScanGeometry, grid: VolumeGrid, integrals: NDArray[np.float32]) -> None:
-    """Time `fast` on both engines, and compare the volumes."""
+def volumes(
+    geometry: ScanGeometry,
+    grid: VolumeGrid,
+    integrals: NDArray[np.float32],
+    engines: tuple[str, ...],
+) -> None:
+    """Time `fast` on some engines, and compare the volumes of two."""
     from twinct.recon import Projector, fast
 
     results, seconds = [], []
-    for name in ("cuda", "vector"):
+    for name in engines:
         A = Projector(geometry, grid, name)
         took, volume = timed(partial(fast, A, integrals))
-        print(f"fast, {name}: {took:.1f} s; {dict(volume.extras)}")
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+        print(f"fast, {name}: {took:.1f} s; {dict(volume.extras)}; peak so far {peak:.2f} GB")
         results.append(volume.array)
         seconds.append(took)
+    if len(engines) == 1:
+        return
     largest = float(np.percentile(results[1], 99.9))
     off = float(np.sqrt(np.mean((results[0] - results[1]) ** 2))) / largest
     print(f"fast: {seconds[0] / seconds[1]:.3f} x; volumes differ by {off:.1e} of bone, RMS")

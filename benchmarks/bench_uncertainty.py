@@ -1,4 +1,4 @@
-"""First-order covariances of a scan's errors against draws, for docs/validation.md."""
+"""First-order covariances of a scan's errors against draws, for docs/validation/uncertainty.md."""
 
 from __future__ import annotations
 

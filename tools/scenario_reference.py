@@ -29,39 +29,38 @@ trajectory: {views: 100}
 ```
 
 `extends` merges mappings key by key and replaces everything else; a section of another `kind`
-starts afresh. Another `algorithm` keeps all keys that it has too, the number of iterations among
-them, and leaves out the others, which is logged; set where the algorithm is chosen, or later, they
-are refused. `--set KEY=VALUE` on the command line overrides a key:
-`--set specimen.parts.0.material=water`. Unknown keys are refused. Lengths are mm, angles degrees,
-and each key says so in its name. A `path` is relative to the file that names it.
+starts afresh. A new `algorithm` inherits the keys that it also has, such as the number of
+iterations, and drops the others with a note in the log; keys of another algorithm that you set
+together with the algorithm, or later, are refused. `--set KEY=VALUE` on the command line overrides
+a key: `--set specimen.parts.0.material=water`. Unknown keys are refused. Lengths are in mm and
+angles in degrees, as the name of each key says. A `path` is relative to the file that names it.
 
-Files are a plain part of YAML 1.2: mappings, lists, texts, numbers, `true`, `false` and `null`.
-`no`, `2020-01-01`, `1:30` and `1_000` are texts; anchors, aliases, tags, merge keys and keys that
-stand twice are refused, and so is more than 1 MB, 20 levels or 100,000 values. A length is between
-1e-6 and 1e6 mm. What the memory cannot hold, and bodies that cannot be built, are named by their
-key before work starts.
+Files use a plain subset of YAML 1.2: mappings, lists, texts, numbers, `true`, `false` and `null`.
+`no`, `2020-01-01`, `1:30` and `1_000` are texts. Anchors, aliases, tags, merge keys and repeated
+keys are refused, and so are more than 1 MB, 20 levels or 100,000 values. A length is between
+1e-6 and 1e6 mm. A scenario that exceeds the memory, or a body that cannot be built, is refused by
+its key before work starts.
 
-*Source* is where a default or a definition comes from: "the paper" is that of Freiling et al.
-([how we read it](paper.md)); where nothing is said, the value is our choice. The pictures show the
-built-in skull without and with the effect of a key, and the difference
+The column *source* says where a default or a definition comes from: "the paper" is that of Freiling
+et al. ([how we read it](paper.md)); an empty cell means that the value is our choice. The pictures
+show the built-in skull without and with the effect of a key, and the difference
 ([more about each](physics.md)).
 """
 
-ANEW = """## What a key makes anew
+ANEW = """## What a changed key computes again
 
-A result belongs to a scenario by a digest of its stage: of the keys that the stage reads and that
-are not at their default, of the content of files, and of the stages it stands on. Name, description
-and the parts' names count for none. `seed` counts where something is drawn: for the images with
-noise or random bad pixels, for the volume in random order, for executed poses where errors move
-them. `uncertainty.seed` varies the believed poses alone. The volume stands on them only where it is
-made from them.
+Each stage has a digest of the keys that it reads (unless they have their default), of the content
+of its files, and of the stages before it. A result is reused as long as this digest stays the same.
+Name, description and the parts' names never count. `seed` counts for a stage that draws something:
+images with noise or random bad pixels, a volume in random order, executed poses with errors.
+`uncertainty.seed` changes the believed poses only, and a volume only if it is made from these.
 """
 
 EXTENSIONS = """## Extensions of your own
 
-A package of yours can add algorithms, trajectories, objectives of a plan, figures, error terms,
-X-ray engines and export formats. It names them as entry points. Where it is installed
-(`pip install .` in its folder), the command line, the ROS 2 nodes and Python know them alike:
+Your package can add algorithms, trajectories, objectives of a plan, figures, error terms, X-ray
+engines and export formats. It names them as entry points. Once it is installed (`pip install .` in
+its folder), the command line, the ROS 2 nodes and Python all know them:
 
 ```toml
 [project.entry-points."twinct.algorithms"]
@@ -110,9 +109,9 @@ def views(section: Zigzag, panel: Panel) -> ScanGeometry:
 ZIGZAG = Family(Zigzag, views)
 ```
 
-`OrbitSettings` has the keys of all orbits, `TrajectorySettings` none. The name of an entry point is
-the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of `task` or
-`evaluation`, or the value of `--to`. The other kinds:
+`OrbitSettings` has the keys of all orbits, `TrajectorySettings` has none. The name of an entry
+point is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of `task`
+or `evaluation`, or the value of `--to`. The other kinds:
 
 - [an algorithm](reconstruction.md#an-algorithm-of-your-own): settings, a function, an `Algorithm`
 - [an objective of a plan](planning.md#add-an-objective): keys, a measure, an `Objective`
@@ -120,10 +119,11 @@ the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key
 - [an X-ray engine](physics.md#another-x-ray-engine): a class, an `EngineChoice`
 - [an export format](exchange.md#add-a-format): a function, a script, a `Format`
 
-Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is made of
-them. A key `path`, `file` or `plan` is an input file, in any section: its path is made absolute, it
-must exist, and its content counts. An entry point that fails, or whose name is taken, is reported
-with its package, and only what names it is refused. `tests/extension` is a whole package.
+Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is built
+from them. A key `path`, `file` or `plan` is an input file, in any section: its path is made
+absolute, it must exist, and its content counts. An entry point that fails, or whose name is taken,
+is reported with its package, and only scenarios that name it are refused. `tests/extension` is a
+whole package.
 """
 
 UNITS = {
@@ -239,7 +239,7 @@ def _unit(name: str, facts: dict[str, Any]) -> str:
 
 
 def _meaning(name: str, info: Any) -> str:
-    return info.description or {"kind": "Which of these sections it is."}[name]
+    return info.description or {"kind": "Selects this section."}[name]
 
 
 def _title(title: str) -> str:

@@ -20,6 +20,7 @@ from twinct.core.errors import ScenarioError
 from twinct.measured import read_description
 from twinct.scenario import load_scenario
 from twinct.study import load_study
+from twinct.trajectory import commanded_views
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "site"))
@@ -29,16 +30,15 @@ from generated_pages import command_parser  # noqa: E402
 FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
 SYSTEM = {"source", "xdg-open", "export", "cd", "git", "apt-get", "ros2", "sbatch", "srun", "ray"}
 """Programs of the reader's system, which cannot be checked here."""
+NOT_HERE = {"howto/errors.md", "scenario.md"}
+"""Commands that fail on purpose (test_errors.py); a page made from the code (test_docs.py)."""
 PAGES = [
     ROOT / "README.md",
-    ROOT / "docs" / "index.md",
-    ROOT / "docs" / "reference" / "python.md",
-    ROOT / "docs" / "reference" / "files.md",
     *sorted(
         page
-        for folder in ("start", "howto", "explanation")
-        for page in (ROOT / "docs" / folder).glob("*.md")
-        if page.name != "errors.md"  # its commands fail on purpose: test_errors.py
+        for page in (ROOT / "docs").rglob("*.md")
+        if str(page.relative_to(ROOT / "docs")) not in NOT_HERE
+        and page.relative_to(ROOT / "docs").parts[0] not in ("tutorials", "gallery", "validation")
     ),
 ]
 
@@ -62,17 +62,15 @@ def blocks() -> list[Block]:
     return [
         Block(page, number, language, re.sub(f"^{indent}", "", text, flags=re.MULTILINE))
         for page in PAGES
-        for number, (indent, language, text) in enumerate(
-            FENCE.findall(page.read_text(encoding="utf-8"))
-        )
+        for number, (indent, language, text) in enumerate(_fences(page))
     ]
 
 
 def check(block: Block, folder: Path) -> None:
     """Check a block of code; an unknown language fails."""
-    {"sh": _shell, "yaml": _yaml, "python": _python, "text": _nothing}[block.language](
-        block, folder
-    )
+    kinds = {"sh": _shell, "yaml": _yaml, "python": _python, "toml": _toml}
+    kinds |= {"text": _nothing, "csv": _views}
+    kinds[block.language](block, folder)
 
 
 def _nothing(block: Block, folder: Path) -> None:
@@ -84,7 +82,7 @@ def _nothing(block: Block, folder: Path) -> None:
 
 def _shell(block: Block, folder: Path) -> None:
     for line in block.text.replace("\\\n", " ").splitlines():
-        for command in re.split(r" \| | && ", line):
+        for command in re.split(r" \| | && ", line.partition(" --ros-args ")[0]):
             words = shlex.split(command.split(" > ")[0], comments=True)
             words = [word for word in words if not re.fullmatch(r"[A-Z_]+=\S*|&", word)]
             if words and words[0] not in SYSTEM:
@@ -130,9 +128,18 @@ def twinct(arguments: list[str]) -> None:
     for word in named:
         assert (ROOT / word).exists(), word
         if word.startswith("scenarios/"):
-            load_scenario(ROOT / word, given)
+            _load(ROOT / word, given)
     if not any(word.startswith("scenarios/") for word in named) and arguments[0] != "study":
-        load_scenario(ROOT / "scenarios" / "demo.yaml", given)
+        _load(ROOT / "scenarios" / "demo.yaml", given)
+
+
+def _load(scenario: Path, given: list[str]) -> None:
+    """Load a scenario; files that an earlier command of the page writes are not there."""
+    try:
+        load_scenario(scenario, given)
+    except ScenarioError as error:
+        if any(": no file at" not in problem for problem in error.problems):
+            raise
 
 
 # Files --------------------------------------------------------------------------------------------
@@ -143,14 +150,14 @@ def _yaml(block: Block, folder: Path) -> None:
     file = folder / "mine.yaml"
     for scenario in (ROOT / "scenarios").glob("*.yaml"):
         (folder / scenario.name).write_text(f"extends: {scenario}\n", encoding="utf-8")
-    if "scenario" in content:
+    if "images" in content:
+        file.write_text(block.text, encoding="utf-8")
+        _without_the_readers_files(lambda: read_description(file), block)
+    elif "scenario" in content:
         content["scenario"] = str(ROOT / "scenarios" / Path(content["scenario"]).name)
         file.write_text(yaml.safe_dump(content), encoding="utf-8")
         design = load_study(file)
         design.scenario(next(iter(design.trials())))
-    elif "images" in content:
-        file.write_text(block.text, encoding="utf-8")
-        _without_the_readers_files(lambda: read_description(file), block)
     else:
         base = "" if "extends" in content else "extends: demo.yaml\n"
         file.write_text(base + block.text, encoding="utf-8")
@@ -161,8 +168,36 @@ def _without_the_readers_files(load: Any, block: Block) -> None:
     try:
         load()
     except ScenarioError as error:
-        others = [problem for problem in error.problems if "no file" not in problem]
+        own = rf"\.({'|'.join(_made_on(block.page)) or 'none'}): unknown key"
+        others = [p for p in error.problems if "no file" not in p and not re.search(own, p)]
         assert not others, f"{error}\n\n{block.text}"
+
+
+def _made_on(page: Path) -> list[str]:
+    """Return the names of extensions that a page shows how to make; none of them is installed."""
+    tables = [tomllib.loads(text) for _, language, text in _fences(page) if language == "toml"]
+    groups = [group for table in tables for group in table["project"]["entry-points"].values()]
+    return [name for group in groups for name in group]
+
+
+def _fences(page: Path) -> list[tuple[str, str, str]]:
+    return FENCE.findall(page.read_text(encoding="utf-8"))
+
+
+def _toml(block: Block, folder: Path) -> None:
+    """Entry points go to groups that twinct loads."""
+    for group in tomllib.loads(block.text)["project"]["entry-points"]:
+        sources = (ROOT / "src").rglob("*.py")
+        assert any(f'"{group}"' in source.read_text(encoding="utf-8") for source in sources), group
+
+
+def _views(block: Block, folder: Path) -> None:
+    file = folder / "views.csv"
+    file.write_text(block.text, encoding="utf-8")
+    view = load_scenario(
+        ROOT / "scenarios" / "demo.yaml", [f"trajectory={{kind: file, path: {file}}}"]
+    )
+    assert len(commanded_views(view.trajectory, view.detector.panel))
 
 
 # Programs -----------------------------------------------------------------------------------------

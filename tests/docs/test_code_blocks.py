@@ -7,12 +7,16 @@ import sys
 from pathlib import Path
 
 import pytest
+import trimesh
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from code_blocks import ROOT, Block, blocks, check, twinct  # noqa: E402
 
 from twinct.core.errors import ScenarioError  # noqa: E402
+from twinct.robots.cell import overlaps  # noqa: E402
+from twinct.scan import SimulationBuilder  # noqa: E402
+from twinct.scenario import load_scenario  # noqa: E402
 
 BLOCKS = blocks()
 PROGRAMS = sorted((ROOT / "examples").glob("[tg]*/*.py"))
@@ -63,3 +67,14 @@ def test_a_key_that_does_not_exist_is_seen() -> None:
 def test_a_wrong_block_is_seen(language: str, text: str, tmp_path: Path) -> None:
     with pytest.raises((AssertionError, ScenarioError, AttributeError, KeyError, TypeError)):
         check(Block(Path(__file__), 0, language, text), tmp_path)
+
+
+@pytest.mark.parametrize("page", ["room.md", "howto/forbidden_zone.md"])
+def test_a_room_on_a_page_stands_free_of_all_fixed_bodies(page: str, tmp_path: Path) -> None:
+    block = next(b for b in BLOCKS if b.page == ROOT / "docs" / page and b.language == "yaml")
+    stand = trimesh.creation.box(bounds=[[-0.1, -0.1, 0], [0.1, 0.1, 0.4]])  # metres, on its foot
+    stand.export(tmp_path / "stand.stl")
+    (tmp_path / "demo.yaml").write_text(f"extends: {ROOT / 'scenarios' / 'demo.yaml'}\n")
+    base = "" if "extends" in block.text else "extends: demo.yaml\n"
+    (tmp_path / "mine.yaml").write_text(base + block.text)
+    assert not overlaps(SimulationBuilder(load_scenario(tmp_path / "mine.yaml")).cell)

@@ -38,7 +38,7 @@ class Capsule(Section):
 class Standing(Section):
     """Keys of everything that stands in the room."""
 
-    name: str = Field(min_length=1, description="Name in messages; no other has the same.")
+    name: str = Field(min_length=1, description="Name in messages; unique.")
     position_mm: Vector = setting(
         (0.0, 0.0, 0.0), "Centre, or origin of a mesh, in the world.", read_by="plan"
     )

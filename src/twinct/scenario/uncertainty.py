@@ -136,7 +136,7 @@ class ArmErrors(ErrorSettings):
 
 
 class ViewErrors(ErrorSettings):
-    """Errors of executed poses, drawn anew for each view: standard deviations for each axis."""
+    """Errors of executed poses, drawn for each view: standard deviations for each axis."""
 
     source_mm: NonNegative = size("Error of the focal spot along each axis.")
     detector_in_plane_mm: NonNegative = size(
