@@ -62,6 +62,26 @@ def test_what_is_not_determined_is_named_and_stays() -> None:
     assert found.after.panel_tilt_deg == pytest.approx(0, abs=0.3)
 
 
+def test_noise_is_no_knowledge() -> None:
+    """Slopes of noise determine nothing, and the numbers stay within their spreads."""
+    executed, believed = circle_of(**NUMBERS), circle_of(sod_mm=200.0, sdd_mm=400.0)
+    clean = images(executed)
+    noise = np.random.default_rng(5).normal(0, 1, clean.shape).astype(np.float32)
+    spreads = []
+    for sigma in (0.0, 0.1):
+        found = circular_consistent(clean + np.float32(sigma) * noise, believed)
+        spreads.append(found.deviation)
+    truth = circle_numbers(executed)
+    off = [
+        (found.after.axis_px - truth.axis_px) * believed.panel.pitch_u,
+        (found.after.height_px - truth.height_px) * believed.panel.pitch_v,
+        found.after.sdd_mm - truth.sdd_mm * found.after.sod_mm / truth.sod_mm,
+        np.radians(found.after.panel_roll_deg - truth.panel_roll_deg),
+    ]
+    pulls = np.abs(off) / found.deviation[[0, 1, 2, 5]]
+    assert (spreads[1] >= spreads[0]).all() and pulls.max() < 4, pulls
+
+
 def test_no_circle_is_refused() -> None:
     views = circle_of()
     with pytest.raises(InputError, match="2 views do not make a circle"):

@@ -6,11 +6,18 @@ are left, in its own axes. They are moved until pairs of views agree on the plan
 sources (``epipolar``), with a prior about zero. A scan determines some combinations of the six
 hardly at all, such as tilt and height where the cone is narrow: those keep their believed values,
 and are named.
+
+Noise in the slopes of plane integrals looks like knowledge: in soft objects most of the normal
+matrix is noise, steps become far too short, and spreads far too small. The normal matrix of white
+noise, of the size that the pixels have, is therefore subtracted. What pixels do to thin and
+dense things is alike in all pairs: it would pull combinations that are hardly determined, such as
+the SDD, far from the prior, unless differences count less than their spread says.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -41,11 +48,20 @@ FINEST = ROUNDS[-1][0]
 _WHAT = "calibrate circle"
 """Name of this calibration in messages."""
 
-TOLD = 100
-"""Pixels along the diagonal at which standard deviations are computed."""
+SURE = 100
+"""Pixels along the diagonal up to which finer pixels always count."""
+
+COMMON = 10.0
+"""Number of differences that count as one beyond ``epipolar.ALIKE``, as pixels err alike in all."""
+
+LEAST_SHARE = 0.04
+"""Least share of the normal matrix, along each direction, that is not noise."""
 
 MOST_VIEWS = 60
 """Largest number of views that are compared, spread over the scan."""
+
+SHADOW = 0.1
+"""Least line integral of an object's shadow, relative to the largest."""
 
 STILL = 0.1
 """Steps end when one moves the numbers by less, in their standard deviations."""
@@ -186,9 +202,12 @@ def circular_consistent(
     with progress.stage("circle", len(ROUNDS)) as step:
         for number, (across, steps) in enumerate(ROUNDS):
             if number == 0 or pairs.factor(across) < pairs.factor(ROUNDS[number - 1][0]):
-                change, normal = pairs.agreed(change, across, steps, precision)
-                # Noise in the finest slopes would look like knowledge.
-                information = normal if across <= TOLD else information
+                found, normal = pairs.agreed(change, across, steps, deviations)
+                # Finer pixels of noisy views may tell less.
+                if across <= SURE or _knowledge(normal, precision) > _knowledge(
+                    information, precision
+                ):
+                    change, information = found, normal
             step()
     last = pairs.seen(change, FINEST).spread
     covariance = np.linalg.inv(information + precision)
@@ -202,6 +221,10 @@ def circular_consistent(
         _undetermined(information, deviations),
         (first, last),
     )
+
+
+def _knowledge(normal: Floats, precision: Floats) -> float:
+    return float(np.linalg.slogdet(normal + precision)[1])
 
 
 def _moved(geometry: ScanGeometry, six: Floats) -> ScanGeometry:
@@ -231,18 +254,22 @@ class _Pairs:
         )
 
     def agreed(
-        self, change: Floats, across: int, steps: int, precision: Floats
+        self, change: Floats, across: int, steps: int, deviations: Floats
     ) -> tuple[Floats, Floats]:
         """Move the numbers until the views agree; return them and the normal matrix.
 
-        Noise in the slopes makes Gauss-Newton steps too short. They are mixed as Anderson does
-        (J. ACM 12 (1965) 547): those of the last steps tell how far a step should have gone.
+        Steps are mixed as Anderson does (J. ACM 12 (1965) 547): those of the last steps tell how
+        far a step should have gone.
         """
-        normal = np.zeros((6, 6))
+        precision, normal = np.diag(deviations**-2.0), np.zeros((6, 6))
+        noise, of_noise = self.noise(change, across)
         tried: list[Floats] = []
         ons: list[Floats] = []
         for _ in range(steps):
-            normal, right = self.equations(change, across)
+            seen, raw, right = self.equations(change, across)
+            size = min(self.pixel_noise, seen.spread / of_noise)
+            normal = _without(raw, noise * size**2, deviations) / COMMON
+            right /= COMMON
             hessian = normal + precision
             on = np.asarray(np.linalg.solve(hessian, right - precision @ change), np.float64)
             tried.append(change)
@@ -253,18 +280,47 @@ class _Pairs:
                 root = np.linalg.cholesky(hessian).T
                 share = np.linalg.lstsq(root @ by_on, root @ on, rcond=MIXED)[0]
                 change = change - (by_place + by_on) @ share
-            if on @ hessian @ on < STILL**2:
+            if COMMON * (on @ hessian @ on) < STILL**2:
                 break
         return change, normal
 
-    def equations(self, change: Floats, across: int) -> tuple[Floats, Floats]:
-        """Return the normal matrix, (6, 6), and the right side, (6,), of all views together."""
-        seen, views = self.seen(change, across), len(self.believed)
-        each = np.tile(np.concatenate([np.zeros(3), change]), (views, 1))
+    def equations(self, change: Floats, across: int) -> tuple[PlaneDerivatives, Floats, Floats]:
+        """Return the compared planes, their normal matrix, (6, 6), and their right side, (6,)."""
+        seen = self.seen(change, across)
+        tangents = self._tangents(change, across)
+        return seen, *seen.shared_equations(seen.weights(), tangents)
+
+    @cached_property
+    def pixel_noise(self) -> float:
+        """Noise of a pixel in the shadow (Immerkaer, Comput. Vis. Image Underst. 64 (1996) 300)."""
+        p = self.p
+        rough = 2 * p[:, 1:-1] - p[:, :-2] - p[:, 2:]
+        rough = 2 * rough[..., 1:-1] - rough[..., :-2] - rough[..., 2:]
+        shadow = p[:, 1:-1, 1:-1] > SHADOW * p.max()
+        return 1.4826 / 6 * float(np.median(np.abs(rough[shadow]))) if shadow.any() else 0.0
+
+    def noise(self, change: Floats, across: int) -> tuple[Floats, float]:
+        """Return the normal matrix of white noise of 1 on these planes, and their spread."""
+        seen = self.seen(change, across)
+        rng = np.random.default_rng(0)
+        white = replace(self, p=rng.standard_normal(self.p.shape, np.float32))
+        seen_noise = replace(white.seen(change, across), used=seen.used)
+        normal, _ = seen_noise.shared_equations(seen.weights(), self._tangents(change, across))
+        return normal, seen_noise.spread
+
+    def _tangents(self, change: Floats, across: int) -> Floats:
+        each = np.tile(np.concatenate([np.zeros(3), change]), (len(self.believed), 1))
         free = Freedom("arms", self.circle.centre)
-        tangents = tangents_of(self.believed, free, each, self.factor(across))[:, 3:]
-        normal, right = seen.normal_equations(seen.weights(), tangents)
-        return normal.reshape(views, 6, views, 6).sum(axis=(0, 2)), right.reshape(-1, 6).sum(axis=0)
+        return tangents_of(self.believed, free, each, self.factor(across))[:, 3:]
+
+
+def _without(normal: Floats, noise: Floats, deviations: Floats) -> Floats:
+    """Return a normal matrix without the part of noise, of which some is left everywhere."""
+    whole = deviations[:, None] * normal * deviations
+    values, vectors = np.linalg.eigh(whole - deviations[:, None] * noise * deviations)
+    least = LEAST_SHARE * np.einsum("ik,ij,jk->k", vectors, whole, vectors)
+    rest = (vectors * np.maximum(values, least)) @ vectors.T
+    return rest / np.outer(deviations, deviations)
 
 
 def _undetermined(normal: Floats, deviations: Floats) -> tuple[Undetermined, ...]:

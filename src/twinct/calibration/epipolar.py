@@ -282,18 +282,19 @@ class PlaneDerivatives:
         return normal.reshape(views * size, -1), right.ravel()
 
     def shared_equations(self, weights: Floats, tangents: Floats) -> tuple[Floats, Floats]:
-        """Return normal matrices, (pairs, n, n), and right sides, (pairs, n), of shared numbers.
+        """Return the normal matrix, (n, n), and the right side, (n,), of numbers of all views.
 
         Args:
             weights: weight of each plane, (pairs, planes).
             tangents: derivatives of S, D, u and v of each view by numbers of all views.
         """
         rest, size = self.values[0] - self.values[1], tangents.shape[1]
-        normal, right = np.zeros((len(rest), size, size)), np.zeros((len(rest), size))
+        normal, right = np.zeros((size, size)), np.zeros(size)
         for pair, (first, second) in enumerate(self._slopes(tangents)):
             own, slope = self.used[pair], first + second
             pulled = (slope * weights[pair, own, None]).T
-            normal[pair], right[pair] = pulled @ slope, -pulled @ rest[pair, own]
+            normal += pulled @ slope
+            right -= pulled @ rest[pair, own]
         return normal, right
 
     def _slopes(self, tangents: Floats) -> Iterator[list[Floats]]:
