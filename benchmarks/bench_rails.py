@@ -5,7 +5,7 @@
 
 The scan is checked against what it should be: every view within the tolerances, every clearance
 kept, the carriages within their limits, and nothing of it possible without rails. The result is one
-line of JSON. ``twinct run`` refuses the scenario, because no voxel is seen by every view.
+line of JSON.
 """
 
 from __future__ import annotations

@@ -138,7 +138,7 @@ def figures(arm: Arm, folder: Path, seed: int) -> dict[str, Any]:
             far = 1.1 * arm.reach_mm
             bounds = Bounds((-far, far), (-far, far), (-1100, 400), (100, 200))
             placed = place(
-                cell, build, MOTION, poses, roll_free=(False, False), bounds=bounds, samples=24,
+                cell, build, MOTION, poses, roll_free=(False, False), bounds=bounds, samples=8,
                 seed=seed,
             )  # fmt: skip
             found["place_s"] = round(time.process_time() - began, 1)

@@ -139,6 +139,8 @@ def test_the_command_writes_the_files(tmp_path: Path) -> None:
     from twinct.cli import run_command
 
     scenario = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
-    assert run_command(["urdf", str(scenario), "--moveit", "--out", str(tmp_path)]) == 0
+    ball = "specimen.parts=[{shape: {kind: sphere, radius_mm: 60}}]"
+    words = ["urdf", str(scenario), "--moveit", "--out", str(tmp_path), "--set", ball]
+    assert run_command(words) == 0
     names = {path.name for path in tmp_path.iterdir() if path.suffix != ".stl"}
     assert names == {"arms.urdf", "arms.srdf", "joint_limits.yaml", "room.scene"}

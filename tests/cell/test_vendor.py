@@ -150,3 +150,13 @@ def test_macros_need_xacro_and_find_packages(tmp_path: Path, monkeypatch) -> Non
     assert inner._eval_find is None  # type: ignore[attr-defined]
     with pytest.raises(ScenarioError, match="needs the package 'none', which was not found"):
         write_arm(file, {"package": "none"}, tmp_path / "other")
+
+
+def test_links_whose_hulls_overlap_in_every_pose_are_not_checked_and_told(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF.read_text().replace(BALL, '<sphere radius="0.9"/>'))
+    arm = loaded(file)
+    (note,) = arm.notes
+    assert note.startswith("not checked against each other, as their hulls overlap in every pose: ")
+    told = note.partition(": ")[2].split(", ")
+    assert len(arm.spec.excludes) == len(told) > 0

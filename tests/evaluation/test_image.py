@@ -244,7 +244,7 @@ def test_no_bone_in_the_region():
 def test_refusals():
     grid = VolumeGrid((8, 9, 10), 1.0)
     ones, none = np.ones(grid.shape), np.zeros(grid.shape, bool)
-    with pytest.raises(InputError, match="seen by every view"):
+    with pytest.raises(InputError, match="seen by a view"):
         image_figures(ones, ones, none, 1.0, grid)
     with pytest.raises(TwinctError, match="not finite"):
         image_figures(np.where(none, 0, np.nan), ones, ~none, 1.0, grid)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from twinct.evaluation import region_of_interest
+from twinct.evaluation.region import views_needed
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 
 
@@ -95,3 +96,15 @@ def test_behind_the_source_is_not_seen():
 def test_margin_wider_than_the_panel_leaves_nothing(random_geometry):
     geometry = random_geometry(2, PANEL, np.random.default_rng(0))
     assert not region_of_interest(geometry, GRID, margin_px=40).any()
+
+
+def test_where_no_voxel_is_seen_by_every_view_most_views_are_enough(random_geometry):
+    near = random_geometry(12, PANEL, np.random.default_rng(5))
+    aside = np.linspace(-160, 160, 12)[:, None] * [0.0, 0.0, 1.0]  # along a body
+    along = ScanGeometry(near.source + aside, near.detector + aside, near.u, near.v, PANEL)
+    seen = sum(brute_force(along[view], GRID, 0.5).astype(int) for view in range(12))
+    assert 2 < seen.max() < 12
+    needed = views_needed(along, GRID)
+    assert needed == np.ceil(seen.max() / 2)
+    assert np.array_equal(region_of_interest(along, GRID), seen >= needed)
+    assert views_needed(near, GRID) == 12

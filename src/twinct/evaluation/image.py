@@ -161,7 +161,7 @@ class ImageReference:
             raise ValueError(f"bone_distance_mm is {self.bone_distance_mm}, expected 0 or more")
         if not self.roi.any():
             raise InputError(
-                "no voxel of the grid is seen by every view, so the image cannot be judged: move "
+                "no voxel of the grid is seen by a view, so the image cannot be judged: move "
                 "the grid into the beam, or use a larger panel or a smaller orbit"
             )
 

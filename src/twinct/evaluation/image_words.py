@@ -80,7 +80,7 @@ IMAGE_FIGURES = (
     percent(
         "roi_fraction",
         "region",
-        "of the grid, seen by every view",
+        "of the grid, seen by every view, or by most",
         "higher",
         1,
         good="holds the whole object",

@@ -1,4 +1,4 @@
-"""Region that every view sees, in which a reconstruction can be judged fairly."""
+"""Region that every view sees, or most, in which a reconstruction can be judged fairly."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ SOURCE_SLACK = 1e-9
 """Share of the source-panel distance by which a voxel must lie in front of the source."""
 
 
+LEAST_SHARE = 0.5
+"""Share of the largest number of views that sees a voxel, from which on a voxel is judged."""
+
+
 def region_of_interest(
     executed: ScanGeometry, grid: VolumeGrid, margin_px: float = 0.5
 ) -> NDArray[np.bool_]:
@@ -22,22 +26,68 @@ def region_of_interest(
     The projection is at least ``margin_px`` from the edge of the active area. For 0.5 px, it lies
     among the pixel centres: column in [0, columns - 1] and row in [0, rows - 1].
 
-    Each view admits a pyramid with its tip in the source, the intersection of half-spaces
-    g . (p - S) <= 0. The region is therefore convex, and each row of voxels along x enters and
-    leaves it at most once. On such a row p = p0(y, z) + x e, and a half-space bounds x by
-    g . (S - p0(y, z)) / (g . e), which is affine in y and z. This costs rows x half-spaces instead
-    of voxels x views.
+    A scan along a long body may have no such voxel. The region then consists of the voxels that at
+    least half as many views see as see the voxel that most views see: ``views_needed``.
 
     Returns:
-        (z, y, x), True where every view of the executed geometry sees the voxel centre.
+        (z, y, x), True where enough views of the executed geometry see the voxel centre.
     """
+    region = _seen_by_all(executed, grid, margin_px)
+    if region.any():
+        return region
+    counts = _counts(executed, grid, margin_px)
+    return counts >= max(_needed(counts), 1)
+
+
+def views_needed(executed: ScanGeometry, grid: VolumeGrid, margin_px: float = 0.5) -> int:
+    """Return the number of views that see each voxel of ``region_of_interest``, 0 for no region."""
+    if _seen_by_all(executed, grid, margin_px).any():
+        return len(executed)
+    return _needed(_counts(executed, grid, margin_px))
+
+
+def _needed(counts: NDArray[np.int16]) -> int:
+    return int(np.ceil(LEAST_SHARE * float(counts.max(initial=0))))
+
+
+def _seen_by_all(executed: ScanGeometry, grid: VolumeGrid, margin_px: float) -> NDArray[np.bool_]:
+    x = grid.axes()[0]
+    lower, upper = _spans(*half_spaces(executed, margin_px), grid)
+    region = np.empty(grid.shape, dtype=np.bool_)
+    for k in range(len(region)):
+        np.greater_equal(x, lower[k, :, None], out=region[k])
+        region[k] &= x <= upper[k, :, None]
+    return region
+
+
+def _counts(executed: ScanGeometry, grid: VolumeGrid, margin_px: float) -> NDArray[np.int16]:
+    """Return the number of views that see each voxel centre, (z, y, x)."""
     normals, offsets = half_spaces(executed, margin_px)
-    x, y, z = grid.axes()
+    x, views = grid.axes()[0], len(executed)
+    k, j = np.indices(grid.shape[:2])
+    enters = np.zeros((*grid.shape[:2], len(x) + 1), np.int16)
+    for view in range(views):
+        lower, upper = _spans(normals[view::views], offsets[view::views], grid)
+        first, end = np.searchsorted(x, lower, "left"), np.searchsorted(x, upper, "right")
+        enters[k, j, first] += 1
+        enters[k, j, np.maximum(first, end)] -= 1
+    return np.cumsum(enters[..., :-1], axis=2, dtype=np.int16)
+
+
+def _spans(normals: Floats, offsets: Floats, grid: VolumeGrid) -> tuple[Floats, Floats]:
+    """Return where each row of voxels along x enters and leaves some half-spaces, (z, y), mm.
+
+    Each view admits a pyramid with its tip in the source, the intersection of half-spaces
+    g . (p - S) <= 0. It is convex, and each row of voxels along x enters and leaves it at most
+    once. On such a row p = p0(y, z) + x e, and a half-space bounds x by
+    g . (S - p0(y, z)) / (g . e), which is affine in y and z. This costs rows x half-spaces instead
+    of voxels x views.
+    """
+    _, y, z = grid.axes()
     axes, origin = grid.world_from_grid.rotation, grid.world_from_grid.position
     slope_x, slope_y, slope_z = axes.T @ normals.T
     # Half-space: slope_x x + slope_y y + slope_z z <= room, in the coordinates of the grid.
     room = offsets - normals @ origin
-
     lower, upper = (np.full((len(z), len(y)), end) for end in (-np.inf, np.inf))
     for sx, sy, sz, r in zip(slope_x, slope_y, slope_z, room, strict=True):
         if sx > 0:
@@ -46,12 +96,7 @@ def region_of_interest(
             np.maximum(lower, ((r - sz * z) / sx)[:, None] - sy / sx * y, out=lower)
         else:
             lower[(r - sz * z)[:, None] - sy * y < 0] = np.inf
-
-    region = np.empty(grid.shape, dtype=np.bool_)
-    for k in range(len(z)):
-        np.greater_equal(x, lower[k, :, None], out=region[k])
-        region[k] &= x <= upper[k, :, None]
-    return region
+    return lower, upper
 
 
 def half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Floats]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.evaluation.region import region_of_interest
+from twinct.evaluation.region import region_of_interest, views_needed
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 COARSE_VOXELS = 48
@@ -21,14 +21,15 @@ class Sight:
     Attributes:
         blind: views that do not show the specimen.
         from_behind: views in which the specimen reaches behind the panel and shadows it.
-        region_empty: no voxel of the grid is seen by every view.
-        in_region: the bounds of the specimen meet the bounds of the voxels that every view sees.
+        needed: number of views that see each voxel of the region that is judged; 0 if no view sees
+            a voxel.
+        in_region: the bounds of the specimen meet the bounds of that region.
     """
 
     views: int
     blind: tuple[int, ...]
     from_behind: tuple[int, ...]
-    region_empty: bool
+    needed: int
     in_region: bool
 
 
@@ -44,13 +45,13 @@ def sight(geometry: ScanGeometry, points: ArrayLike, grid: VolumeGrid) -> Sight:
     before = [_on_panel(view, corners[front]) for view, front in zip(views, fronts, strict=True)]
     beyond = [_on_panel(view, corners[~front]) for view, front in zip(views, fronts, strict=True)]
     lattice = _coarse(grid)
+    if views_needed(geometry, lattice) < len(views):  # a thin region needs the fine voxels
+        lattice = grid
     region = region_of_interest(geometry, lattice)
-    if not region.any():  # a thin region needs the fine voxels
-        lattice, region = grid, region_of_interest(geometry, grid)
     meet = _bounds_meet(corners, lattice, region)
     blind = tuple(view for view, seen in enumerate(before) if not seen)
     behind = tuple(view for view, seen in enumerate(beyond) if seen)
-    return Sight(len(geometry), blind, behind, not region.any(), meet)
+    return Sight(len(geometry), blind, behind, views_needed(geometry, lattice), meet)
 
 
 def _on_panel(view: ScanGeometry, points: Floats) -> bool:

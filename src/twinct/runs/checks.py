@@ -38,8 +38,8 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
     """Check that the views see the specimen, and return warnings for the user.
 
     Raises:
-        TrajectoryError: no view sees the specimen, it reaches behind a panel, or no voxel is seen
-            by every view, so that the volume could not be judged.
+        TrajectoryError: no view sees the specimen, it reaches behind a panel, or no voxel is seen,
+            so that the volume could not be judged.
         InputError: see ``check_places``.
         SpecimenError: an object of the room has an unknown material or an unusable mesh.
     """
@@ -59,9 +59,9 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
             f"no view sees {where}: all its shadows miss the panel; move the specimen, or the "
             "isocentre of the trajectory"
         )
-    if seen.region_empty:
+    if not seen.needed:
         problems.append(
-            "no voxel of the grid is seen by every view, so the image cannot be judged: move the "
+            "no voxel of the grid is seen by a view, so the image cannot be judged: move the "
             "grid into the beam (reconstruction.grid.centre_mm), or use a larger panel or a "
             "smaller orbit"
         )
@@ -75,10 +75,14 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
     warnings += _size(builder).warnings
     warnings += _cut(builder)
     warnings += larger_than_table(builder)
+    if seen.needed < seen.views:
+        warnings.append(
+            f"no voxel of the grid is seen by every view: the volume is judged in the voxels that "
+            f"at least {seen.needed} of {seen.views} views see"
+        )
     if not seen.in_region:
         warnings.append(
-            f"{where} lies outside the voxels that every view sees: the image figures will "
-            "not cover it"
+            f"{where} lies outside the voxels that are judged: the image figures will not cover it"
         )
     return warnings
 

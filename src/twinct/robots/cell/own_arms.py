@@ -31,6 +31,9 @@ FLANGE_SITE = "twinct_flange"
 DEFAULT_DENSITY = 1000.0
 """Density that MuJoCo assumes for a shape whose file states none, kg/m^3."""
 
+OVERLAPS_TRIED = 100
+"""Random configurations in which the hulls of two links must overlap to be excluded."""
+
 IN_SCALE = 1 / 300, 20.0
 """Least and largest ratio of the largest mesh to the arm's length, if they share a unit."""
 
@@ -81,7 +84,8 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
         raise ScenarioError(f"{where} is not a model that MuJoCo can read: {reason}") from None
     _check(model, where)
     _check_sizes(model, where)
-    notes = (*alone.notes, *balanced, *_weigh(spec, model, arm, xml.is_urdf, where))
+    within = _within_each_other(spec, model) if xml.is_urdf else ()
+    notes = (*alone.notes, *balanced, *within, *_weigh(spec, model, arm, xml.is_urdf, where))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     base = _base(model, data, arm.base, where)
@@ -155,6 +159,43 @@ def _check_sizes(model: mujoco.MjModel, where: str) -> None:
             f"links are {arm:.3g} m long in total: the mesh is probably in {unit}. Set its scale "
             f'to "{factor} {factor} {factor}"'
         )
+
+
+def _within_each_other(spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[str, ...]:
+    """Exclude pairs of links that overlap in every configuration, and return a note about them.
+
+    The convex hull of a forked link contains the link in its fork. As such a pair can never be
+    clear, its overlap says nothing, which is how MoveIt's setup treats it, too.
+    """
+    mujoco = mujoco_module()
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    low, high = model.jnt_range.T
+    solid = np.flatnonzero((model.geom_contype | model.geom_conaffinity) != 0)
+    links = model.body_weldid[model.geom_bodyid]
+    above = model.body_weldid[model.body_parentid[links]]
+    pairs = [
+        (a, b)
+        for k, a in enumerate(solid.tolist())
+        for b in solid[k + 1 :].tolist()
+        if links[a] != links[b] and above[a] != links[b] and above[b] != links[a]
+    ]
+    always = {tuple(sorted((int(links[a]), int(links[b])))): False for a, b in pairs}
+    for _ in range(OVERLAPS_TRIED):
+        data.qpos[:] = rng.uniform(low, high)
+        mujoco.mj_kinematics(model, data)
+        touching = {
+            tuple(sorted((int(links[a]), int(links[b]))))
+            for a, b in pairs
+            if mujoco.mj_geomDistance(model, data, a, b, 0.001, None) < 0
+        }
+        always = {pair: True for pair in always if pair in touching}
+    named = [tuple(model.body(link).name for link in pair) for pair in always]
+    for one, other in named:
+        spec.add_exclude(bodyname1=one, bodyname2=other)
+    if not named:
+        return ()
+    told = ", ".join(f"{one} and {other}" for one, other in named)
+    return (f"not checked against each other, as their hulls overlap in every pose: {told}",)
 
 
 def _weigh(
