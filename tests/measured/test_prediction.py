@@ -127,7 +127,7 @@ def test_even_views_predict_odd_ones_and_a_wrong_view_stands_out(scan) -> None:
     views = made.residuals.views
     assert [one.view for one in views] == list(range(1, VIEWS, 2))
     worst = max(views, key=lambda one: one.rms_rel)
-    # The shift is 1.32 px: twelve views make streaks, of which those below zero stay.
+    # It is 1.32 px here: twelve views alone make the volume.
     assert worst.view == 7 and worst.shift_px[0] == pytest.approx(1, abs=0.4)
     told = json.loads((made.path / "prediction.json").read_text())
     assert told["residual_rel"] == made.residuals.rms_rel and told["views"][3]["view"] == 7
