@@ -153,7 +153,9 @@ CLAIMS = [
 
 
 @pytest.mark.parametrize(
-    ("page", "words", "default", "value"), CLAIMS, ids=lambda one: str(one)[:40]
+    ("page", "words", "default", "value"),
+    CLAIMS,
+    ids=[f"{page}-{words[:40]}" for page, words, *_ in CLAIMS],
 )
 def test_a_default_is_that_of_the_code(
     page: str, words: str, default: Callable[[], Any], value: Any

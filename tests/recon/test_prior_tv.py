@@ -9,7 +9,7 @@ from twinct.recon import Projector, fista_tv, prior_tv
 from twinct.recon.fista import KnownBefore, Variation
 from twinct.recon.prior_tv import _seams, _strength
 from twinct.recon.volume import Volume
-from twinct.report.algorithm_results import with_found
+from twinct.report.algorithm_results import with_results
 
 RADIUS, VALUE = 22.0, 0.02
 
@@ -89,14 +89,14 @@ def test_strength_follows_from_photons_or_air_and_is_told(scan, caplog):
     A, p, prior, _ = scan
     found = prior_tv(A, p, prior, iterations=1, photons=4e4).extras["regularisation"]
     assert found["from"] == "photons"
-    assert "from the photons" in with_found("prior_tv", {"regularisation": found})
+    assert "from the photons" in with_results("prior_tv", {"regularisation": found})
     of_air = _strength(A, p, None, None)  # noise of 0.005, that of 4e4 photons
     assert of_air == (pytest.approx(found["strength"], rel=0.1), "air")
     assert _strength(A, p, np.full(8, 1e4), None)[0] == pytest.approx(2 * found["strength"])
     unknown = _strength(A, np.zeros_like(p), None, None)
     assert unknown == (1e-4, None) and "noise is unknown" in caplog.text
     told = {"strength": 1e-4, "from": None}
-    assert "since the noise is unknown" in with_found("prior_tv", {"regularisation": told})
+    assert "since the noise is unknown" in with_results("prior_tv", {"regularisation": told})
 
 
 @pytest.mark.tutorial

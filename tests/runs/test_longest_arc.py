@@ -30,7 +30,7 @@ def builder(**trajectory: object) -> SimulationBuilder:
 
 def test_the_arc_that_is_named_is_planned_and_consists_of_views_of_the_circle() -> None:
     circle = builder(kind="circle", views=24, centre_longitude_deg=100)
-    asked = circle.asked
+    asked = circle.requested
     poses = Poses.of(asked.source_poses(), asked.detector_poses())
     held = Holder(circle.cell, circle.scenario.motion, roll_free=circle.roll_free).held(poses)
     told = longest_arc(circle, np.flatnonzero(~held).tolist())
@@ -39,7 +39,7 @@ def test_the_arc_that_is_named_is_planned_and_consists_of_views_of_the_circle() 
     assert found is not None
     arc = builder(**yaml.safe_load(found[1]))
     assert arc.plan is not None
-    views = arc.asked.source
+    views = arc.requested.source
     assert 8 < len(views) < 24
     far = np.linalg.norm(views[:, None] - asked.source[None], axis=2).min(axis=1)
     assert far.max() < 1e-3

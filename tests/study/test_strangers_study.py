@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from planted import planted, unpickled
 
-from twinct.core import kept
+from twinct.core import cached
 from twinct.scenario import parse_scenario, specimen_digest, stage_digests
 from twinct.study import trial
 from twinct.study.trial import TrialSpec, try_trial
