@@ -29,12 +29,12 @@ ARMS: dict[str, Any] = {
 def _afresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """No engine is loaded beforehand, and nothing is kept in this process."""
     monkeypatch.setattr(trial, "_started", True)
-    monkeypatch.setattr(kept, "_last", {})
+    monkeypatch.setattr(cached, "_last", {})
 
 
 def tried(scenario: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The figures of a trial in this process, with nothing of an earlier one in it."""
-    kept._last.clear()
+    cached._last.clear()
     spec = TrialSpec("key", scenario, {}, "scan", shared=False, keep="figures", link="local")
     return try_trial(spec, LocalPlace(folder, 1, {})).value["figures"]
 
@@ -48,10 +48,10 @@ def test_a_worker_loads_no_pickle_of_its_folder(tmp_path: Path) -> None:
         (work / "things" / f"{digest}-{__version__}").write_bytes(planted(mark))
     with unpickled() as found:
         first = tried(ARMS, work)
-        cached = [path for path in work.rglob("*") if path.is_file() and path.name[0] != "."]
-        kinds = {path.relative_to(work).parts[0] for path in cached}
+        files = [path for path in work.rglob("*") if path.is_file() and path.name[0] != "."]
+        kinds = {path.relative_to(work).parts[0] for path in files}
         assert kinds >= {"specimens", "plans", "arrays"}
-        for path in cached:
+        for path in files:
             path.write_bytes(planted(mark))
         assert tried(ARMS, work) == first  # made again
         assert tried(ARMS, work) == first  # read
