@@ -84,5 +84,5 @@ def test_noise_is_no_knowledge() -> None:
 
 def test_no_circle_is_refused() -> None:
     views = circle_of()
-    with pytest.raises(InputError, match="2 views do not make a circle"):
+    with pytest.raises(InputError, match="needs a circular scan of at least 3 views, not 2"):
         circular_consistent(np.zeros((2, *views.panel.shape), np.float32), views[:2])

@@ -134,7 +134,7 @@ def test_both_controllers_get_the_plan_with_one_start(arms, run, program) -> Non
     counts, end = run.recorded()
     assert counts["/joint_states"] > 2 * 500 * program.plan.duration_s
     assert end["ended"] == "all controllers succeeded"
-    assert "not checked" in drive.told[0]
+    assert "not checked" in drive.notes[0]
 
 
 def test_a_controller_that_rejects_keeps_both_arms_where_they_are(arms, run) -> None:

@@ -166,7 +166,7 @@ def test_report_judges_again_and_compare_shows_no_figure_of_a_truth(
     assert not re.search("RMSE|SSIM|PSNR|bone|truth|[Pp]ose error|clearance", text)
     one = [str(fdk.path)]
     for folders, words in (
-        (one, "1 volumes: at least two"),
+        (one, "1 volume: at least two"),
         ([*one, *one], "given twice"),
         ([*one, str(tmp_path)], "is no measured scan"),
     ):

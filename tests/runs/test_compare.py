@@ -87,7 +87,7 @@ def test_what_cannot_be_compared_is_named_before_any_work(
     assert twice == f"{link}: given twice; each folder is compared once"
     assert no_run.startswith(f"{empty} holds no finished run: scan.zarr, volume.nii")
     assert none.startswith(f"{folder}/reconstructions/none is not a reconstruction of a run")
-    with pytest.raises(InputError, match="^1 folders: at least two") as refused:
+    with pytest.raises(InputError, match="^1 folder: at least two") as refused:
         compare([folder])
     assert str(refused.value).endswith(f"its reconstructions are {folder}/reconstructions/other")
     with pytest.raises(InputError, match="^0 folders: at least two are needed$"):

@@ -114,15 +114,16 @@ class Folder:
         files = (self.volume, self.truth)
         return {path.name: file_digest(path) for path in files if path.is_file()}
 
-    def replaced(self) -> tuple[str, ...]:
+    def replaced(self, *files: Path) -> tuple[str, ...]:
         """Return a sentence for each file that is missing or not the one that was judged.
 
-        Figures of earlier versions tell no digests; then there is none.
+        Without ``files``, the volume and its truth are looked at. Figures of earlier versions hold
+        no digests; then there is no sentence.
         """
-        told: dict[str, Any] = read_metrics(self.metrics).get("files") or {}
+        judged: dict[str, Any] = read_metrics(self.metrics).get("files") or {}
         there = self.file_digests()
-        changed = [name for name in (self.volume.name, self.truth.name) if name in told]
-        changed = [name for name in changed if told[name] != there.get(name)]
+        names = [path.name for path in files or (self.volume, self.truth)]
+        changed = [name for name in names if name in judged and judged[name] != there.get(name)]
         return tuple(
             f"{self.path / name} {'was changed or replaced' if name in there else 'is missing'}: "
             f"it is not the file that {self.metrics.name} belongs to"

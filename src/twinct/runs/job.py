@@ -231,7 +231,7 @@ def rewrite_report(
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "evaluation")
     made = finished_run(folder)
-    if changed := folder.replaced():
+    if changed := folder.replaced(folder.volume):  # a truth is made again
         raise InputError([f"{problem}; {again_in_words(folder)}" for problem in changed])
     planned = ScanStore(folder.scan).plan is not None
     scenario = folder.scenario_of_run(overrides, planned=planned) if overrides else made.scenario
