@@ -25,7 +25,15 @@ def main() -> int:
     if len(sys.argv) > 1:
         {"vector": compile_vector, "rest": compile_rest, "card": compile_card}[sys.argv[1]]()
         return 0
-    workers = [subprocess.Popen([sys.executable, __file__, part]) for part in PARTS]
+    workers = [
+        subprocess.Popen(
+            [sys.executable, __file__, part], stderr=subprocess.PIPE if part == "card" else None
+        )
+        for part in PARTS
+    ]
+    said = workers[-1].communicate()[1]
+    if workers[-1].returncode:  # else Warp only says that there is no card
+        sys.stderr.buffer.write(said)
     return max(worker.wait() for worker in workers)
 
 
