@@ -140,7 +140,8 @@ def test_the_command_writes_the_files(tmp_path: Path) -> None:
 
     scenario = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
     ball = "specimen.parts=[{shape: {kind: sphere, radius_mm: 60}}]"
-    words = ["urdf", str(scenario), "--moveit", "--out", str(tmp_path), "--set", ball]
+    out = tmp_path / "new" / "folder"
+    words = ["urdf", str(scenario), "--moveit", "--out", str(out), "--set", ball]
     assert run_command(words) == 0
-    names = {path.name for path in tmp_path.iterdir() if path.suffix != ".stl"}
+    names = {path.name for path in out.iterdir() if path.suffix != ".stl"}
     assert names == {"arms.urdf", "arms.srdf", "joint_limits.yaml", "room.scene"}

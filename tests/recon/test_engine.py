@@ -283,10 +283,12 @@ def test_what_does_not_compile_leaves_its_reason_and_no_folder(tmp_path, monkeyp
 def test_a_machine_without_a_card_is_told_what_to_do(pair, monkeypatch):
     monkeypatch.delenv(DEVICE_VARIABLE, raising=False)
     monkeypatch.setattr(card.warp(), "get_devices", lambda: ["cpu"])
-    with pytest.raises(InputError, match="no CUDA card or driver .* engines vector and mesh"):
+    with pytest.raises(
+        InputError, match="no CUDA card or driver .*unset TWINCT_ENGINE.*gvxr or mesh"
+    ):
         Projector(pair[0].geometry, pair[0].grid, engine="cuda")
     monkeypatch.setenv(DEVICE_VARIABLE, "gpu")
-    with pytest.raises(InputError, match="TWINCT_CUDA_DEVICE is 'gpu'; it must be cpu"):
+    with pytest.raises(InputError, match="TWINCT_CUDA_DEVICE is 'gpu'; it must be cuda:N or cpu"):
         Projector(pair[0].geometry, pair[0].grid, engine="cuda")
 
 

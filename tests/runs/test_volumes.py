@@ -8,14 +8,21 @@ import pytest
 from still_scans import chords, still_scan, views_of
 from waiting import HANG_S
 
+from twinct.core import card
 from twinct.core.errors import InputError, MemoryShortageError
 from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
-from twinct.runs import line_integrals, reconstruct, require_feasible, volumes
+from twinct.runs import (
+    line_integrals,
+    reconstruct,
+    require_extras,
+    require_feasible,
+    volumes,
+)
 from twinct.runs.integrals import hardening_corrected
 from twinct.runs.volumes import memory_needed
-from twinct.scenario import parse_scenario, stage_digests
+from twinct.scenario import load_scenario, parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
 
 TWO = {"kind": "two_materials", "base": "water", "dense": "bone", "first_iterations": 2}
@@ -200,6 +207,18 @@ def test_an_engine_that_is_none_is_refused_before_any_work(monkeypatch):
         InputError, match="TWINCT_ENGINE is 'fast'; it must be vector, plain or cuda"
     ):
         require_feasible(scenario, views)
+
+
+def test_a_card_that_is_not_there_is_named_before_any_work(scan, monkeypatch):
+    monkeypatch.setattr(card.warp(), "get_devices", lambda: ["cpu"])
+    monkeypatch.delenv(card.DEVICE_VARIABLE, raising=False)
+    views = scan().commanded.geometry(settings().detector.panel)
+    monkeypatch.setenv("TWINCT_ENGINE", "cuda")
+    with pytest.raises(InputError, match="no CUDA card or driver"):
+        require_feasible(settings(), views)
+    monkeypatch.delenv("TWINCT_ENGINE")
+    with pytest.raises(InputError, match="no CUDA card or driver"):
+        require_extras(load_scenario("demo", {"xray.engine": "cuda_mesh"}))
 
 
 def with_edges(scan):

@@ -31,13 +31,12 @@ def test_a_scenario_extends_a_built_in_one(tmp_path: Path) -> None:
         load_scenario(mine)
 
 
-def test_a_file_comes_before_a_built_in_scenario(
+def test_a_file_comes_before_a_built_in_scenario_and_a_folder_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "demo").mkdir()
-    with pytest.raises(ScenarioError, match="folder"):
-        load_scenario("demo")
+    assert load_scenario("demo") == load_scenario(SCENARIOS / "demo.yaml")
     (tmp_path / "demo").rmdir()
     (tmp_path / "demo").write_text("extends: paper\nseed: 77\n")
     assert load_scenario("demo").seed == 77

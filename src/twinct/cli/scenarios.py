@@ -247,6 +247,7 @@ def urdf(
     require("robots")
     builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
         files = builder.moveit(out) if moveit else {"cell.urdf": builder.urdf(meshes=out)}
         for name, text in files.items():
             write_text(out / name, text)

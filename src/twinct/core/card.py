@@ -7,6 +7,9 @@ The environment variable ``TWINCT_CUDA_DEVICE`` selects the device, ``cuda:0`` b
 from __future__ import annotations
 
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -29,8 +32,23 @@ def warp() -> Any:
     import warp as module
 
     module.config.log_level = module.LOG_ERROR
-    module.init()
+    with _silent():
+        module.init()
     return module
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Drop what native code prints: Warp tells every machine without a card that it has none."""
+    sys.stderr.flush()
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
 
 
 def device() -> Any:
@@ -46,11 +64,13 @@ def device() -> Any:
         return warp().get_device(name)
     if name.startswith("cuda") and known == ["cpu"]:
         raise InputError(
-            f"no CUDA card or driver is found here, so the device {quoted(name)} cannot be used; "
-            f"use the engines vector and mesh, or {DEVICE_VARIABLE}=cpu to run the card's kernels "
-            "on the processor (slow)"
+            f"no CUDA card or driver is found here, so the device {quoted(name)} cannot be used: "
+            "reconstruct on the processor (unset TWINCT_ENGINE), render with xray.engine=gvxr or "
+            f"mesh; {DEVICE_VARIABLE}=cpu runs the card's kernels on the processor, slowly"
         )
-    raise InputError(f"{DEVICE_VARIABLE} is {quoted(name)}; it must be {' or '.join(known)}")
+    raise InputError(
+        f"{DEVICE_VARIABLE} is {quoted(name)}; it must be cuda:N or cpu (here: {', '.join(known)})"
+    )
 
 
 def require_room(where: Any, needed: int) -> None:

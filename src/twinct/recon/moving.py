@@ -111,6 +111,11 @@ def _step(grid: VolumeGrid) -> int:
     return max(1, min(MAP_VOXELS, int(COARSEST_MM / grid.voxel.max())))
 
 
+def refuse_card() -> None:
+    """Raise InputError: the engine cuda does not compensate motion."""
+    raise InputError("the engine cuda does not compensate motion; use vector (unset TWINCT_ENGINE)")
+
+
 def moving_bytes(grid: VolumeGrid, views: int) -> int:
     """Return the bytes that a moving projector holds: two volumes, and both maps of each view."""
     voxels = math.prod(grid.shape)
@@ -141,9 +146,7 @@ class MovingProjector(Projector):
         """
         super().__init__(geometry, grid, engine)
         if requested_engine(engine) == "cuda":
-            raise InputError(
-                "the engine cuda does not compensate motion; use vector (unset TWINCT_ENGINE)"
-            )
+            refuse_card()
         if len(motion) != len(geometry):
             raise InputError(
                 f"there are {len(motion)} deformations for {len(geometry)} views; each view needs "

@@ -269,8 +269,10 @@ def require_extras(scenario: Scenario) -> None:
         InputError: a package is missing; names the extra that provides it. Or the X-ray engine is
             unknown or cannot be used.
     """
-    from twinct.xray.engines import engine_extras
+    from twinct.xray.engines import engine_extras, engine_named
 
     robots = ["robots"] if scenario.cell.kind == "arms" else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
     require(*robots, *engine_extras(scenario.engine), *rtk)
+    if scenario.engine is not None:
+        engine_named(scenario.engine).check()

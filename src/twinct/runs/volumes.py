@@ -16,6 +16,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.core import card
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
@@ -31,6 +32,7 @@ from twinct.recon.engine import requested_engine
 from twinct.recon.known_components import implant_bytes
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
+from twinct.recon.moving import refuse_card
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
 from twinct.recon.surroundings import (
@@ -371,6 +373,16 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     return stages
 
 
+def _check_engine(scenario: Scenario) -> None:
+    """Raise InputError if the engine of the environment is unknown, or cannot do this job here."""
+    if requested_engine() != "cuda" or scenario.reconstruction.algorithm == "rtk_sart":
+        return
+    card.device()
+    motion = scenario.reconstruction.motion
+    if motion is not None and motion.compensate:
+        refuse_card()
+
+
 def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     """Raise before any work if the algorithm cannot reconstruct the scan, or memory is too small.
 
@@ -378,7 +390,7 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
         InputError: an unknown engine, a grid behind a source, no circular scan for ``fdk``, or an
             unusable prior; or too little memory, with the needed and the available amount.
     """
-    requested_engine()
+    _check_engine(scenario)
     section = scenario.reconstruction
     algorithm, grid = algorithms()[section.algorithm], section.volume_grid
     check_grid(commanded, grid)

@@ -26,8 +26,8 @@ def scenario_names() -> tuple[str, ...]:
 def scenario_file(path: Path, folder: Path = Path(), at: str = "") -> Path:
     """Return the file of a scenario that is stated as a path, or by the name of a built-in one.
 
-    A file at the path takes precedence. Names have no folder and no suffix. Whoever reads the file
-    reports that it is missing.
+    A file at the path takes precedence, but a folder of this name does not. Names have no folder
+    and no suffix. Whoever reads the file reports that it is missing.
 
     Args:
         path: the path, relative to ``folder``, or the name.
@@ -38,9 +38,10 @@ def scenario_file(path: Path, folder: Path = Path(), at: str = "") -> Path:
         ScenarioError: a name that no built-in scenario has; the message lists them.
     """
     name, file = str(path), folder / path
-    if no_file(file) != ABSENT:
+    known = name in scenario_names()
+    if no_file(file) != ABSENT and not (known and file.is_dir()):
         return file
-    if name in scenario_names():
+    if known:
         return FOLDER / f"{name}{_SUFFIX}"
     if path.name != name or path.suffix:
         return file

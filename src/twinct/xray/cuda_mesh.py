@@ -188,5 +188,10 @@ def _listed(there: Any, count: int, columns: int) -> NDArray[np.int32]:
 
 
 CUDA_MESH = EngineChoice(
-    "cuda_mesh", CudaMeshEngine(), extras=("cuda",), modules=("warp",), memory_bytes=MEMORY_BYTES
+    "cuda_mesh",
+    CudaMeshEngine(),
+    extras=("cuda",),
+    modules=("warp",),
+    memory_bytes=MEMORY_BYTES,
+    check=card.device,
 )

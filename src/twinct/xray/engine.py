@@ -6,8 +6,8 @@ entry points of the group ``twinct.xray_engines``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -108,6 +108,7 @@ class EngineChoice:
         extras: extras of twinct that it needs.
         modules: other modules that it needs; they are looked up before any work, and not imported.
         memory_bytes: memory that it occupies until the process ends.
+        check: raises InputError, before any work, if this machine lacks what the engine needs.
     """
 
     name: str
@@ -115,3 +116,4 @@ class EngineChoice:
     extras: tuple[str, ...] = ()
     modules: tuple[str, ...] = ()
     memory_bytes: int = 0
+    check: Callable[[], object] = field(default=lambda: None)
