@@ -321,7 +321,7 @@ def test_who_names_an_engine_that_cannot_be_used_is_told_why(
         refused = twinct(installed, *command, *change)
         assert refused.returncode == 2
         place = f"--set xray.engine={engine}: xray.engine: "
-        assert f"{place}{reason} (allowed: gvxr, mesh, analytic)" in refused.stderr
+        assert f"{place}{reason} (allowed: gvxr, mesh, cuda_mesh, analytic)" in refused.stderr
     assert not out.exists()
 
 

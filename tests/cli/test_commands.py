@@ -358,7 +358,7 @@ def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
     few = [*TINY, "--set", "trajectory.longitude_range_deg=5", "--set", ball, "--set", grid]
     assert run_command(["run", DEMO, "--out", str(out), "--link", "local", *few]) == 0
     said = capfd.readouterr()
-    assert "warning: " in said.err and "outside the voxels that every view sees" in said.err
+    assert "warning: " in said.err and "outside the voxels that are judged" in said.err
     assert "no figure near bone" in said.out
     assert json.loads((out / "metrics.json").read_text())["image"]["rmse_bone_rel"] is None
 

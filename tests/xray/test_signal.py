@@ -52,6 +52,16 @@ def test_signal_is_the_sum_over_the_spectrum(names, longest_mm, kind):
     np.testing.assert_allclose(found[:, 0, 0], signal.free, rtol=RELATIVE)
 
 
+def test_paths_below_zero_of_a_reconstructed_volume_add_signal():
+    water = material("water")
+    paths = np.linspace(-20, 20, 24 * 40, dtype=np.float32).reshape(1, 24, 40)
+    signal = Signal(SPECTRUM, [water], PhotonResponse.integrating())
+    found = signal(paths, np.ones((24, 40), np.float32))
+    np.testing.assert_allclose(
+        found, truth(paths, [water], PhotonResponse.integrating()), rtol=RELATIVE
+    )
+
+
 @pytest.mark.parametrize("names", [("bone",), ("bone", "water")])
 def test_a_pixel_is_the_mean_of_its_samples_each_with_its_own_beam(names):
     materials = [material(name) for name in names]

@@ -60,7 +60,8 @@ class Signal:
         """Add one exposure to an image.
 
         Args:
-            paths: path lengths, (materials, rows * samples, columns * samples), mm, at least 0.
+            paths: path lengths, (materials, rows * samples, columns * samples), mm; below 0 where a
+                reconstructed volume is.
             beam: ``fall_off`` at each sample, (rows * samples, columns * samples).
             out: mean and mean square of the signal, (2, rows, columns), per mm^2 of panel and mAs.
             samples: samples along each pixel edge.
@@ -68,7 +69,7 @@ class Signal:
         """
         from twinct.xray._attenuated import look_up, sum_bins
 
-        if len(paths) == 1:
+        if len(paths) == 1 and paths.min() >= 0:  # the table begins at 0
             look_up(paths[0], self._longest, self._table, beam, samples, share, out)
         else:
             bins = self._mus, self._mean, self._square
