@@ -19,6 +19,7 @@ from waiting import HANG_S
 from twinct import run
 from twinct.core.errors import FolderInUseError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
+from twinct.observers.events import Said
 from twinct.recon.volume import Volume
 from twinct.runs import Run, rewrite_report, truth_of
 from twinct.scan import SimulationBuilder
@@ -61,7 +62,10 @@ def test_resuming_with_other_settings_makes_what_a_fresh_run_makes(
 ) -> None:
     out, other = tmp_path / "out", tiny(*OTHERS[key])
     shutil.copytree(finished.paths.path, out)
-    again = run(other, out, link="local", resume=True)
+    heard: list[Said] = []
+    again = run(other, out, link="local", resume=True, observers=[heard.append])
+    said = [event.text for event in heard if isinstance(event, Said)]
+    assert any("volume.nii is replaced: it was made with other settings" in one for one in said)
     fresh = run(other, tmp_path / "fresh", link="local")
     volumes = [nibabel.loadsave.load(r.paths.volume) for r in (again, fresh)]
     np.testing.assert_array_equal(*(np.asarray(v.dataobj) for v in volumes))

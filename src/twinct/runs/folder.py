@@ -106,8 +106,14 @@ class Folder:
         """Return True if the folder holds all results of exactly this scenario."""
         if not all(p.exists() for p in self.results):
             return False
-        told = read_metrics(self.metrics).get("reconstruction_digest")
-        return told == self.volume_digest(scenario) and not self.replaced()
+        return not self.made_with_others(scenario) and not self.replaced()
+
+    def made_with_others(self, scenario: Scenario) -> bool:
+        """Return True if the folder holds a judged volume of other settings."""
+        if not (self.volume.exists() and self.metrics.exists()):
+            return False
+        made = read_metrics(self.metrics).get("reconstruction_digest")
+        return made != self.volume_digest(scenario)
 
     def file_digests(self) -> dict[str, str]:
         """Return the digests of the files with the volume and its truth, by name."""

@@ -346,6 +346,11 @@ def _make_volumes(
 ) -> None:
     """Reconstruct from each geometry, judge, store the first volume, and report."""
     scenario = builder.scenario
+    if folder.made_with_others(scenario):
+        audience.say(
+            f"{folder.volume} is replaced: it was made with other settings (twinct reconstruct "
+            "would keep it, and add a volume)"
+        )
     with seconds.stage("truth"):
         # The scenario in the store may state another reconstruction; this run's counts.
         scan = Run(scenario, folder).scan
