@@ -151,7 +151,21 @@ def _check_sizes(model: mujoco.MjModel, where: str) -> None:
     if not len(meshes) or arm <= 0:
         return
     geom = int(meshes[sizes.argmax()])
-    name, largest = model.mesh(model.geom_dataid[geom]).name, float(sizes.max())
+    check_scale(model.mesh(model.geom_dataid[geom]).name, float(sizes.max()), arm, where)
+
+
+def check_scale(name: str, largest: float, arm: float, where: str) -> None:
+    """Refuse the largest mesh of an arm if it is not in m.
+
+    Args:
+        name: the mesh.
+        largest: its diagonal with its scale, m.
+        arm: sum of the distances between joints, m.
+        where: name of the file in messages.
+
+    Raises:
+        ScenarioError: the mesh is far larger or smaller than the links.
+    """
     if not IN_SCALE[0] < largest / arm < IN_SCALE[1]:
         unit, factor = ("mm", "0.001") if largest > arm else ("m already", "1")
         raise ScenarioError(
