@@ -83,7 +83,8 @@ def test_what_the_file_lacks_is_supplied_and_told(tmp_path: Path) -> None:
     file.write_text(text.replace('"revolute"', '"continuous"'))
     with pytest.raises(ScenarioError, match="no torque limit for roll, bend .*joint_torque_nm"):
         loaded(file)
-    arm = loaded(file, joint_torque_nm=(70.0,))
+    arm = loaded(file, joint_torque_nm=70)
+    assert loaded(file, joint_torque_nm=(70.0,)).notes == arm.notes
     assert arm.torque_limits.tolist() == [300.0, 300.0, 200.0, 70.0, 70.0, 60.0]
     endless, torques = arm.notes
     assert endless.startswith("range of +-360 deg for continuous joints: turn, shoulder, elbow")

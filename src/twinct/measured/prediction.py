@@ -30,8 +30,8 @@ from twinct.core.files.writing import (
 from twinct.core.foreign_text import counted
 from twinct.core.interruption import keeping
 from twinct.geometry import Pose, ScanGeometry
-from twinct.measured.prediction_picture import show_prediction
 from twinct.measured.predicted_mesh import check_seen
+from twinct.measured.prediction_picture import show_prediction
 from twinct.measured.residuals import CAUSES, Residuals, residuals_of
 from twinct.measured.volume_folder import is_measured_scan, measured_volumes, write_page
 from twinct.observers import Audience, Observers, audience_of
