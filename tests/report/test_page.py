@@ -220,7 +220,7 @@ def test_labels_of_a_full_circle_stand_side_by_side():
 @pytest.mark.parametrize("shape", [(100, 100), (150, 120)])
 def test_titles_of_projections_do_not_touch_the_edge(shape):
     images = [(view, np.full(shape, 0.1)) for view in range(4)]
-    png = figures.projection_strip(images, Panel(*shape, 1.0, 1.0)).content
+    png = figures.projection_strip(images, Panel(shape[0], shape[1], 1.0, 1.0)).content
     assert np.asarray(Image.open(io.BytesIO(png)).convert("L"))[:5].min() == 255
 
 
