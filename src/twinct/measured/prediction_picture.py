@@ -54,8 +54,8 @@ def _draw(
         off = measured[k] - predicted[k]
         shown = left.imshow(off, origin="lower", cmap="RdBu_r", vmin=-limit, vmax=limit)
         titles = (
-            f"measured: view {one.view}, {word}",
-            "predicted",
+            f"measured p: view {one.view}, {word}",
+            "predicted q",
             f"residual {100 * one.rms_rel:.2f} %",
         )
         for axes, title in zip(grid[row], titles, strict=True):
