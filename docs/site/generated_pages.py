@@ -20,6 +20,8 @@ from twinct.evaluation.figure import Figure
 ROOT = Path(__file__).resolve().parents[2]
 OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./)?[A-Z_]+\.md[^)]*\)")
 """Link to a page of the repository that is not in the site; its words stay."""
+EXAMPLE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+examples/((?:tutorials|gallery)/\w+)\.py\)")
+"""Link to a program of the repository, of which the site has a page."""
 MARKER = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
 
 
@@ -69,7 +71,7 @@ def _arguments(parser: argparse.ArgumentParser) -> Iterator[str]:
 def _split_default(text: str) -> tuple[str, str]:
     """Split the help of an argument into its meaning and its default."""
     body, default = text, ""
-    if found := re.search(r"\s*\((?:default: ([^()]*)|(required)|repeatable)\)$", text):
+    if found := re.search(r"\s*\((?:default: ([^()]*)|(required)|repeatable|optional)\)$", text):
         body = text[: found.start()]
         default = "**needed**" if found[2] else found[1] or ""
     if default in ("None", "False"):
@@ -130,6 +132,7 @@ PAGES: dict[str, Callable[[], str]] = {"commands": commands, "figures": figures,
 def _fill(app: Any, name: str, source: list[str]) -> None:
     text = MARKER.sub(lambda found: PAGES[found[1]](), source[0])
     text = text.replace("](../CHANGELOG.md", "](/reference/changelog.md")
+    text = EXAMPLE.sub(r"{doc}`\1 </\2>`", text)
     source[0] = OUTSIDE.sub(r"\1", text)
 
 

@@ -75,6 +75,13 @@ def test_links_without_inertia_are_refused_or_get_a_density(
     file.write_text(text)
     told = refusal(file)
     assert "states no inertia for" in told and "link_density_kg_m3" in told
+    file.write_text(text.replace('effort="80"', 'effort="0"').replace('velocity="2"', ""))
+    with pytest.raises(ScenarioError) as caught:
+        loaded(file)
+    missing = "no inertia for", "no torque limit for roll", "no speed limit for turn"
+    for problem, one in zip(caught.value.problems, missing, strict=True):
+        assert one in problem
+    file.write_text(text)
     masses = []
     for density in (1000.0, 2000.0):
         arm = loaded(file, link_density_kg_m3=density)

@@ -83,7 +83,8 @@ def test_what_the_file_lacks_is_supplied_and_told(tmp_path: Path) -> None:
     file.write_text(text.replace('"revolute"', '"continuous"'))
     with pytest.raises(ScenarioError, match="no torque limit for roll, bend .*joint_torque_nm"):
         loaded(file)
-    arm = loaded(file, joint_torque_nm=(70.0,))
+    arm = loaded(file, joint_torque_nm=70)
+    assert loaded(file, joint_torque_nm=(70.0,)).notes == arm.notes
     assert arm.torque_limits.tolist() == [300.0, 300.0, 200.0, 70.0, 70.0, 60.0]
     endless, torques = arm.notes
     assert endless.startswith("range of +-360 deg for continuous joints: turn, shoulder, elbow")
@@ -95,8 +96,15 @@ def test_what_the_file_lacks_is_supplied_and_told(tmp_path: Path) -> None:
 def test_a_mesh_in_millimetres_is_noticed(tmp_path: Path) -> None:
     here = package(tmp_path / "maker", "maker")
     trimesh.creation.icosphere(radius=50).export(here / "meshes" / "w.stl")
-    with pytest.raises(ScenarioError, match=r'probably in mm. Set its scale to "0.001 0.001'):
-        loaded(with_mesh(here / "arm.urdf", "meshes/w.stl"))
+    told = r'probably in mm. Set its scale to "0.001 0.001'
+    file = with_mesh(here / "arm.urdf", "meshes/w.stl")
+    with pytest.raises(ScenarioError, match=told):
+        loaded(file)
+    with pytest.raises(ScenarioError, match=f"meshes/w.stl, has a diagonal of 173 m.*{told}"):
+        write_arm(file, {}, tmp_path / "own")
+    assert not (tmp_path / "own").exists()
+    file.write_text(file.read_text().replace('w.stl"', 'w.stl" scale="0.001 0.001 0.001"'))
+    assert loaded(write_arm(file, {}, tmp_path / "own").file).spec.compile().nmesh == 1
 
 
 def test_moments_that_no_body_has_are_mended_and_told(tmp_path: Path) -> None:

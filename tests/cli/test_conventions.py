@@ -29,7 +29,7 @@ def test_help_is_text_for_a_terminal(name: str, capsys: pytest.CaptureFixture[st
     for page in pages:
         text = said(capsys, *page, "--help")
         assert f"usage: twinct {' '.join(page)}" in text
-        for mark in ("``", "`", ":class:", ":func:"):
+        for mark in ("``", "`", ":class:", ":func:", "(default: None)", "(default: )"):
             assert mark not in text, page
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from twinct.measured.circle import Circle
 from twinct.measured.conventions import MIRROR, SCALE, Candidate, try_conventions
@@ -114,7 +115,10 @@ def test_what_is_right_stays_first(stored, circle, tmp_path):
     )
     assert ranking.classes[0][0].candidate == Candidate()
     ranking.show(tmp_path / "tried.png")
-    assert (tmp_path / "tried.png").stat().st_size > 1000
+    shown = Image.open(tmp_path / "tried.png").convert("L")
+    assert np.ptp(np.asarray(shown)) > 200
+    tops, sides = np.asarray(shown)[:4], np.asarray(shown)[:, [0, 1, -2, -1]]
+    assert min(tops.min(), sides.min()) == 255, "titles are cut off"
 
 
 def test_the_command_tries_and_imports_nothing(stored, circle, tmp_path, capsys):

@@ -190,12 +190,15 @@ def test_the_command_says_what_is_left(scan, ball, capfd, tmp_path) -> None:
     keys = ["--set", at(BALL), "--set", ENGINE, "--mesh", str(ball)]
     assert run_command(["predict", str(folder), *keys, "--as", "mine"]) == 0
     said = " ".join(capfd.readouterr().out.split())
+    assert "meshes, as water;" in said
     assert "24 views predicted: residual" in said and "after calibration" in said
     for wrong, words in (
         (["--set", "trajectory.views=3"], "a prediction changes only keys of source, detector"),
         (["--geometry", "none"], "unknown geometry"),
         (["--mesh", str(tmp_path / "gone.stl")], "gone.stl"),
         (["--material", "unobtainium", "--set", "source.energy_kev=60"], "unobtainium"),
+        (["--material", "unobtainium", *keys], "--material: unknown material 'unobtainium'"),
+        ([*keys, "--set", at(BALL + [0, 0, 500])], "no view sees the mesh sphere, which lies at"),
     ):
         assert run_command(["predict", str(folder), *wrong]) == 2, wrong
         assert words in " ".join(capfd.readouterr().err.split())

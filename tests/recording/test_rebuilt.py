@@ -136,6 +136,8 @@ def test_bad_input(take, taken, tmp_path):
     text, empty = tmp_path / "text.mcap", tmp_path / "empty.mcap"
     text.write_text("no bag, but longer than a few bytes")
     empty.touch()
+    image = text.with_name("p_1.tif")
+    image.write_text(text.read_text())
     early = cut(own, 0.02, tmp_path / "early.mcap")
     joints = told_again(own, tmp_path / "joints.mcap", lambda topic: topic == "/joint_states")
     other = take(tmp_path / "other", "cell={kind: gantry}").folder / "scan.mcap"
@@ -143,7 +145,8 @@ def test_bad_input(take, taken, tmp_path):
     newer.write_bytes(own.read_bytes().replace(b"twinct recording 1", b"twinct recording 2"))
     for files, words in [
         ([], "no recording given"),
-        ([text], "text.mcap is not an MCAP file"),
+        ([text], "text.mcap is not an MCAP file$"),
+        ([image], "p_1.tif is not an MCAP file, but images without geometry: .* a YAML file"),
         ([empty], "empty.mcap is not an MCAP file"),
         ([tmp_path / "none.mcap"], "none.mcap does not exist"),
         ([early], "early.mcap was cut off"),

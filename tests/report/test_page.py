@@ -12,6 +12,7 @@ from matplotlib import pyplot
 from PIL import Image
 
 import twinct.report.page
+from twinct.geometry import Panel
 from twinct.report import figures, render_report, write_report
 from twinct.report.page import PAPER_TABLE_1
 
@@ -204,6 +205,23 @@ def test_path_off_a_sphere_has_no_sphere():
         neutral = np.ptp(pixels, axis=2) < 6
         grey.append((neutral & (pixels[..., 0] > 150) & (pixels[..., 0] < 240)).mean())
     assert grey[0] > 0.1 and grey[1] < 0.02
+
+
+def test_labels_of_a_full_circle_stand_side_by_side():
+    viewer, centre = np.array([1.0, 0, 0]), np.full(3, 5.0)
+    near = centre + 300 * np.array([[1.0, 0, 0], [0.999, -0.05, 0]])
+    assert figures._sides(near, viewer, centre) == ("left", "right")
+    assert figures._sides(near[::-1], viewer, centre) == ("right", "left")
+    assert figures._sides(near[[0, 0]], viewer, centre) == ("right", "left")
+    apart = centre + 300 * np.array([[1.0, 0, 0], [0, -1.0, 0]])
+    assert figures._sides(apart, viewer, centre) == ("center", "center")
+
+
+@pytest.mark.parametrize("shape", [(100, 100), (150, 120)])
+def test_titles_of_projections_do_not_touch_the_edge(shape):
+    images = [(view, np.full(shape, 0.1)) for view in range(4)]
+    png = figures.projection_strip(images, Panel(shape[0], shape[1], 1.0, 1.0)).content
+    assert np.asarray(Image.open(io.BytesIO(png)).convert("L"))[:5].min() == 255
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,8 @@ Threads = Annotated[
     int | None,
     tyro.conf.arg(
         metavar="N",
-        help="Threads per process (default: TWINCT_THREADS, or all available).",
+        help="Threads per process.",
+        help_behavior_hint="(default: TWINCT_THREADS, or all available)",
     ),
 ]
 Flag = tyro.conf.FlagCreatePairsOff[bool]

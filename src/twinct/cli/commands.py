@@ -21,6 +21,7 @@ from twinct.cli.finished import (
     report,
     verify,
 )
+from twinct.cli.optional import optional_told
 from twinct.cli.planning import motion, place, plan, reach, uncertainty
 from twinct.cli.predict import predict
 from twinct.cli.running import node, run, view
@@ -28,6 +29,7 @@ from twinct.cli.scenarios import check, init, render, schema, specimen, urdf
 from twinct.cli.study import study
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
+from twinct.link.recording.arms_recording import ArmsRecording
 
 CALIBRATE = "Estimate the executed poses of source and detector, and add them as a geometry."
 CTSIMU = "Scenarios in the CTSimU format: render, export, qualify."
@@ -47,12 +49,13 @@ def _application(*, summaries: bool) -> tyro.extras.SubcommandApp:
     made = tyro.extras.SubcommandApp()
     for name, function in zip(NAMES, _FUNCTIONS, strict=False):
         summary = " ".join((function.__doc__ or "").partition("\n\n")[0].split())
-        made.command(name=name, help=summary if summaries else None)(function)
+        made.command(name=name, help=summary if summaries else None)(optional_told(function))
     for name, (group, summary) in _GROUPS.items():
         made.command(group, name=name, help=summary)
     return made
 
 
+optional_told(ArmsRecording)
 app = _application(summaries=False)
 
 

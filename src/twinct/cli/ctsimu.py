@@ -12,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from twinct.cli.arguments import Flag
+from twinct.cli.optional import optional_told
 
 if TYPE_CHECKING:
     from twinct.ctsimu.scenario import CtsimuScenario
@@ -26,6 +27,7 @@ MOST_SPOT_POINTS = 10_000
 
 
 @ctsimu.command
+@optional_told
 def render(
     scenario: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.json")],
     *,
@@ -75,6 +77,7 @@ def render(
 
 
 @ctsimu.command
+@optional_told
 def export(
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")],
     *,
@@ -113,6 +116,7 @@ def export(
 
 
 @ctsimu.command
+@optional_told
 def qualify(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],

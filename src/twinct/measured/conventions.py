@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,6 +44,9 @@ SAME = 0.002
 """Largest relative difference of residuals within a class."""
 
 MOST_SHOWN = 8
+
+TITLE_WIDTH = 36
+"""Most characters of a line above one of four pictures abreast."""
 
 SCALE = (
     "a common scale of all lengths changes no projection: distances and pitch cannot be found "
@@ -124,7 +128,7 @@ class Ranking:
     def show(self, path: Path) -> None:
         """Draw the middle planes of the best classes side by side."""
         best = [one[0] for one in self.classes[:MOST_SHOWN]]
-        show(partial(_draw, best), (10.4, 2.9 * -(-len(best) // 4)), path)
+        show(partial(_draw, best), (10.4, 3.3 * -(-len(best) // 4)), path)
 
 
 def try_conventions(told: Measured, observers: Observers = ()) -> Ranking:
@@ -249,11 +253,13 @@ def _grid(geometry: ScanGeometry) -> VolumeGrid:
 
 def _draw(best: list[Tried], figure: Any) -> None:
     rows = -(-len(best) // 4)
+    figure.get_layout_engine().set(h_pad=0.12)  # titles must not touch the edge
     axes = figure.subplots(rows, min(4, len(best)), squeeze=False)
     for at in axes.flat[len(best) :]:
         at.set_visible(False)
     for at, tried in zip(axes.flat, best, strict=False):
         top = max(float(np.percentile(tried.plane, 99.5)), 1e-9)
         at.imshow(tried.plane, cmap="gray", vmin=0, vmax=top, origin="lower")
-        at.set_title(f"{100 * tried.residual_rel:.1f} %\n{tried.candidate.in_words}", fontsize=8)
+        lines = f"{100 * tried.residual_rel:.1f} %", *wrap(tried.candidate.in_words, TITLE_WIDTH)
+        at.set_title("\n".join(lines), fontsize=8)
         at.set_axis_off()

@@ -30,6 +30,7 @@ from twinct.core.files.writing import (
 from twinct.core.foreign_text import counted
 from twinct.core.interruption import keeping
 from twinct.geometry import Pose, ScanGeometry
+from twinct.measured.predicted_mesh import check_seen
 from twinct.measured.prediction_picture import show_prediction
 from twinct.measured.residuals import CAUSES, Residuals, residuals_of
 from twinct.measured.volume_folder import is_measured_scan, measured_volumes, write_page
@@ -122,10 +123,14 @@ def predict(
 
     Raises:
         InputError: no scan, an unknown geometry, a key of another section, a mesh or material that
-            cannot be used, or fewer than four views.
+            cannot be used, a mesh outside all views, or fewer than four views.
         ScanExistsError: the name is taken.
     """
+    from twinct.specimen.materials import material as known_material
+
     folder = Folder(Path(path))
+    if material is not None:
+        known_material(material, "--material")
     scan = replace(load_scan(folder.path), scenario=_scenario(folder, overrides, mesh, material))
     which = geometry or scan.scenario.reconstruction.geometries[0]
     scan.poses(which)
@@ -156,7 +161,9 @@ def _predicted(
     """Make and write a prediction."""
     views, chosen = scan.geometry(which), np.arange(len(scan))
     if scan.scenario.specimen.parts:
-        words, specimen = "meshes", SimulationBuilder(scan.scenario).specimen
+        specimen = SimulationBuilder(scan.scenario).specimen
+        check_seen(specimen, views)
+        words = f"meshes, as {', '.join(one.name for one in specimen.materials)}"
         counts = np.ones((len(scan), *views.panel.shape), bool)
     else:
         words, specimen, counts = _own_volume(scan, views, substance, checkpoints, audience)

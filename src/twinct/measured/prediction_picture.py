@@ -53,7 +53,11 @@ def _draw(
         again.imshow(predicted[k], origin="lower", **grey)
         off = measured[k] - predicted[k]
         shown = left.imshow(off, origin="lower", cmap="RdBu_r", vmin=-limit, vmax=limit)
-        titles = f"{word}: view {one.view}", "predicted", f"residual {100 * one.rms_rel:.2f} %"
+        titles = (
+            f"measured p: view {one.view}, {word}",
+            "predicted q",
+            f"residual {100 * one.rms_rel:.2f} %",
+        )
         for axes, title in zip(grid[row], titles, strict=True):
             axes.set_title(title, fontsize=9)
             axes.set_axis_off()
@@ -65,7 +69,7 @@ def _draw(
     for cause, name in enumerate(CAUSES):
         left = [100 * one.left_rel[cause] for one in found.views]
         by_view.plot(views, left, lw=1, label=f"after {name}")
-    by_view.set(xlabel="view", ylabel="RMS / %")
+    by_view.set(xlabel="view", ylabel="RMS of p - q, % of RMS of p")
     by_view.set_ylim(bottom=0)
     by_view.legend(fontsize=8)
     by_value.axhline(0, color="#9aa5b1", lw=0.8)

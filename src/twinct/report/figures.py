@@ -92,21 +92,38 @@ def source_path(commanded: Floats, executed: Floats, isocentre: Floats) -> Pictu
             style = {"s": 0.8 * dot, "alpha": 0.45} if faint else {"s": dot, "alpha": 1.0}
             style |= {"c": colours[part], "depthshade": False, "linewidths": 0, "zorder": order}
             axes.scatter(*executed[part].T, **style)
-        for index, label in ((0, "first"), (-1, "last")):
-            point = isocentre + 1.13 * (commanded[index] - isocentre)
-            axes.text(*point, label, fontsize=8.5, ha="center", va="bottom", zorder=9)
+        ends = isocentre + 1.13 * (commanded[[0, -1]] - isocentre)
+        for point, label, side in zip(
+            ends, ("first", "last"), _sides(ends, viewer, isocentre), strict=True
+        ):
+            label = {"right": f"{label} ", "left": f" {label}"}.get(side, label)
+            axes.text(*point, label, fontsize=8.5, ha=side, va="bottom", zorder=9)
         axes.scatter(*isocentre, marker="+", s=60, c="#111111", lw=1.3, zorder=8)
         name = "  isocentre (inside)" if on_sphere else "  isocentre"
         axes.text(*isocentre, name, fontsize=8.5, va="center", zorder=8)
         _equal_box(axes, np.vstack([commanded, executed, isocentre[None]]), isocentre, on_sphere)
         if on_sphere:
             _ball(axes, isocentre, radius, viewer)
-        views = ScalarMappable(Normalize(0, max(len(commanded) - 1, 1)), ListedColormap(colours))
+        views = ScalarMappable(Normalize(-0.5, len(commanded) - 0.5), ListedColormap(colours))
         bar = figure.colorbar(views, ax=axes, cax=figure.add_axes((0.885, 0.27, 0.022, 0.46)))
         bar.set_label("view")
         bar.locator = MaxNLocator(5, integer=True)
         bar.outline.set_visible(False)
         return png(figure, 180)
+
+
+_NEAR = 0.35
+"""Distance on the screen, relative to that from the isocentre, at which two labels touch."""
+
+
+def _sides(points: Floats, viewer: Floats, isocentre: Floats) -> tuple[str, str]:
+    """Return how the labels of two points (2, 3) are aligned: side by side if they would touch."""
+    apart = points[0] - points[1]
+    across = np.cross([0, 0, 1.0], viewer)
+    seen = np.linalg.norm(apart - (apart @ viewer) * viewer)
+    if seen > _NEAR * np.linalg.norm(points[0] - isocentre):
+        return "center", "center"
+    return ("left", "right") if apart @ across > 0 else ("right", "left")
 
 
 _FINEST_RAD = 0.02
@@ -410,7 +427,7 @@ def _grey_window(sections: Sequence[CrossSection], mu_reference: float) -> Norma
     return Normalize(-0.1 * end, 1.2 * end)
 
 
-def _pad(figure: Figure, **pads: float) -> None:
+def _pad(figure: Figure, **pads: Any) -> None:
     engine: Any = figure.get_layout_engine()
     engine.set(**pads)
 
@@ -459,9 +476,10 @@ def projection_strip(
     rows = -(-len(projections) // per_row)
     with mpl.rc_context(STYLE):
         cell = (WIDTH - 0.9) / per_row
-        size = WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.3
+        size = WIDTH, rows * (0.88 * cell * height / width + 0.3) + 0.46
         figure = Figure(figsize=size, layout="constrained")
-        _pad(figure, h_pad=0.08)  # titles must not touch the edge
+        edge = 0.08 / size[1]  # the layout of images of equal scales misses its pads by so much
+        _pad(figure, h_pad=0.08, rect=(0, edge, 1, 1 - 2 * edge))
         grid = figure.subplots(rows, per_row, squeeze=False, sharex=True, sharey=True)
         for axes in grid.flat[len(projections) :]:
             axes.set_visible(False)

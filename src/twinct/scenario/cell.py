@@ -161,7 +161,7 @@ class Arm(Section):
         "that of their collision shapes. null: such a file is refused.",
         json_schema_extra=facts(unit="kg/m^3"),
     )
-    joint_torque_nm: Annotated[tuple[Positive, ...] | None, ReadBy("executed")] = Field(
+    joint_torque_nm: Annotated[Positive | tuple[Positive, ...] | None, ReadBy("executed")] = Field(
         default=None,
         description="With file: torque limits of joints whose limit the file does not state, one "
         "number for each joint from base to flange, or one for all. null: such a file is refused.",

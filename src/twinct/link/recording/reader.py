@@ -88,6 +88,14 @@ def reader_of(kind: str) -> Decode:
     return decode
 
 
+_IMAGES = (".tif", ".tiff", ".png", ".raw", ".img", ".npy", ".npz", ".h5", ".hdf5", ".mha", ".dcm")
+"""Endings of images, which somebody may give in place of their description."""
+
+_OF_IMAGES = (
+    ", but images without geometry: state images and geometry in a YAML file (docs/measured.md)"
+)
+
+
 class Recording:
     """A file, read from its beginning each time.
 
@@ -117,7 +125,8 @@ class Recording:
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         except _BROKEN:
-            raise InputError(f"{path} is not an MCAP file") from None
+            hint = _OF_IMAGES if path.suffix.lower() in _IMAGES else ""
+            raise InputError(f"{path} is not an MCAP file{hint}") from None
 
     def _read_summary(self, file: BinaryIO) -> None:
         """Read the channels repeated at the end, in case the chunk that defines them is damaged."""

@@ -179,8 +179,18 @@ def _normalised(
     names = tuple(model.joint(i).name for i in range(model.njnt))
     if not all(names):
         raise ScenarioError(f"{origin} has joints without a name")
-    torques, supplied = _torques(model, names, arm, origin, own)
-    speeds = _speed_limits(spec, names, arm, origin, own)
+    lacking = list(own.lacking) if own else []
+    torques, supplied, speeds = np.empty(0), (), np.empty(0)
+    try:
+        torques, supplied = _torques(model, names, arm, origin, own)
+    except ScenarioError as error:
+        lacking += error.problems
+    try:
+        speeds = _speed_limits(spec, names, arm, origin, own)
+    except ScenarioError as error:
+        lacking += error.problems
+    if lacking:
+        raise ScenarioError(lacking)
     home = _home(model, names, arm, key)
     flange = own.flange_site if own else _flange(spec, model)
     for group in ("actuators", "keys", "sensors", "lights", "cameras", "numerics"):
@@ -217,7 +227,7 @@ def _torques(
             "key joint_torque_nm"
         )
         raise ScenarioError(f"{origin} states no torque limit for {bad}{cure if own else ''}")
-    stated = np.array(arm.joint_torque_nm)
+    stated = np.atleast_1d(arm.joint_torque_nm)
     if len(stated) not in (1, len(names)):
         raise ScenarioError(
             f"{origin}: joint_torque_nm has {len(stated)} numbers; expected 1 or {len(names)}, one "

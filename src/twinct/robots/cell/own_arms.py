@@ -51,6 +51,7 @@ class OwnArm:
         file_from_base: pose of the base in the file's world.
         notes: data that the scenario supplied in place of the file, in words.
         files: the file, and all files that it names.
+        lacking: refusal of links without inertia, for one message with the limits that lack.
     """
 
     spec: mujoco.MjSpec
@@ -59,6 +60,7 @@ class OwnArm:
     file_from_base: Pose
     notes: tuple[str, ...] = ()
     files: tuple[Path, ...] = ()
+    lacking: tuple[str, ...] = ()
 
 
 def read_own_arm(arm: Arm, where: str) -> OwnArm:
@@ -69,7 +71,8 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
         where: name of the file in messages.
 
     Raises:
-        ScenarioError: the file cannot be read, or lacks data that a cell needs.
+        ScenarioError: the file cannot be read, or lacks data that a cell needs, other than inertia
+            and limits.
     """
     mujoco = mujoco_module()
     assert arm.file is not None
@@ -85,13 +88,14 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
     _check(model, where)
     _check_sizes(model, where)
     within = _within_each_other(spec, model) if xml.is_urdf else ()
-    notes = (*alone.notes, *balanced, *within, *_weigh(spec, model, arm, xml.is_urdf, where))
+    weighed, lacking = _weigh(spec, model, arm, xml.is_urdf, where)
+    notes = (*alone.notes, *balanced, *within, *weighed)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     base = _base(model, data, arm.base, where)
     _show_visuals(spec, model)
     flange = _flange(spec, model, data, arm.flange, xml.is_urdf, where)
-    return OwnArm(spec, flange, xml.speed_limits, base, notes, xml.files)
+    return OwnArm(spec, flange, xml.speed_limits, base, notes, xml.files, lacking)
 
 
 def _check(model: mujoco.MjModel, where: str) -> None:
@@ -151,7 +155,21 @@ def _check_sizes(model: mujoco.MjModel, where: str) -> None:
     if not len(meshes) or arm <= 0:
         return
     geom = int(meshes[sizes.argmax()])
-    name, largest = model.mesh(model.geom_dataid[geom]).name, float(sizes.max())
+    check_scale(model.mesh(model.geom_dataid[geom]).name, float(sizes.max()), arm, where)
+
+
+def check_scale(name: str, largest: float, arm: float, where: str) -> None:
+    """Refuse the largest mesh of an arm if it is not in m.
+
+    Args:
+        name: the mesh.
+        largest: its diagonal with its scale, m.
+        arm: sum of the distances between joints, m.
+        where: name of the file in messages.
+
+    Raises:
+        ScenarioError: the mesh is far larger or smaller than the links.
+    """
     if not IN_SCALE[0] < largest / arm < IN_SCALE[1]:
         unit, factor = ("mm", "0.001") if largest > arm else ("m already", "1")
         raise ScenarioError(
@@ -200,39 +218,40 @@ def _within_each_other(spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[str,
 
 def _weigh(
     spec: mujoco.MjSpec, model: mujoco.MjModel, arm: Arm, is_urdf: bool, where: str
-) -> tuple[str, ...]:
-    """Give links without inertia that of their collision shapes, and return a note about them.
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Give links without inertia that of their collision shapes.
 
     MJCF defines a default density, URDF does not.
 
-    Raises:
-        ScenarioError: a link of URDF has no inertia, and the scenario states no density.
+    Returns:
+        A note about these links, and the refusal of links without inertia if neither the URDF nor
+        the scenario states it.
     """
     if spec.compiler.inertiafromgeom == mujoco_module().mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-        return ()
+        return (), ()
     pieces: dict[int, list[Any]] = {}
     for body in spec.bodies[1:]:
         pieces.setdefault(int(model.body_weldid[body.id]), []).append(body)
     pieces.pop(0, None)  # the base does not move
     bare = {link: of for link, of in pieces.items() if not any(_has_mass(body) for body in of)}
     if not bare:
-        return ()
+        return (), ()
     names = ", ".join(model.body(link).name for link in bare)
     density, origin = arm.link_density_kg_m3, "link_density_kg_m3"
     if density is None and not is_urdf:
         density, origin = DEFAULT_DENSITY, "MJCF's default density"
     if density is None:
-        raise ScenarioError(
+        return (), (
             f"{where} states no inertia for {names}: without it, torques would be wrong. Write it "
             "into the file (<inertial>), or set the key link_density_kg_m3, from which these links "
-            "get the inertia of their collision shapes"
+            "get the inertia of their collision shapes",
         )
     for body in (body for of in bare.values() for body in of):
         for geom in body.geoms:
             geom.density = density if geom.contype or geom.conaffinity else 0.0
     heavy = spec.compile()
     mass = sum(float(heavy.body_mass[body.id]) for of in bare.values() for body in of)
-    return (f"{names}: {mass:.2f} kg, from {origin} ({density:g} kg/m^3)",)
+    return (f"{names}: {mass:.2f} kg, from {origin} ({density:g} kg/m^3)",), ()
 
 
 def _has_mass(body: Any) -> bool:

@@ -18,12 +18,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
+import numpy as np
+
 from twinct.core.errors import ScenarioError
 from twinct.core.files.arm_xml import LARGEST_BYTES, mesh_file
 from twinct.core.files.boundary import read_bytes
 from twinct.core.files.ros_packages import PATHS, package_folder
 from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.foreign_text import quoted, shortened
+from twinct.robots.cell.own_arms import check_scale
 
 if TYPE_CHECKING:
     import trimesh
@@ -65,7 +68,7 @@ def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written
 
     Raises:
         ScenarioError: xacro is needed and not installed; the file, a package or a mesh cannot be
-            read.
+            read; the meshes are not in m.
         StorageError: the folder cannot be written.
     """
     where, file = str(file), file.resolve()
@@ -88,6 +91,7 @@ def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written
     meshes = _Meshes(file, where)
     for link in root.findall("link"):
         meshes.place(link)
+    meshes.check_scale(root)
     ElementTree.indent(root)
     with storage_errors(folder):
         (folder / MESHES).mkdir(parents=True)
@@ -160,6 +164,7 @@ class _Meshes:
     def __init__(self, main: Path, where: str) -> None:
         self._main, self._where = main, where
         self.written, self.parts = dict[str, "trimesh.Trimesh"](), dict[str, int]()
+        self._diagonals = dict[str, float]()
 
     def place(self, link: Any) -> None:
         """Replace the meshes of a link: pictures as they are, collision meshes by convex parts."""
@@ -176,6 +181,7 @@ class _Meshes:
                         link.remove(element)
                         continue
                     raise
+                self._measure(mesh, read)
                 pieces = [read] if role == "visual" else _convex(read)
                 if len(pieces) > 1:
                     self.parts[name] = self.parts.get(name, 0) + len(pieces)
@@ -186,6 +192,32 @@ class _Meshes:
                     stem = "_".join((name, role, str(number), *([str(part)] if part else [])))
                     copy.find("geometry/mesh").set("filename", self._kept(piece, stem))
                     link.insert(at + part, copy)
+
+    def _measure(self, element: Any, mesh: trimesh.Trimesh) -> None:
+        """Keep the diagonal of a mesh with the scale of its element, m."""
+        try:
+            scale = np.array((element.get("scale") or "1 1 1").split(), float)
+            diagonal = float(np.linalg.norm(scale * mesh.extents))
+        except ValueError:  # MuJoCo refuses such a scale
+            return
+        name = element.get("filename", "")
+        self._diagonals[name] = max(diagonal, self._diagonals.get(name, 0.0))
+
+    def check_scale(self, root: Any) -> None:
+        """Refuse meshes in another unit than the links.
+
+        Raises:
+            ScenarioError: the largest mesh is not in m.
+        """
+        origins = [joint.find("origin") for joint in root.findall("joint")]
+        places = [o.get("xyz") or "0 0 0" for o in origins if o is not None]
+        try:
+            length = sum(float(np.linalg.norm(np.array(p.split(), float))) for p in places)
+        except ValueError:  # MuJoCo refuses such a joint
+            return
+        if self._diagonals and length > 0:
+            name, largest = max(self._diagonals.items(), key=lambda one: one[1])
+            check_scale(name, largest, length, self._where)
 
     def _read(self, name: str) -> trimesh.Trimesh:
         """Read a mesh in m.
@@ -245,8 +277,6 @@ def _convex(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
 def _inside(hull: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
     """Return True if one convex body lies in another."""
-    import numpy as np
-
     across = hull.vertices @ other.face_normals.T - (
         other.face_normals * other.triangles_center
     ).sum(axis=1)
