@@ -18,6 +18,7 @@ from twinct.core.extras import require
 from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.evaluation import sight
+from twinct.recon.engine import requested_engine
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
 from twinct.runs.metal_reduction import check_metal
@@ -276,3 +277,20 @@ def require_extras(scenario: Scenario) -> None:
     require(*robots, *engine_extras(scenario.engine), *rtk)
     if scenario.engine is not None:
         engine_named(scenario.engine).check()
+
+
+def check_engine(scenario: Scenario) -> None:
+    """Check the engine of the reconstruction that the environment names.
+
+    Raises:
+        InputError: it is unknown, there is no card for it, or it cannot do this job.
+    """
+    if requested_engine() != "cuda" or scenario.reconstruction.algorithm == "rtk_sart":
+        return
+    from twinct.core import card
+    from twinct.recon.moving import refuse_card
+
+    card.device()
+    motion = scenario.reconstruction.motion
+    if motion is not None and motion.compensate:
+        refuse_card()

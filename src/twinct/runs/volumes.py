@@ -16,7 +16,6 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.core import card
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
@@ -28,11 +27,9 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.algorithms import algorithms
-from twinct.recon.engine import requested_engine
 from twinct.recon.known_components import implant_bytes
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
-from twinct.recon.moving import refuse_card
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.steps import Step
 from twinct.recon.surroundings import (
@@ -42,6 +39,7 @@ from twinct.recon.surroundings import (
     without_surroundings,
 )
 from twinct.recon.volume import Volume
+from twinct.runs.checks import check_engine
 from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, without_implants_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
@@ -373,16 +371,6 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     return stages
 
 
-def _check_engine(scenario: Scenario) -> None:
-    """Raise InputError if the engine of the environment is unknown, or cannot do this job here."""
-    if requested_engine() != "cuda" or scenario.reconstruction.algorithm == "rtk_sart":
-        return
-    card.device()
-    motion = scenario.reconstruction.motion
-    if motion is not None and motion.compensate:
-        refuse_card()
-
-
 def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
     """Raise before any work if the algorithm cannot reconstruct the scan, or memory is too small.
 
@@ -390,7 +378,7 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
         InputError: an unknown engine, a grid behind a source, no circular scan for ``fdk``, or an
             unusable prior; or too little memory, with the needed and the available amount.
     """
-    _check_engine(scenario)
+    check_engine(scenario)
     section = scenario.reconstruction
     algorithm, grid = algorithms()[section.algorithm], section.volume_grid
     check_grid(commanded, grid)
