@@ -13,6 +13,7 @@ from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import pytest
 from waiting import until
@@ -66,10 +67,14 @@ def browser() -> Iterator[Browser]:
 @pytest.mark.process
 def test_the_site_leads_from_page_to_page(browser: Browser, address: str) -> None:
     browser.visit(address)
-    links = browser.find(".navbar-header-items__start ~ * a.nav-link, .navbar-nav a.nav-link")
-    names = [link.text for link in links if link.is_displayed()]
-    assert names[:6] == ["Start", "Tutorials", "Gallery", "How-to", "Explanation", "Reference"]
-    next(link for link in links if link.text == "Reference").click()
+
+    def links() -> list[Any]:
+        found = browser.find(".navbar-header-items__start ~ * a.nav-link, .navbar-nav a.nav-link")
+        return [link for link in found if link.is_displayed()]
+
+    names = ["Start", "Tutorials", "Gallery", "How-to", "Explanation", "Reference"]
+    until(lambda: [link.text for link in links()][:6] == names, "the pages' names do not show")
+    next(link for link in links() if link.text == "Reference").click()
     until(lambda: "Look things up here" in browser.text(), "the reference does not open")
     assert browser.complaints() == []
 
@@ -92,11 +97,15 @@ def test_a_page_of_the_gallery_opens_and_its_program_can_be_taken(
     browser: Browser, address: str
 ) -> None:
     browser.visit(f"{address}/gallery/index.html")
-    cards = browser.find(".sphx-glr-thumbcontainer a")
     programs = list((ROOT / "examples" / "gallery").glob("*.py"))
-    assert len({card.get_attribute("href") for card in cards}) == len(programs)
-    browser.visit(str(cards[0].get_attribute("href")))
-    assert browser.find(".sphx-glr-download-python a")
+
+    def pages() -> list[str]:
+        cards = browser.find(".sphx-glr-thumbcontainer a")
+        return sorted({str(card.get_attribute("href")) for card in cards})
+
+    until(lambda: len(pages()) == len(programs), "the gallery does not show each program once")
+    browser.visit(pages()[0])
+    until(lambda: browser.find(".sphx-glr-download-python a"), "no program can be taken")
     assert browser.complaints() == []
 
 
