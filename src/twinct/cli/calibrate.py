@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from twinct.cli.arguments import Flag
-from twinct.cli.optional import optional_told
+from twinct.cli.optional import mark_optional
 from twinct.cli.progress import on_terminal, say
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import counted
@@ -256,7 +256,7 @@ METHODS = {
 }
 
 for _name, _method in METHODS.items():
-    calibrate.command(name=_name)(optional_told(_method))
+    calibrate.command(name=_name)(mark_optional(_method))
 
 
 def _say_start(start: EpipolarConsistency, started: Aligned) -> None:

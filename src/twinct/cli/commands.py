@@ -21,7 +21,7 @@ from twinct.cli.finished import (
     report,
     verify,
 )
-from twinct.cli.optional import optional_told
+from twinct.cli.optional import mark_optional
 from twinct.cli.planning import motion, place, plan, reach, uncertainty
 from twinct.cli.predict import predict
 from twinct.cli.running import node, run, view
@@ -49,13 +49,13 @@ def _application(*, summaries: bool) -> tyro.extras.SubcommandApp:
     made = tyro.extras.SubcommandApp()
     for name, function in zip(NAMES, _FUNCTIONS, strict=False):
         summary = " ".join((function.__doc__ or "").partition("\n\n")[0].split())
-        made.command(name=name, help=summary if summaries else None)(optional_told(function))
+        made.command(name=name, help=summary if summaries else None)(mark_optional(function))
     for name, (group, summary) in _GROUPS.items():
         made.command(group, name=name, help=summary)
     return made
 
 
-optional_told(ArmsRecording)
+mark_optional(ArmsRecording)
 app = _application(summaries=False)
 
 

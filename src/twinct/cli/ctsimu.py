@@ -12,7 +12,7 @@ import tyro
 from rich.console import Console
 
 from twinct.cli.arguments import Flag
-from twinct.cli.optional import optional_told
+from twinct.cli.optional import mark_optional
 
 if TYPE_CHECKING:
     from twinct.ctsimu.scenario import CtsimuScenario
@@ -27,7 +27,7 @@ MOST_SPOT_POINTS = 10_000
 
 
 @ctsimu.command
-@optional_told
+@mark_optional
 def render(
     scenario: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE.json")],
     *,
@@ -77,7 +77,7 @@ def render(
 
 
 @ctsimu.command
-@optional_told
+@mark_optional
 def export(
     scan: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SCAN")],
     *,
@@ -116,7 +116,7 @@ def export(
 
 
 @ctsimu.command
-@optional_told
+@mark_optional
 def qualify(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],

@@ -14,8 +14,8 @@ _OPTIONAL, _REQUIRED = (
 )
 
 
-def optional_told(command: Command) -> Command:
-    """Let the help of a command, or of a group of arguments, call arguments optional.
+def mark_optional(command: Command) -> Command:
+    """Mark arguments of a command, or of a group of arguments, as optional in its help.
 
     An argument that states its own hint keeps it. Lists without default value are required.
     """
