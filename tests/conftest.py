@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import random
 import signal
@@ -84,6 +85,12 @@ numba_event.register("numba:compile", _compilations)
 def pytest_configure(config: pytest.Config) -> None:
     """Report the stacks of a worker that crashes."""
     config.pluginmanager.register(CrashReport())
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector the objects that stay: they cost a tenth of the time."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)

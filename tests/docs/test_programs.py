@@ -53,8 +53,6 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_programs_of_a_page_run(
     page: Path, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if "xarray" in page.read_text(encoding="utf-8"):
-        pytest.importorskip("xarray")  # no extra brings it
     matplotlib.use("Agg")
     monkeypatch.chdir(place)
     names: dict[str, object] = {}
