@@ -217,6 +217,7 @@ def test_metal_is_avoided_whatever_counts_of_it(file: Path, tmp_path: Path, coun
         assert found["spread_evenly"] == pytest.approx(told["spread_evenly"], rel=0.3)
 
 
+@pytest.mark.tutorial
 def test_paths_are_tried(file: Path, tmp_path: Path) -> None:
     """Six views of a circle about z see no z in the block; a tilted circle's volume is better."""
     grid = "reconstruction={algorithm: sart, iterations: 3, grid: {voxels: 24, voxel_mm: 6}}"
@@ -352,6 +353,7 @@ def test_arms_that_reach_too_little_say_how_much(file: Path, tmp_path: Path) -> 
         plan_views(file, tmp_path / "out", overrides)
 
 
+@pytest.mark.tutorial
 @pytest.mark.process
 def test_other_processes_find_the_same(file: Path, tmp_path: Path) -> None:
     arms = ["cell={kind: arms}", "motion={detector_roll: free}", "task.candidates=16"]
