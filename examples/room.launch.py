@@ -4,8 +4,9 @@
     ros2 launch examples/room.launch.py description:=out/room/cell.urdf
 
 with the ROS_DOMAIN_ID that ``twinct run`` prints, and ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST.
-``robot_state_publisher`` makes ``/tf`` of ``/joint_states``: the frames ``source``, ``detector``
-and ``detector_optical`` among them. ``rviz:=false`` leaves RViz out.
+The frames in ``/tf`` are the scan's own. ``robot_state_publisher`` only brings the description with
+meshes; its frames, of which the links have other parents, go to topics of their own.
+``rviz:=false`` leaves RViz out.
 """
 
 # Packages of a system ROS, which no wheel brings.
@@ -42,7 +43,13 @@ def generate_launch_description() -> LaunchDescription:
                     }
                 ],
                 # The graph has a description already, with boxes in place of meshes.
-                remappings=[("robot_description", "/room_description")],
+                remappings=[
+                    ("robot_description", "/room_description"),
+                    ("tf", "/room_tf"),
+                    ("tf_static", "/room_tf_static"),
+                    ("/tf", "/room_tf"),
+                    ("/tf_static", "/room_tf_static"),
+                ],
             ),
             Node(
                 package="rviz2",

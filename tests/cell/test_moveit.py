@@ -129,6 +129,8 @@ def test_groups_and_pairs_are_those_of_the_plans(cell: CellModel, files: dict[st
         pair for pair in judged if pair <= set(arms)
     }
     assert off[frozenset(("source_shoulder", "source_upper_arm"))] == "Adjacent"
+    assert off[frozenset(("source_base", "source_pedestal"))] == "Adjacent"
+    assert off[frozenset(("source_base", "detector_track"))] == "Never"
     limits = yaml.safe_load(files["joint_limits.yaml"])["joint_limits"]
     assert list(limits) == list(cell.joint_names)
     speeds = [limits[name]["max_velocity"] for name in cell.joint_names]

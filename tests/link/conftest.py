@@ -235,6 +235,9 @@ class Said:
     class Out(NamedTuple):
         publish: Callable[[Any], None]
 
+        def get_subscription_count(self) -> int:
+            return 1
+
     def __init__(self) -> None:
         self.said: list[tuple[Any, Any]] = []
         self.hears: dict[Any, Any] = {}

@@ -12,9 +12,9 @@ from twinct.link import messages
 from twinct.link.robots_node import RobotsNode, Turns
 from twinct.link.senders import Sender
 from twinct.link.stamps import Epoch, Stamp
-from twinct.link.topics import CLOCK, DESCRIPTION, JOINTS, REACHED, TARGET, VIEWS
-from twinct.robots.cell import build_cell, cell_urdf
-from twinct.robots.motion import RobotSimulation, Shutter, plan_motion
+from twinct.link.topics import CLOCK, DESCRIPTION, JOINTS, REACHED, TARGET, TF, TF_STATIC, VIEWS
+from twinct.robots.cell import LinkFrames, build_cell, cell_urdf
+from twinct.robots.motion import PursuingSimulation, Shutter, plan_motion
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Detector, Motion
 
@@ -53,9 +53,9 @@ def test_interpolated_joints_give_the_executed_poses(
     client, cell, short, said, figure, motion, shutter
 ):
     epoch, targets = Epoch.of(short), SimulationBuilder(short).targets
-    robots = RobotSimulation(cell, motion, plan_motion(cell, motion, targets), shutter)
-    turns = Turns(epoch, targets, 0)
-    RobotsNode(said, said.diagnostics, robots, turns, description=cell_urdf(cell, Pose.identity()))
+    robots = PursuingSimulation(cell, motion, plan_motion(cell, motion, targets), shutter)
+    turns, urdf = Turns(epoch, targets, 0), cell_urdf(cell, Pose.identity())
+    RobotsNode(said, said.diagnostics, robots, turns, None, urdf, LinkFrames(cell))
     for view, target in enumerate(targets):
         said.hears[TARGET](messages.target_message(epoch.at(view), target), Sender("0" * 32, 1))
     assert len(said.of(REACHED)) == len(targets) and not said.diagnostics.refused
@@ -68,6 +68,7 @@ def test_interpolated_joints_give_the_executed_poses(
     for topic in (JOINTS, CLOCK):
         times = sorted({_stamp(message).time_s for message in said.of(topic)})
         assert max(b - a for a, b in zip(times, times[1:], strict=False)) < TICK_S
+    _check_frames(said)
     now_s = 0.0
     for topic, message in said.said:
         if topic == CLOCK:
@@ -75,6 +76,24 @@ def test_interpolated_joints_give_the_executed_poses(
             assert now_s > then_s
         elif topic in (VIEWS, REACHED, JOINTS):
             assert _stamp(message).time_s <= now_s
+
+
+def _check_frames(said):
+    """Frames are told with each view, with its poses, and between the views as often as joints."""
+    told = {}
+    for message in said.of(TF):
+        stamp = Stamp(**message.transforms[0]["header"]["stamp"])
+        assert stamp not in told
+        told[stamp] = {one["child_frame_id"]: one["transform"] for one in message.transforms}
+    for reached in said.of(REACHED):
+        frames = told[_stamp(reached)]
+        for name, pose in zip(("source", "specimen", "detector"), reached.poses, strict=False):
+            place = pose.position
+            assert frames[name]["translation"] == {"x": place.x, "y": place.y, "z": place.z}
+        assert "source_wrist_3" in frames
+    assert set(told) == {_stamp(message) for message in said.of(JOINTS)}
+    [standing] = said.of(TF_STATIC)
+    assert "table" in {one["child_frame_id"] for one in standing.transforms}
 
 
 def _stamp(message):

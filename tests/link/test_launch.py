@@ -67,8 +67,11 @@ def test_the_launch_file_starts_both_on_the_scans_clock(nodes):
 
 
 def test_rviz_shows_what_there_is_as_it_is_published(nodes, rviz):
-    [(mine, room)] = ast.literal_eval(nodes["robot_state_publisher"]["remappings"])
-    assert mine == DESCRIPTION.name.removeprefix("/")
+    remapped = dict(ast.literal_eval(nodes["robot_state_publisher"]["remappings"]))
+    room = remapped.pop(DESCRIPTION.name.removeprefix("/"))
+    # The scan's own frames are the only ones on /tf.
+    assert remapped.keys() == {"tf", "tf_static", "/tf", "/tf_static"}
+    assert not set(remapped.values()) & {"/tf", "/tf_static"}
     kinds = {topic.name: topic.message_class for topic in TOPICS} | {room: String}
     assert room not in {topic.name for topic in TOPICS}
     shown = 0

@@ -6,7 +6,17 @@ from pathlib import Path
 import pytest
 
 from twinct.link.arm_server import NAME as ARMS
-from twinct.link.topics import DIAGNOSTICS, EXPOSE, HOME, ROBOTS, SCAN, TOPICS, XRAY
+from twinct.link.topics import (
+    DIAGNOSTICS,
+    EXPOSE,
+    HOME,
+    ROBOTS,
+    SCAN,
+    TF,
+    TF_STATIC,
+    TOPICS,
+    XRAY,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -27,5 +37,5 @@ def test_each_topic_has_its_row_with_type_and_speaker():
             topic.kind.rpartition("/")[2],
             SPEAKERS[topic.owner],
         )
-        for topic in TOPICS
+        for topic in (*TOPICS, TF, TF_STATIC)
     }

@@ -1,12 +1,13 @@
-"""``/tf`` and ``/tf_static`` of a robots node without a scan."""
+"""``/tf`` and ``/tf_static`` of a robots node."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from twinct.geometry.wire import Instant, JointSample
+from twinct.geometry.wire import Instant
 from twinct.link.made_types import message_type
 from twinct.link.participant import Station
 from twinct.link.plain import transforms
@@ -44,16 +45,25 @@ class Frames:
         still = {name: here[name] for name in self._standing}
         standing.publish(self._message(Stamp(0, 0), None, still))
         self._static = standing
+        self._last: tuple[Stamp, Instant] | None = None
 
-    def tell(self, stamp: Stamp, sample: JointSample, instant: Instant) -> None:
+    @property
+    def heard(self) -> bool:
+        """True while somebody listens to the links that move."""
+        return self._moving.get_subscription_count() > 0
+
+    def tell(self, stamp: Stamp, joints: ArrayLike, instant: Instant) -> None:
         """Publish the links that move, source, panel, camera and specimen.
 
         Args:
             stamp: time of the joints.
-            sample: joints.
+            joints: rad, (n,).
             instant: poses of source, specimen and panel.
         """
-        links = self._links.at(sample.position)
+        if self._last == (stamp, instant):
+            return  # listeners complain about a frame that comes twice
+        self._last = stamp, instant
+        links = self._links.at(joints)
         moving = {name: pose for name, pose in links.items() if name not in self._standing}
         self._moving.publish(self._message(stamp, instant, moving))
 

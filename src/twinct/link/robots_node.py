@@ -233,7 +233,10 @@ class RobotsNode:
         if description is not None:
             self._description = station.publisher(DESCRIPTION)
             self._description.publish(String(data=description))
-        self._tell_frames: Callable[[JointSample], None] | None = None
+        self._frames: Frames | None = None
+        if links is not None and isinstance(robots, PursuingSimulation):
+            self._frames = Frames(station, links, len(robots.joints))
+            self._instant = lambda: robots.instant
         robots.on_joints = self._on_joints
         self._targets = station.listen_to_all(TARGET, self._on_target)
         station.serve(HOME, Trigger, self._on_home)
@@ -241,10 +244,6 @@ class RobotsNode:
         if turns is None and isinstance(robots, PursuingSimulation):
             self._arms = ArmServer(station, diagnostics, robots, self._advance)
             station.serve(EXPOSE, Trigger, partial(self._on_expose, robots))
-            if links is not None:
-                self._tell_frames = partial(
-                    self._on_frames, Frames(station, links, len(robots.joints)), robots
-                )
             still = np.zeros(len(robots.joints))
             rest = JointSample(robots.time_s, robots.joint_names, robots.joints, still, still)
             self._on_joints(rest)  # who joins learns where the arms stand before they move
@@ -334,16 +333,15 @@ class RobotsNode:
         stamp = Stamp.at(reached.middle_s)
         self._joints.publish(messages.joints_message(stamp, reached))
         self._state.publish(messages.state_message(stamp, reached))
+        if self._frames is not None:
+            self._frames.tell(stamp, reached.position, reached.executed)
 
     def _on_joints(self, joints: JointSample) -> None:
         self._advance(joints.time_s)
         self._joints.publish(messages.joints_message(Stamp.at(joints.time_s), joints))
-        if self._tell_frames is not None:
-            self._tell_frames(joints)
-
-    @staticmethod
-    def _on_frames(frames: Frames, robots: PursuingSimulation, joints: JointSample) -> None:
-        frames.tell(Stamp.at(joints.time_s), joints, robots.instant)
+        # A scan does not wait for frames that nobody hears; each of its views tells them anyway.
+        if self._frames is not None and (self._turns is None or self._frames.heard):
+            self._frames.tell(Stamp.at(joints.time_s), joints.position, self._instant())
 
     def _advance(self, time_s: float) -> None:
         """Advance the clock to a time, unless it is already there."""

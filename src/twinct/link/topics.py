@@ -82,7 +82,7 @@ TOPICS = (
 
 TF = Topic("/tf", "tf2_msgs/TFMessage", ROBOTS, 100)
 TF_STATIC = Topic("/tf_static", "tf2_msgs/TFMessage", ROBOTS, 1)
-"""Frames, which recordings and robots nodes without a scan tell."""
+"""Frames; a recording has its own ``/tf``, at the views, on either link."""
 
 KINDS = {str(topic): topic.kind for topic in (*TOPICS, TF)}
 """Type of the messages of each topic."""

@@ -19,6 +19,7 @@ from twinct.scenario.cell import (
     Rail,
     SourceArm,
     Table,
+    Turntable,
 )
 from twinct.scenario.composition import Composition
 from twinct.scenario.detector import (
@@ -203,6 +204,7 @@ __all__ = [
     "Tissues",
     "TissueTable",
     "TubeSpectrum",
+    "Turntable",
     "TwoMaterialHardening",
     "Uncertainty",
     "WholePart",

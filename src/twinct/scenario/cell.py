@@ -84,6 +84,40 @@ class Rail(Section):
         return self
 
 
+class Turntable(Section):
+    """A turntable that carries the arm's base: on the floor, on a wall, or under the ceiling."""
+
+    range_deg: tuple[Finite, Finite] = Field(
+        description="Limits of the turn, within -360 and 360 deg; at 0 the base is at "
+        "base_position_mm.",
+        json_schema_extra=facts(unit="deg"),
+    )
+    centre_mm: Vector = setting(
+        (0.0, 0.0, 0.0), "Point of the axis, from base_position_mm, along the world's axes."
+    )
+    axis: Vector = setting((0.0, 0.0, 1.0), "Direction of the axis in the world.", unit="1")
+    speed_deg_s: Positive = setting(40.0, "Largest speed; speed_scale applies to it, too.")
+    torque_nm: Positive = setting(
+        2000.0,
+        "Largest torque of the drive, which limits the acceleration; torque_scale applies to it.",
+        unit="N m",
+    )
+    mass_kg: Positive = setting(80.0, "Mass of the part that turns, pillar included.")
+
+    @model_validator(mode="after")
+    def _limits_and_direction(self) -> Turntable:
+        low, high = self.range_deg
+        if not -360 <= low < high <= 360:
+            what = (
+                "range_deg must rise from one limit to the other, within -360 and 360 deg, but is "
+                f"[{low:g}, {high:g}]"
+            )
+            raise ConflictError(Conflict(what, ("range_deg",)))
+        if not any(self.axis):
+            raise ConflictError(Conflict("axis must have a length", ("axis",)))
+        return self
+
+
 class Arm(Section):
     """One arm and its tool."""
 
@@ -111,6 +145,10 @@ class Arm(Section):
     rail: Annotated[Rail | None, ReadBy("plan")] = Field(
         default=None,
         description="Linear rail that carries the base: a seventh joint, which plans use.",
+    )
+    turntable: Annotated[Turntable | None, ReadBy("plan")] = Field(
+        default=None,
+        description="Turntable that carries the base, instead of a rail.",
     )
     home: Annotated[tuple[Finite, ...] | None, ReadBy("plan")] = Field(
         default=None,
@@ -199,6 +237,9 @@ class Arm(Section):
             raise ConflictError(
                 Conflict(f"{' and '.join(lone)}: only allowed with file", tuple(lone))
             )
+        if self.rail is not None and self.turntable is not None:
+            what = "rail and turntable exclude each other: one of them carries the base"
+            raise ConflictError(Conflict(what, ("rail", "turntable")))
         return self
 
     @property

@@ -80,7 +80,10 @@ def load_arm(arm: Arm, key: str) -> ArmModel:
     return _from_file(arm.model_copy(update={"file": offered.file, **keys}), key, origin)
 
 
-_PLACED = ("base_position_mm", "base_rotation_deg", "standoff_mm", "tool_rotation_deg", "rail")
+_PLACED = (
+    *("base_position_mm", "base_rotation_deg", "standoff_mm", "tool_rotation_deg"),
+    *("rail", "turntable"),
+)
 """Keys of an arm that its model does not depend on."""
 
 _kept: dict[tuple[str, str], tuple[tuple[object, ...], ArmModel]] = {}

@@ -109,11 +109,20 @@ class Clearance:
         distance = self._mujoco.mj_geomDistance(self._cell.model, data, a, b, limit_m, self._line)
         return distance - margin
 
-    def at(self, data: mujoco.MjData) -> Gap:
-        """Return the smallest distance now, at most 10 m; geom poses must be up to date."""
-        return self._gap(*self._search(data, self.lower_bounds(data), 10.0))
+    def at(self, data: mujoco.MjData, above_mm: float = -np.inf) -> Gap:
+        """Return the smallest distance now, at most 10 m; geom poses must be up to date.
 
-    def _search(self, data: mujoco.MjData, bounds: Floats, smallest: float) -> tuple[float, int]:
+        Args:
+            data: the instant.
+            above_mm: a distance at or below this one ends the search, even if there are smaller
+                ones.
+        """
+        bounds = self.lower_bounds(data)
+        return self._gap(*self._search(data, bounds, 10.0, above_mm / MM_PER_M))
+
+    def _search(
+        self, data: mujoco.MjData, bounds: Floats, smallest: float, above_m: float = -np.inf
+    ) -> tuple[float, int]:
         which = -1
         # The smallest distance is almost always among the near pairs, so sort only those first.
         near = np.flatnonzero(bounds < NEAR_M)
@@ -124,6 +133,8 @@ class Clearance:
                 distance = self._exact(data, pair, smallest)
                 if distance < smallest:
                     smallest, which = distance, int(pair)
+                    if smallest <= above_m:
+                        return smallest, which
             if smallest <= NEAR_M:
                 break
         return smallest, which

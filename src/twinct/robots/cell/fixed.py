@@ -38,6 +38,9 @@ _BUILT_TOGETHER = (
 """Kinds that touch by construction, or that may overlap, such as two zones."""
 
 
+_PIECES = {"pedestal": "pillar", "track": "rail", "turntable_foot": "turntable"}
+
+
 @dataclass(frozen=True)
 class Fixed:
     """One fixed body.
@@ -125,7 +128,7 @@ def _names(cell: CellModel, body: int) -> Fixed:
     name = _named(cell.model, body)
     for side, arm in zip(ARMS, (cell.cell.source_arm, cell.cell.detector_arm), strict=True):
         if name.startswith(f"{side}_"):
-            piece = {"pedestal": "pillar", "track": "rail"}.get(name.partition("_")[2], "base")
+            piece = _PIECES.get(name.partition("_")[2], "base")
             x, y, z = arm.base_position_mm
             key = f"cell.{side}_arm.base_position_mm = [{x:g}, {y:g}, {z:g}]"
             return Fixed("arm", side, f"the {side} arm's {piece}", key, name)

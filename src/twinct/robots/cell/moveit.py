@@ -105,7 +105,10 @@ def planning_scene(cell: CellModel) -> str:
 
 
 def _adjacent(cell: CellModel, one: int, other: int) -> bool:
-    """Return True if two bodies are welded together, or joined by one joint."""
+    """Return True if two bodies of one arm are welded together, or joined by one joint."""
+    sides = {cell.model.body(body).name.partition("_")[0] for body in (one, other)}
+    if len(sides) > 1:  # both are bolted to the room, but not to each other
+        return False
     welded, parents = cell.model.body_weldid, cell.model.body_parentid
     a, b = int(welded[one]), int(welded[other])
     return a == b or int(welded[parents[a]]) == b or int(welded[parents[b]]) == a

@@ -167,6 +167,8 @@ def room_pictures(
             if renderer is None or moment.marks.red != red:
                 red = moment.marks.red
                 model = _reddened(cell_model.model, red)
+                # Buffers of the picture's own size: those of the largest one take 0.3 s.
+                model.vis.global_.offwidth, model.vis.global_.offheight = width, height
                 data = mujoco.MjData(model)
                 if renderer is not None:
                     renderer.close()

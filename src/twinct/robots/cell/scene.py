@@ -31,6 +31,7 @@ from twinct.robots.cell.standing import (
     add_zones,
     object_margins,
 )
+from twinct.robots.cell.turntables import add_turntable, on_turntable
 from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ TOOLS_MM = 200.0
 """Length that the housings of source and panel add to the extent of a gantry's picture."""
 
 RAIL_MM = 120.0
-"""Depth of a rail with its carriage, below the base of an arm without a pillar."""
+"""Depth of a rail or turntable below the base of an arm without a pillar."""
 
 LYING_MM = 30.0
 """Gap above the mattress of an operating room below which a specimen lies on it."""
@@ -72,7 +73,7 @@ LARGEST_PICTURE = (3840, 2400)
 class CellModel:
     """Compiled model of the cell, with the indices and limits of its parts.
 
-    Every joint is a hinge, except the first one of an arm on a rail, whose unit is m, not rad.
+    Every joint is a hinge, except that of a rail, the first one of its arm: its unit is m, not rad.
     Joints, actuators and all arrays are in the order source arm, then detector arm, from base to
     flange.
 
@@ -158,6 +159,8 @@ def build_cell(
         loaded = load_arm(arm, f"cell.{side}_arm")
         if arm.rail is not None:
             loaded = on_rail(loaded, arm.rail)
+        if arm.turntable is not None:
+            loaded = on_turntable(loaded, arm.turntable)
         tool = _mount(spec, cell, side, arm, loaded).add_body(name=side)
         (_source_tool if side == "source" else _panel_tool)(tool, arm, panel)
         arms.append(loaded)
@@ -309,14 +312,17 @@ def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmMode
     x, y, z = arm.base_position_mm
     height = z - cell.floor_z_mm
     upright = np.allclose(np.asarray(arm.base_rotation_deg[:2]) % 360, 0)
-    carrier = spec.worldbody
+    carrier, depth = spec.worldbody, height if upright and height > RAIL_MM else RAIL_MM
     if arm.rail is not None:
-        depth = height if upright and height > RAIL_MM else RAIL_MM
         carrier = add_rail(spec, side, arm, arm.rail, depth)
-        position = position - np.array(arm.base_position_mm) * MM
+    elif arm.turntable is not None:
+        carrier = add_turntable(spec, side, arm, arm.turntable, depth)
+    fixed = carrier is spec.worldbody
+    if not fixed:
+        position = position - carrier.pos
     frame = carrier.add_frame(pos=position, quat=np.roll(quat, 1))
     spec.attach(loaded.spec, prefix=f"{side}_", frame=frame)
-    if arm.rail is None and height > 60 and upright:
+    if fixed and height > 60 and upright:
         body = spec.worldbody.add_body(name=f"{side}_pedestal")
         _rod(body, f"{side}_pedestal", (x, y, z - height + 30), (x, y, z), 100, "pedestal")
         _box(body, f"{side}_footplate", (x, y, z - height + 15), (420, 420, 30), "pedestal")

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import CellModel, mujoco_module
-from twinct.robots.cell.rails import direction
 from twinct.robots.motion.arm_search import SerialArm
+from twinct.robots.motion.carriers import Carrier
 from twinct.scenario import InverseKinematics
 
 if TYPE_CHECKING:
@@ -32,12 +32,6 @@ D1, A2, A3, D4, D5, D6 = 0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655
 
 ROUNDING = 1e-9
 """Amount by which a sine or cosine may exceed 1, for an arm that is just stretched out."""
-
-RAIL_STEP_M = 0.2
-"""Spacing of the places of a carriage that are tried with the closed form."""
-
-RAIL_ASIDE = 4
-"""Number of such places on either side of a pose."""
 
 SEARCH_STARTS = 48
 """Random starts of the search for a pose of an arm without closed form."""
@@ -88,7 +82,10 @@ class Branches:
         self._ranges = self._arm.ranges
         section = (cell.cell.source_arm, cell.cell.detector_arm)[arm]
         self.closed_form = section.model == "ur10e"
-        self._rail = None if section.rail is None else direction(section.rail)
+        self._carrier = None
+        if section.rail is not None or section.turntable is not None:
+            base_m = np.array(section.base_position_mm) / MM_PER_M
+            self._carrier = Carrier(section, base_m, self._ranges[0])
         self.redundant = not self.closed_form and len(self._ranges) > 6
         if self.closed_form:
             data, site = mujoco.MjData(cell.model), cell.site_ids[arm]
@@ -112,14 +109,12 @@ class Branches:
         poses[:, :3, 3] /= MM_PER_M
         if not self.closed_form:
             return self._searched(poses, starts, abreast)
-        if self._rail is None:
+        if self._carrier is None:
             return self._closed(poses, self._ranges)
-        places = self._rail_places(poses, self._rail)
+        places = self._carrier.places(poses)
         found = []
         for place in places.T:
-            shifted = poses.copy()
-            shifted[:, :3, 3] -= place[:, None] * self._rail
-            there = self._closed(shifted, self._ranges[1:])
+            there = self._closed(self._carrier.back(poses, place), self._ranges[1:])
             joints = np.column_stack([place[there.pose], there.joints])
             found.append(Configurations(joints, there.pose))
         pose = np.concatenate([of.pose for of in found])
@@ -134,19 +129,6 @@ class Branches:
             inside = (joints >= ranges[:, 0]) & (joints <= ranges[:, 1])
         pose, way = np.nonzero(inside.all(axis=2))
         return Configurations(joints[pose, way], pose)
-
-    def _rail_places(self, poses: Floats, axis: Floats) -> Floats:
-        """Return places of the carriage to try for each pose, m, (poses, k); NaN beyond the limits.
-
-        Some are the same for all poses, so that the carriage may stand still; the others follow the
-        poses along the rail, so that the arm may keep its shape.
-        """
-        low, high = self._ranges[0]
-        fixed = np.linspace(low, high, max(2, int(np.ceil((high - low) / RAIL_STEP_M)) + 1))
-        along = (poses[:, :3, 3] - self._world_from_base[:3, 3]) @ axis
-        following = along[:, None] + RAIL_STEP_M * np.arange(-RAIL_ASIDE, RAIL_ASIDE + 1)
-        following[(following < low) | (following > high)] = np.nan
-        return np.hstack([np.tile(fixed, (len(poses), 1)), following])
 
     def rolled(self, poses: Floats, rolls: Floats, starts: int = SEARCH_STARTS) -> Configurations:
         """Compute the configurations for poses that are rolled about their own z.

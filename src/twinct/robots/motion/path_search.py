@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -165,6 +165,7 @@ class _Finder:
         self._detours = Detours(cell, self._both, self._turns, seed, most_looks)
         self._roll_free = roll_free
         self._known: dict[bytes, Floats | None] = {}
+        self._clearance_of = cache(partial(Clearance, cell))
 
     def find(self, start: Floats | None) -> JointPath:
         found = [self._of_arm(arm) for arm in range(2)]
@@ -266,12 +267,13 @@ class _Finder:
 
     def _widest(self, joints: Floats, sides: tuple[str, ...]) -> Gap:
         """Return the largest clearance among some configurations."""
-        clearance, data = Clearance(self._cell, sides), mujoco.MjData(self._cell.model)
+        clearance, data = self._clearance_of(sides), mujoco.MjData(self._cell.model)
         best = Gap(-np.inf, ("", ""))
         for q in joints[:WIDEST_OF]:
             data.qpos[:] = q
             mujoco.mj_kinematics(self._cell.model, data)
-            best = max(best, clearance.at(data), key=lambda gap: gap.distance_mm)
+            here = clearance.at(data, best.distance_mm)
+            best = max(best, here, key=lambda gap: gap.distance_mm)
         return best
 
     def _pairs(self, views: Indices, layers: list[list[_Candidates]]) -> list[Indices]:

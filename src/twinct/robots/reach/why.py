@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -153,7 +153,9 @@ def reasons(
     asked, kept = _some(failing, FAILING), _some(fine, OTHERS)
     scope = f"{len(asked)} tested views (of {len(failing)} that cannot be held)"
     tests = [(make, poses[asked], poses[kept]) for make in ((rough, build) if rough else (build,))]
-    gained, words = _best_change(cell, motion, roll_free, tests, progress)
+    first, own, _ = tests[0]
+    without = [_not_held(first(cell), motion, roll_free, own, arm) for arm in range(2)]
+    gained, words = _best_change(cell, motion, roll_free, tests, without, progress)
     if gained == len(asked):
         return failing.tolist(), [f"cure: {words}; this cures the {scope}"]
     if gained:
@@ -165,24 +167,39 @@ def reasons(
     ]
 
 
+def _not_held(
+    cell: CellModel, motion: Motion, roll_free: tuple[bool, bool], asked: Poses, arm: int
+) -> int:
+    """Return the number of views that an arm cannot hold, wherever the other one stands."""
+    bodies, other = cell.model.geom_bodyid, SIDES[1 - arm]
+    of_other = np.array([cell.model.body(body).name.startswith(f"{other}_") for body in bodies])
+    own = replace(cell, pairs=cell.pairs[~of_other[cell.pairs].any(axis=1)])
+    held = Holder(own, motion, roll_free=roll_free).can((asked.source, asked.detector)[arm], arm)
+    return int((~held).sum())
+
+
 def _best_change(
     cell: Cell,
     motion: Motion,
     roll_free: tuple[bool, bool],
     tests: list[tuple[Callable[[Cell], CellModel], Poses, Poses]],
+    lost: list[int],
     progress: Progress,
 ) -> tuple[int, str]:
     """Return the number of views that the best change cures, and its words.
 
     Each test has a builder of the cell, views to cure, and views to keep; most changes fail the
-    first one.
+    first one. Of the views to cure, each arm cannot hold some (``lost``) whatever is changed about
+    the other one.
     """
     best, best_words = 0, ""
     changes = list(_changes(cell, roll_free))
     with progress.stage("changes that may be a remedy", len(changes)) as step:
-        for words, changed, turned, scale in changes:
+        for words, changed, turned, scale, arm in changes:
             step()
             gained = 0
+            if arm is not None and len(tests[0][1]) - lost[1 - arm] <= best:
+                continue  # the other arm cannot hold more views
             for build, asked, kept in tests:
                 try:
                     holder = Holder(apart(build(changed)), motion, roll_free=turned)
@@ -215,13 +232,13 @@ def _scaled(poses: Poses, scale: float) -> Poses:
 
 def _changes(
     cell: Cell, roll_free: tuple[bool, bool]
-) -> Iterator[tuple[str, Cell, tuple[bool, bool], float]]:
-    """Yield the changes to try: in words, the cell, the free rolls, and the scale of the radius."""
+) -> Iterator[tuple[str, Cell, tuple[bool, bool], float, int | None]]:
+    """Yield the changes to try: in words, cell, free rolls, scale of the radius, and arm if one."""
     for free in ((roll_free[0], True), (True, True)):
         if free != roll_free:
             opened = zip(SIDES, free, roll_free, strict=True)
             keys = [f"motion.{side}_roll: free" for side, now, before in opened if now > before]
-            yield " and ".join(keys), cell, free, 1.0
+            yield " and ".join(keys), cell, free, 1.0, None
     arms = [(side, getattr(cell, f"{side}_arm")) for side in SIDES]
     shifts = [
         (abs(shift), side, arm, "base_position_mm", axis, shift)
@@ -242,7 +259,7 @@ def _changes(
         told = value.tolist() if len(value) > 1 else float(value[0])
         update = {key: tuple(told) if isinstance(told, list) else told}
         changed = cell.model_copy(update={f"{side}_arm": arm.model_copy(update=update)})
-        yield f"cell.{side}_arm.{key}: {told}", changed, roll_free, 1.0
+        yield f"cell.{side}_arm.{key}: {told}", changed, roll_free, 1.0, SIDES.index(side)
     for scale in RADII:
         words = f"trajectory.sod_mm and sdd_mm times {scale:g}"
-        yield words, cell, roll_free, scale
+        yield words, cell, roll_free, scale, None
