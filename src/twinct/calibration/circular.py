@@ -37,7 +37,7 @@ from twinct.recon.resolution import binned
 NUMBERS = ("axis_offset", "height", "sdd", "tilt", "slant", "roll")
 """Names of the six numbers: shifts of the panel along u, v and its normal, turns about them."""
 
-ROUNDS = ((50, 5), (100, 12), (200, 25), (400, 10))
+ROUNDS = ((50, 20), (100, 12), (200, 25), (400, 10))
 """Pixels along the panel's diagonal, and the largest number of steps.
 
 A panel with fewer pixels is not binned, and has no further round then.
@@ -68,6 +68,12 @@ STILL = 0.1
 
 MIXED = 1e-3
 """Smallest singular value of differences of steps that are mixed, relative to the largest."""
+
+STRETCH = 0.3, 6.0
+"""Range of a mixed step along each direction, relative to the step itself.
+
+Where the views tell little, differences of steps are mostly noise, and mixing alone runs away.
+"""
 
 HARDLY = 0.5
 """Share of the prior's standard deviation above which a combination counts as undetermined."""
@@ -197,7 +203,7 @@ def circular_consistent(
     pairs = _Pairs(p[some], pixels, believed[some], circle)
     deviations = (prior or CircularPrior()).deviations(believed)
     precision = np.diag(deviations**-2.0)
-    change, information = np.zeros(6), np.zeros((6, 6))
+    change, information, best = np.zeros(6), np.zeros((6, 6)), FINEST
     first = pairs.seen(change, FINEST).spread
     with progress.stage("circle", len(ROUNDS)) as step:
         for number, (across, steps) in enumerate(ROUNDS):
@@ -207,10 +213,11 @@ def circular_consistent(
                 if across <= SURE or _knowledge(normal, precision) > _knowledge(
                     information, precision
                 ):
-                    change, information = found, normal
+                    change, information, best = found, normal, across
             step()
     last = pairs.seen(change, FINEST).spread
     covariance = np.linalg.inv(information + precision)
+    covariance = covariance + covariance @ pairs.scatter(change, best) @ covariance
     geometry = _moved(believed, change)
     return CircularCalibration(
         geometry,
@@ -279,7 +286,8 @@ class _Pairs:
                 by_on, by_place = np.diff(ons, axis=0).T, np.diff(tried, axis=0).T
                 root = np.linalg.cholesky(hessian).T
                 share = np.linalg.lstsq(root @ by_on, root @ on, rcond=MIXED)[0]
-                change = change - (by_place + by_on) @ share
+                mixed = on - (by_place + by_on) @ share
+                change = tried[-1] + _stretched(on, mixed, hessian, deviations)
             if COMMON * (on @ hessian @ on) < STILL**2:
                 break
         return change, normal
@@ -289,6 +297,19 @@ class _Pairs:
         seen = self.seen(change, across)
         tangents = self._tangents(change, across)
         return seen, *seen.shared_equations(seen.weights(), tangents)
+
+    def scatter(self, change: Floats, across: int) -> Floats:
+        """Return the covariance of the right side of the equations, (6, 6), from the residuals.
+
+        Pairs with a view in common err together (Aronow et al., Political Analysis 23 (2015) 564).
+        """
+        seen = self.seen(change, across)
+        pulls = seen.shared_pulls(seen.weights(), self._tangents(change, across)) / COMMON
+        of_views = np.zeros((len(self.believed), 6))
+        for side in seen.pairs.sides:
+            np.add.at(of_views, side, pulls)
+        values, vectors = np.linalg.eigh(of_views.T @ of_views - pulls.T @ pulls)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, np.float64)
 
     @cached_property
     def pixel_noise(self) -> float:
@@ -312,6 +333,14 @@ class _Pairs:
         each = np.tile(np.concatenate([np.zeros(3), change]), (len(self.believed), 1))
         free = Freedom("arms", self.circle.centre)
         return tangents_of(self.believed, free, each, self.factor(across))[:, 3:]
+
+
+def _stretched(on: Floats, mixed: Floats, hessian: Floats, deviations: Floats) -> Floats:
+    """Return a mixed step that goes the way of the step along each direction of the hessian."""
+    _, vectors = np.linalg.eigh(deviations[:, None] * hessian * deviations)
+    own, other = vectors.T @ (on / deviations), vectors.T @ (mixed / deviations)
+    ratio = np.divide(other, own, out=np.ones(6), where=np.abs(own) > 1e-12)
+    return deviations * (vectors @ (own * np.clip(ratio, *STRETCH)))
 
 
 def _without(normal: Floats, noise: Floats, deviations: Floats) -> Floats:
