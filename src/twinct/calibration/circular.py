@@ -203,21 +203,22 @@ def circular_consistent(
     pairs = _Pairs(p[some], pixels, believed[some], circle)
     deviations = (prior or CircularPrior()).deviations(believed)
     precision = np.diag(deviations**-2.0)
-    change, information, best = np.zeros(6), np.zeros((6, 6)), FINEST
+    change, information, across = np.zeros(6), np.zeros((6, 6)), FINEST
+    drift = np.zeros(6)
     first = pairs.seen(change, FINEST).spread
     with progress.stage("circle", len(ROUNDS)) as step:
-        for number, (across, steps) in enumerate(ROUNDS):
-            if number == 0 or pairs.factor(across) < pairs.factor(ROUNDS[number - 1][0]):
-                found, normal = pairs.agreed(change, across, steps, deviations)
+        for number, (pixels_across, steps) in enumerate(ROUNDS):
+            if number == 0 or pairs.factor(pixels_across) < pairs.factor(ROUNDS[number - 1][0]):
+                found, normal = pairs.agreed(change, pixels_across, steps, deviations)
                 # Finer pixels of noisy views may tell less.
-                if across <= SURE or _knowledge(normal, precision) > _knowledge(
+                if pixels_across <= SURE or _knowledge(normal, precision) > _knowledge(
                     information, precision
                 ):
-                    change, information, best = found, normal, across
+                    drift = found - change if number else drift
+                    change, information, across = found, normal, pixels_across
             step()
     last = pairs.seen(change, FINEST).spread
-    covariance = np.linalg.inv(information + precision)
-    covariance = covariance + covariance @ pairs.scatter(change, best) @ covariance
+    covariance = _covariance(information + precision, pairs.scatter(change, across), drift)
     geometry = _moved(believed, change)
     return CircularCalibration(
         geometry,
@@ -225,13 +226,28 @@ def circular_consistent(
         np.sqrt(np.diag(covariance)),
         circle_numbers(believed, circle),
         circle_numbers(geometry, circle),
-        _undetermined(information, deviations),
+        _undetermined(covariance, deviations),
         (first, last),
     )
 
 
 def _knowledge(normal: Floats, precision: Floats) -> float:
     return float(np.linalg.slogdet(normal + precision)[1])
+
+
+def _covariance(normal: Floats, scatter: Floats, drift: Floats) -> Floats:
+    """Return the covariance of the six numbers.
+
+    Residuals tell what noise and a badly modelled view do. What pixels do is alike in all views:
+    it shows in the change that finer pixels made.
+
+    Args:
+        normal: normal matrix with the prior, (6, 6).
+        scatter: covariance of the right side of the equations, (6, 6).
+        drift: change by the last, finer pixels, (6,).
+    """
+    covariance = np.linalg.inv(normal)
+    return covariance + covariance @ scatter @ covariance + np.outer(drift, drift)
 
 
 def _moved(geometry: ScanGeometry, six: Floats) -> ScanGeometry:
@@ -352,12 +368,12 @@ def _without(normal: Floats, noise: Floats, deviations: Floats) -> Floats:
     return rest / np.outer(deviations, deviations)
 
 
-def _undetermined(normal: Floats, deviations: Floats) -> tuple[Undetermined, ...]:
+def _undetermined(covariance: Floats, deviations: Floats) -> tuple[Undetermined, ...]:
     """Return the combinations of which much of the prior's deviation is left."""
-    values, vectors = np.linalg.eigh(deviations[:, None] * normal * deviations)
+    values, vectors = np.linalg.eigh(covariance / np.outer(deviations, deviations))
     found: list[Undetermined] = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        left = float((1 + max(value, 0.0)) ** -0.5)
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        left = float(min(value, 1.0) ** 0.5)
         if left < HARDLY:
             break
         order = np.argsort(-np.abs(vector))
