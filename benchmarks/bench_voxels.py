@@ -2,6 +2,7 @@
 
     python benchmarks/bench_voxels.py skull        # the built-in skull at 2, 1 and 0.5 mm
     python benchmarks/bench_voxels.py skull --sharpened --finest 1
+    python benchmarks/bench_voxels.py surface      # the surface in these voxels
     python benchmarks/bench_voxels.py rod          # titanium in a grey body, at 1 and 0.5 mm
 
 Voxels hold volume fractions. The meshes are those of the engine ``mesh``, whose path lengths are
@@ -36,7 +37,7 @@ MARGIN = 2
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("what", choices=("skull", "rod"))
+    parser.add_argument("what", choices=("skull", "surface", "rod"))
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--finest", type=float, default=0.5, help="smallest voxel of the skull")
     parser.add_argument("--sharpened", action="store_true", help="against the blur of the field")
@@ -45,6 +46,8 @@ def main() -> None:
     views = [random_view(rng) for _ in range(options.views)]
     if options.what == "rod":
         return rod(views)
+    if options.what == "surface":
+        return surfaces(views, options.finest)
     skull(views, options.finest, options.sharpened)
 
 
@@ -67,8 +70,7 @@ def skull(views: list[ScanGeometry], finest: float, sharp: bool) -> None:
 
     section = scenario.Specimen.model_validate({"parts": [{"shape": {"kind": "skull"}}]})
     mesh, bone = build_specimen(section).parts[0].mesh, material("bone")
-    with PathRenderer([Body(mesh, bone)], PANEL, engine="mesh") as renderer:
-        exact = [renderer.render(view, Pose.identity())[0] for view in views]
+    exact = lines_of(mesh, views)
     for voxel in (one for one in (2.0, 1.0, 0.5) if one >= finest):
         part = voxels({bone: [(mesh, 1.0)]}, mesh, voxel)
         part = sharpened(part) if sharp else part
@@ -83,6 +85,33 @@ def skull(views: list[ScanGeometry], finest: float, sharp: bool) -> None:
             f"{means.mean():.1f} mm: {100 * np.sqrt((rms**2).mean()) / means.mean():.2f} % "
             f"(single views {100 * (rms / means).min():.2f} to {100 * (rms / means).max():.2f} %)"
         )
+
+
+def surfaces(views: list[ScanGeometry], finest: float) -> None:
+    """Compare surfaces at half the volume fraction of voxels, as ``kind: ct`` has them."""
+    from twinct import scenario
+    from twinct.specimen.surface import isosurface
+
+    section = scenario.Specimen.model_validate({"parts": [{"shape": {"kind": "skull"}}]})
+    mesh, bone = build_specimen(section).parts[0].mesh, material("bone")
+    exact = lines_of(mesh, views)
+    for voxel in (one for one in (2.0, 1.0, 0.5) if one >= finest):
+        field = voxels({bone: [(mesh, 1.0)]}, mesh, voxel).field
+        again = isosurface(field.amounts[..., 0].transpose(2, 1, 0), 0.5, field.grid.affine)
+        pairs = zip(lines_of(again, views), exact, strict=True)
+        rms, means = np.array([errors_of(lines, right) for lines, right in pairs]).T
+        print(
+            f"voxels of {voxel:g} mm, {len(again.faces)} triangles: RMS "
+            f"{np.sqrt((rms**2).mean()):.3f} mm, "
+            f"{100 * np.sqrt((rms**2).mean()) / means.mean():.2f} % of the mean path",
+            flush=True,
+        )
+
+
+def lines_of(mesh: trimesh.Trimesh, views: list[ScanGeometry]) -> list[NDArray[np.float32]]:
+    """Return the path lengths of a mesh."""
+    with PathRenderer([Body(mesh, material("bone"))], PANEL, engine="mesh") as renderer:
+        return [renderer.render(view, Pose.identity())[0] for view in views]
 
 
 def errors_of(

@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
+from shapely.geometry import Polygon
 
 from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import Specimen, load_scenario
 from twinct.specimen import build_specimen, material
+from twinct.specimen.convex_parts import MOST_PARTS, convex_parts
 from twinct.specimen.phantom import Phantom, phantom
 from twinct.specimen.phantom_bodies import CELLS_PER_WAVE, TILE, Organ, ball, random_field
 from twinct.specimen.skull import skull_surface
@@ -183,8 +186,8 @@ def test_keys_that_do_not_fit_are_refused(keys, message):
 def test_the_obstacle_keeps_the_safety_distance_on_all_sides():
     ball = {"kind": "ellipsoid", "semi_axes_mm": [30, 20, 10], "mesh_resolution_mm": 3}
     specimen = build_specimen(Specimen.model_validate({"parts": [{"shape": ball}]}))
-    assert specimen.obstacle(0.0) is specimen.hull
-    grown = specimen.obstacle(25.0)
+    assert specimen.hulls == specimen.obstacles(0.0) == (specimen.hull,)
+    (grown,) = specimen.obstacles(25.0)
     gaps = -np.array(
         [
             (grown.face_normals * (point - grown.triangles_center)).sum(1).max()
@@ -193,6 +196,46 @@ def test_the_obstacle_keeps_the_safety_distance_on_all_sides():
     )
     assert gaps.min() > 24.8
     assert np.abs(grown.bounds).max(axis=0) == pytest.approx([55, 45, 35], abs=1.2)
+
+
+def beyond(hull, points):
+    """Return how far points (n, 3) are outside a convex body; negative inside."""
+    heights = np.einsum("ij,ij->i", hull.face_normals, hull.triangles[:, 0])
+    return (points @ hull.face_normals.T - heights).max(axis=1)
+
+
+def test_convex_parts_hold_a_solid_and_leave_its_hollow_free():
+    angle = np.linspace(0, np.pi, 40)
+    ring = [(60 * np.cos(a), 60 * np.sin(a)) for a in angle]
+    ring += [(40 * np.cos(a), 40 * np.sin(a)) for a in angle[::-1]]
+    arch = trimesh.creation.extrude_polygon(Polygon(ring), 30.0)
+    hulls = [trimesh.convex.convex_hull(points) for points in convex_parts(arch)]
+    assert 2 <= len(hulls) <= MOST_PARTS
+    inside, _ = trimesh.sample.sample_surface(arch, 2000, seed=0)
+    assert np.min([beyond(hull, np.array(inside)) for hull in hulls], axis=0).max() < 1e-9
+    hollow = np.array([[0.0, 5.0, 15.0], [10.0, 10.0, 15.0]])
+    assert (beyond(arch.convex_hull, hollow) < 0).all()
+    assert min(beyond(hull, hollow).min() for hull in hulls) > 1
+    assert len(convex_parts(trimesh.creation.icosphere(3))) == 1
+
+
+def test_skin_and_plate_are_bodies_of_their_own():
+    """The arms may go beside the neck, and under the plate, where the hull of all is closed."""
+    told = load_scenario(SCENARIOS / "patient_head.yaml").specimen.model_dump(mode="json")
+    told["parts"][0]["shape"] |= {"voxel_mm": 4}
+    specimen = build_specimen(Specimen.model_validate(told))
+    skin, plate = (np.asarray(part.mesh.vertices) for part in specimen.parts)
+    *heads, table = specimen.hulls
+    assert len(heads) > 1 and beyond(table, plate).max() < 1e-6
+    # A hull of few corners cuts off less than a millimetre.
+    assert np.min([beyond(hull, skin) for hull in heads], axis=0).max() < 1
+    assert sum(hull.volume for hull in specimen.hulls) < 0.5 * specimen.hull.volume
+    grown = specimen.obstacles(25.0)
+    assert len(grown) == len(specimen.hulls)
+    assert all(
+        beyond(big, hull.vertices).max() < -24.9
+        for big, hull in zip(grown, specimen.hulls, strict=True)
+    )
 
 
 @pytest.mark.parametrize("name", ["patient_head", "patient_spine"])

@@ -37,7 +37,7 @@ from twinct.recon.resolution import binned
 NUMBERS = ("axis_offset", "height", "sdd", "tilt", "slant", "roll")
 """Names of the six numbers: shifts of the panel along u, v and its normal, turns about them."""
 
-ROUNDS = ((50, 5), (100, 12), (200, 25), (400, 10))
+ROUNDS = ((50, 20), (100, 12), (200, 25), (400, 10))
 """Pixels along the panel's diagonal, and the largest number of steps.
 
 A panel with fewer pixels is not binned, and has no further round then.
@@ -68,6 +68,12 @@ STILL = 0.1
 
 MIXED = 1e-3
 """Smallest singular value of differences of steps that are mixed, relative to the largest."""
+
+STRETCH = 0.3, 6.0
+"""Range of a mixed step along each direction, relative to the step itself.
+
+Where the views tell little, differences of steps are mostly noise, and mixing alone runs away.
+"""
 
 HARDLY = 0.5
 """Share of the prior's standard deviation above which a combination counts as undetermined."""
@@ -197,20 +203,22 @@ def circular_consistent(
     pairs = _Pairs(p[some], pixels, believed[some], circle)
     deviations = (prior or CircularPrior()).deviations(believed)
     precision = np.diag(deviations**-2.0)
-    change, information = np.zeros(6), np.zeros((6, 6))
+    change, information, across = np.zeros(6), np.zeros((6, 6)), FINEST
+    drift = np.zeros(6)
     first = pairs.seen(change, FINEST).spread
     with progress.stage("circle", len(ROUNDS)) as step:
-        for number, (across, steps) in enumerate(ROUNDS):
-            if number == 0 or pairs.factor(across) < pairs.factor(ROUNDS[number - 1][0]):
-                found, normal = pairs.agreed(change, across, steps, deviations)
+        for number, (pixels_across, steps) in enumerate(ROUNDS):
+            if number == 0 or pairs.factor(pixels_across) < pairs.factor(ROUNDS[number - 1][0]):
+                found, normal = pairs.agreed(change, pixels_across, steps, deviations)
                 # Finer pixels of noisy views may tell less.
-                if across <= SURE or _knowledge(normal, precision) > _knowledge(
+                if pixels_across <= SURE or _knowledge(normal, precision) > _knowledge(
                     information, precision
                 ):
-                    change, information = found, normal
+                    drift = found - change if number else drift
+                    change, information, across = found, normal, pixels_across
             step()
     last = pairs.seen(change, FINEST).spread
-    covariance = np.linalg.inv(information + precision)
+    covariance = _covariance(information + precision, pairs.scatter(change, across), drift)
     geometry = _moved(believed, change)
     return CircularCalibration(
         geometry,
@@ -218,13 +226,28 @@ def circular_consistent(
         np.sqrt(np.diag(covariance)),
         circle_numbers(believed, circle),
         circle_numbers(geometry, circle),
-        _undetermined(information, deviations),
+        _undetermined(covariance, deviations),
         (first, last),
     )
 
 
 def _knowledge(normal: Floats, precision: Floats) -> float:
     return float(np.linalg.slogdet(normal + precision)[1])
+
+
+def _covariance(normal: Floats, scatter: Floats, drift: Floats) -> Floats:
+    """Return the covariance of the six numbers.
+
+    Residuals tell what noise and a badly modelled view do. What pixels do is alike in all views:
+    it shows in the change that finer pixels made.
+
+    Args:
+        normal: normal matrix with the prior, (6, 6).
+        scatter: covariance of the right side of the equations, (6, 6).
+        drift: change by the last, finer pixels, (6,).
+    """
+    covariance = np.linalg.inv(normal)
+    return covariance + covariance @ scatter @ covariance + np.outer(drift, drift)
 
 
 def _moved(geometry: ScanGeometry, six: Floats) -> ScanGeometry:
@@ -279,7 +302,8 @@ class _Pairs:
                 by_on, by_place = np.diff(ons, axis=0).T, np.diff(tried, axis=0).T
                 root = np.linalg.cholesky(hessian).T
                 share = np.linalg.lstsq(root @ by_on, root @ on, rcond=MIXED)[0]
-                change = change - (by_place + by_on) @ share
+                mixed = on - (by_place + by_on) @ share
+                change = tried[-1] + _stretched(on, mixed, hessian, deviations)
             if COMMON * (on @ hessian @ on) < STILL**2:
                 break
         return change, normal
@@ -289,6 +313,19 @@ class _Pairs:
         seen = self.seen(change, across)
         tangents = self._tangents(change, across)
         return seen, *seen.shared_equations(seen.weights(), tangents)
+
+    def scatter(self, change: Floats, across: int) -> Floats:
+        """Return the covariance of the right side of the equations, (6, 6), from the residuals.
+
+        Pairs with a view in common err together (Aronow et al., Political Analysis 23 (2015) 564).
+        """
+        seen = self.seen(change, across)
+        pulls = seen.shared_pulls(seen.weights(), self._tangents(change, across)) / COMMON
+        of_views = np.zeros((len(self.believed), 6))
+        for side in seen.pairs.sides:
+            np.add.at(of_views, side, pulls)
+        values, vectors = np.linalg.eigh(of_views.T @ of_views - pulls.T @ pulls)
+        return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T, np.float64)
 
     @cached_property
     def pixel_noise(self) -> float:
@@ -314,6 +351,14 @@ class _Pairs:
         return tangents_of(self.believed, free, each, self.factor(across))[:, 3:]
 
 
+def _stretched(on: Floats, mixed: Floats, hessian: Floats, deviations: Floats) -> Floats:
+    """Return a mixed step that goes the way of the step along each direction of the hessian."""
+    _, vectors = np.linalg.eigh(deviations[:, None] * hessian * deviations)
+    own, other = vectors.T @ (on / deviations), vectors.T @ (mixed / deviations)
+    ratio = np.divide(other, own, out=np.ones(6), where=np.abs(own) > 1e-12)
+    return deviations * (vectors @ (own * np.clip(ratio, *STRETCH)))
+
+
 def _without(normal: Floats, noise: Floats, deviations: Floats) -> Floats:
     """Return a normal matrix without the part of noise, of which some is left everywhere."""
     whole = deviations[:, None] * normal * deviations
@@ -323,12 +368,12 @@ def _without(normal: Floats, noise: Floats, deviations: Floats) -> Floats:
     return rest / np.outer(deviations, deviations)
 
 
-def _undetermined(normal: Floats, deviations: Floats) -> tuple[Undetermined, ...]:
+def _undetermined(covariance: Floats, deviations: Floats) -> tuple[Undetermined, ...]:
     """Return the combinations of which much of the prior's deviation is left."""
-    values, vectors = np.linalg.eigh(deviations[:, None] * normal * deviations)
+    values, vectors = np.linalg.eigh(covariance / np.outer(deviations, deviations))
     found: list[Undetermined] = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        left = float((1 + max(value, 0.0)) ** -0.5)
+    for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
+        left = float(min(value, 1.0) ** 0.5)
         if left < HARDLY:
             break
         order = np.argsort(-np.abs(vector))

@@ -297,6 +297,16 @@ class PlaneDerivatives:
             right -= pulled @ rest[pair, own]
         return normal, right
 
+    def shared_pulls(self, weights: Floats, tangents: Floats) -> Floats:
+        """Return the part of each pair in the right side of ``shared_equations``, (pairs, n)."""
+        rest = self.values[0] - self.values[1]
+        return np.array(
+            [
+                -((first + second).T * weights[pair, self.used[pair]]) @ rest[pair, self.used[pair]]
+                for pair, (first, second) in enumerate(self._slopes(tangents))
+            ]
+        )
+
     def _slopes(self, tangents: Floats) -> Iterator[list[Floats]]:
         """Yield the slopes of each pair's differences by both views' numbers, (used planes, n)."""
         sides, normals = self.pairs.sides, self.pairs.normals

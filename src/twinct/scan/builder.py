@@ -22,6 +22,7 @@ from twinct.robots.gantry import Gantry
 from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
 from twinct.specimen import BuiltPart, BuiltSpecimen, build_specimen
 from twinct.specimen.built_file import load_built
+from twinct.specimen.surface import joined
 from twinct.trajectory import commanded_mas, commanded_views
 from twinct.uncertainty import TrueCell
 
@@ -154,12 +155,13 @@ class SimulationBuilder:
         from twinct.robots.cell import apart
 
         # The specimen may lie closer to its table than to an arm.
-        touching = apart(self._cell_with(self.hull))
-        return touching if self._obstacle is self.hull else self._cell_with(self._obstacle)
+        hulls = self.specimen.hulls
+        touching = apart(self._cell_with(hulls))
+        return touching if self._obstacles is hulls else self._cell_with(self._obstacles)
 
     @cached_property
     def hull(self) -> Trimesh:
-        """Convex hull of the specimen in its own frame, for collision."""
+        """Convex hull of the specimen in its own frame."""
         return self.specimen.hull
 
     @cached_property
@@ -174,21 +176,21 @@ class SimulationBuilder:
         return beam_bodies(self.scenario.cell.keyed_objects)
 
     @cached_property
-    def _obstacle(self) -> Trimesh:
-        """Hull with the specimen's safety distance."""
-        return self.specimen.obstacle(self.scenario.specimen.safety_mm)
+    def _obstacles(self) -> tuple[Trimesh, ...]:
+        """Convex bodies of the specimen, with its safety distance."""
+        return self.specimen.obstacles(self.scenario.specimen.safety_mm)
 
     @cached_property
     def room(self) -> CellModel:
         """Operating room with the true surface of the specimen, for pictures."""
-        return self._cell_with(self.specimen.surface())
+        return self._cell_with(self.specimen.hulls, self.specimen.surface())
 
     @cached_property
     def sketched_room(self) -> CellModel:
         """Operating room with a coarse surface of the specimen, for pictures in a hurry."""
         from twinct.specimen.sketch import sketch
 
-        return self._cell_with(sketch(self.specimen.surface()))
+        return self._cell_with((), sketch(self.specimen.surface()))
 
     def urdf(self, meshes: Path | None = None) -> str:
         """Return the room's robot description, with the camera at the first view's source.
@@ -230,36 +232,42 @@ class SimulationBuilder:
 
         Fixed bodies may overlap: ``apart`` judges them.
         """
-        from twinct.robots.cell import build_cell
-
-        pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
-        return build_cell(section, self._obstacle, pose, panel)
+        return self._cell_with(self._obstacles, section=section)
 
     def rough_cell_of(self, section: Cell) -> CellModel:
         """Return the room of ``cell_of`` with a simpler specimen inside the real one.
 
         It is built several times faster, and holds every view that the real one holds.
         """
-        from twinct.robots.cell import build_cell
-
-        pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
-        return build_cell(section, self._rough_hull, pose, panel)
+        return self._cell_with(self._rough_obstacles, section=section)
 
     @cached_property
-    def _rough_hull(self) -> Trimesh:
+    def _rough_obstacles(self) -> tuple[Trimesh, ...]:
         import trimesh
 
-        corners = self._obstacle.vertices
-        farthest = (fibonacci_directions(ROUGH_DIRECTIONS) @ corners.T).argmax(axis=1)
-        return trimesh.Trimesh(corners[np.unique(farthest)]).convex_hull
+        directions = fibonacci_directions(ROUGH_DIRECTIONS)
+        rough: list[Trimesh] = []
+        for obstacle in self._obstacles:
+            farthest = np.unique((directions @ obstacle.vertices.T).argmax(axis=1))
+            rough.append(trimesh.Trimesh(obstacle.vertices[farthest]).convex_hull)
+        return tuple(rough)
 
-    def _cell_with(self, mesh: Trimesh) -> CellModel:
+    def _cell_with(
+        self,
+        solids: tuple[Trimesh, ...],
+        look: Trimesh | None = None,
+        *,
+        section: Cell | None = None,
+    ) -> CellModel:
+        """Return the room with convex bodies, or the hull of the look, that collide."""
         from twinct.robots.cell import build_cell
 
-        if not isinstance(self.scenario.cell, Cell):
-            raise InputError(f"cell.kind: a {self.scenario.cell.kind} has no arms to build")
+        room = section or self.scenario.cell
+        if not isinstance(room, Cell):
+            raise InputError(f"cell.kind: a {room.kind} has no arms to build")
         pose, panel = self.specimen.world_from_specimen, self.scenario.detector.panel
-        return build_cell(self.scenario.cell, mesh, pose, panel)
+        look = joined(solids) if look is None else look
+        return build_cell(room, look, pose, panel, solids=solids)
 
     @cached_property
     def plan(self) -> MotionPlan | None:

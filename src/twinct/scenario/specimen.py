@@ -258,7 +258,7 @@ class Specimen(Section):
 
     safety_mm: NonNegative = setting(
         0.0,
-        "Gap that the arms keep from the specimen's convex hull in addition to "
+        "Gap that the arms keep from the specimen's convex bodies in addition to "
         "motion.clearance_mm, as from a patient's skin. Clearances in reports leave it out.",
         read_by="plan",
     )

@@ -20,7 +20,7 @@ from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
 from twinct.specimen.shapes import shape_surface
-from twinct.specimen.surface import enclosed_volume, solids_once, subtract, surface
+from twinct.specimen.surface import enclosed_volume, joined, solids_once, subtract, surface
 from twinct.specimen.voxels import volume_fractions
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ HULL_DIRECTIONS = 4000
 """Directions in which the collision hull touches the specimen, about 3 degrees apart."""
 HULL_CAPS = 800
 """Groups of these directions, for speed."""
+GROWTH = 1.005
+"""Way of a margin's corners relative to the margin: between them, the surface is nearer."""
 
 FARTHEST_MM = 1e7
 SMALLEST_MM = 1e-5
@@ -240,16 +242,15 @@ class BuiltSpecimen:
 
     @cached_property
     def hull(self) -> trimesh.Trimesh:
-        """Convex hull of all parts in the specimen's frame, mm, for collision checks.
+        """Convex hull of all parts in the specimen's frame, mm.
 
         Its corners are the outermost points in ``HULL_DIRECTIONS`` directions, which keeps it small
         for round surfaces. A skull protrudes by at most 0.4 mm.
         """
-        import trimesh
-
         points = np.concatenate([part.mesh.vertices for part in self.parts])
         if self.motion is not None:
-            points = np.concatenate([points, *self._skins()])
+            still = self.named(self.motion.part, "specimen.motion").mesh.vertices
+            points = np.concatenate([points, *self._breathing(still)])
         try:
             points = points[scipy.spatial.ConvexHull(points).vertices]
         except scipy.spatial.QhullError:
@@ -257,38 +258,44 @@ class BuiltSpecimen:
             raise SpecimenError(
                 f"specimen.parts: all parts together measure {edges} mm, too flat for a solid body"
             ) from None
-        return trimesh.convex.convex_hull(points[_outermost(points)])
+        return _hull(points)
 
-    def _skins(self) -> Iterator[Floats]:
-        """Yield the corners of the moving part's skin in deep breaths."""
+    @cached_property
+    def hulls(self) -> tuple[trimesh.Trimesh, ...]:
+        """Convex bodies that hold all parts together, in the specimen's frame, mm, for collision.
+
+        The skin of a grey part becomes several, in all states of breathing. Without grey parts,
+        the whole specimen is one.
+        """
+        if not self.greys:
+            return (self.hull,)
+        from twinct.specimen.convex_parts import convex_parts
+
+        found: list[trimesh.Trimesh] = []
+        for part in self.greys:
+            for points in convex_parts(part.mesh):
+                if self.motion is not None and part.name == self.motion.part:
+                    points = np.concatenate([points, *self._breathing(points)])
+                found.append(_hull(points))
+        solids = (_hull(np.asarray(solid.mesh.vertices)) for solid in self.solids)
+        return (*found, *(one for one in solids if not any(_holds(skin, one) for skin in found)))
+
+    def _breathing(self, points: Floats) -> Iterator[Floats]:
+        """Yield points of the moving part in deep breaths."""
         from twinct.specimen.breathing import Breath
 
         assert self.motion is not None
-        corners = self.named(self.motion.part, "specimen.motion").mesh.vertices
         depth = float(np.exp(2 * self.motion.rhythm.irregularity))
         for phase in (0.25, 0.5, 0.75):
-            yield self.motion.deformation(Breath(phase, depth)).from_reference(np.array(corners))
+            yield self.motion.deformation(Breath(phase, depth)).from_reference(np.array(points))
 
-    def obstacle(self, margin_mm: float) -> trimesh.Trimesh:
-        """Return the convex hull with a margin on all sides, mm, at most 3 % of it too much."""
-        import trimesh
-
-        if not margin_mm:
-            return self.hull
-        ball = trimesh.creation.icosphere(subdivisions=2)
-        ball.apply_scale(
-            margin_mm / np.einsum("ij,ij->i", ball.face_normals, ball.triangles[:, 0]).min()
-        )
-        points = (self.hull.vertices[:, None] + ball.vertices).reshape(-1, 3)
-        return trimesh.convex.convex_hull(points[_outermost(points)])
+    def obstacles(self, margin_mm: float) -> tuple[trimesh.Trimesh, ...]:
+        """Return the hulls with a margin on all sides, mm, up to 0.5 % too much."""
+        return tuple(_grown(hull, margin_mm) for hull in self.hulls) if margin_mm else self.hulls
 
     def surface(self) -> trimesh.Trimesh:
         """Return all parts' surfaces as one mesh in the specimen's frame, mm, for pictures."""
-        import trimesh
-
-        whole = trimesh.util.concatenate([part.mesh for part in self.parts])
-        assert isinstance(whole, trimesh.Trimesh)
-        return whole
+        return joined([part.mesh for part in self.parts])
 
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None
@@ -376,6 +383,28 @@ def _no_body(mesh: trimesh.Trimesh) -> str:
     if not edges.min() >= max(SMALLEST_MM, FLATTEST * edges.max()):
         return f"is too small or too flat: it measures {size} mm"
     return ""
+
+
+def _hull(points: Floats) -> trimesh.Trimesh:
+    import trimesh
+
+    return trimesh.convex.convex_hull(points[_outermost(points)])
+
+
+def _holds(hull: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
+    """Return True if a convex body lies in another one."""
+    normals, corners = hull.face_normals, hull.triangles[:, 0]
+    beyond = other.vertices @ normals.T - np.einsum("ij,ij->i", normals, corners)
+    return bool((beyond <= 0).all())
+
+
+def _grown(hull: trimesh.Trimesh, margin_mm: float) -> trimesh.Trimesh:
+    """Return a convex body with a margin on all sides: its outermost points, moved outwards."""
+    import trimesh
+
+    directions = _sphere_directions(HULL_DIRECTIONS)
+    outermost = hull.vertices[(directions @ hull.vertices.T).argmax(axis=1)]
+    return trimesh.convex.convex_hull(outermost + GROWTH * margin_mm * directions)
 
 
 def _outermost(points: Floats) -> NDArray[np.intp]:

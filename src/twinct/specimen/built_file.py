@@ -26,15 +26,17 @@ from twinct.specimen.surface import surface
 LARGEST_BYTES = 2**34
 """Largest total size of the arrays in a file: 512^3 voxels of six basis materials have 13 GB."""
 
-_HULL = "hull"
-"""Name of the hull, also where ``cached_property`` keeps it."""
+_HULL, _HULLS = "hull", "hulls"
+"""Names of the hull and of the convex bodies, also where ``cached_property`` keeps them."""
 
 
 def save_built(specimen: BuiltSpecimen, path: Path) -> None:
-    """Write the parts of a specimen, and its hull if it is known, to a file."""
+    """Write the parts of a specimen, and its hulls if they are known, to a file."""
     meshes = {str(i): part.mesh for i, part in enumerate(specimen.parts)}
     if _HULL in vars(specimen):
         meshes[_HULL] = specimen.hull
+    if _HULLS in vars(specimen) and specimen.greys:
+        meshes |= {f"{_HULLS}{i}": hull for i, hull in enumerate(specimen.hulls)}
     arrays: dict[str, NDArray[Any]] = {}
     for name, mesh in meshes.items():
         arrays[f"{name}.vertices"] = np.asarray(mesh.vertices, np.float64)
@@ -63,6 +65,10 @@ def load_built(section: scenario.Specimen, path: Path) -> BuiltSpecimen:
     specimen = BuiltSpecimen(tuple(parts), section.world_from_specimen, section.reference, motion)
     if any(name.startswith(f"{_HULL}.") for name in arrays):
         vars(specimen)[_HULL] = _mesh(arrays, _HULL, where)
+    count = sum(name.startswith(_HULLS) and name.endswith(".faces") for name in arrays)
+    if count:
+        hulls = (_mesh(arrays, f"{_HULLS}{i}", where) for i in range(count))
+        vars(specimen)[_HULLS] = tuple(hulls)
     return specimen
 
 

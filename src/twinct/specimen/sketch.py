@@ -13,7 +13,7 @@ CELLS = 120
 """Cells along the longest edge of a sketch."""
 
 
-def sketch(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+def sketch(mesh: trimesh.Trimesh, cells: int = CELLS) -> trimesh.Trimesh:
     """Return a mesh with one vertex, the mean, for each occupied cell of a lattice.
 
     Vertex clustering (Rossignac and Borrel, "Multi-resolution 3D approximations for rendering
@@ -22,9 +22,9 @@ def sketch(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     import trimesh
 
     low, high = mesh.bounds
-    edge = float((high - low).max()) / CELLS
-    cells = np.floor((mesh.vertices - low) / edge).astype(np.int64)
-    key = (cells[:, 0] * (CELLS + 2) + cells[:, 1]) * (CELLS + 2) + cells[:, 2]
+    edge = float((high - low).max()) / cells
+    at = np.floor((mesh.vertices - low) / edge).astype(np.int64)
+    key = (at[:, 0] * (cells + 2) + at[:, 1]) * (cells + 2) + at[:, 2]
     _, cell_of, count = np.unique(key, return_inverse=True, return_counts=True)
     means = [np.bincount(cell_of, weights=mesh.vertices[:, axis]) / count for axis in range(3)]
     faces = cell_of[mesh.faces]

@@ -32,6 +32,15 @@ def surface(vertices: ArrayLike, faces: ArrayLike) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.asarray(vertices, dtype=np.float64), np.asarray(faces), process=False)
 
 
+def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Return several meshes as one."""
+    import trimesh
+
+    whole = meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(list(meshes))
+    assert isinstance(whole, trimesh.Trimesh)
+    return whole
+
+
 def enclosed_volume(mesh: trimesh.Trimesh) -> float:
     """Return the volume within a closed surface, mm^3; negative if it is inside out.
 

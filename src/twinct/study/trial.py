@@ -304,7 +304,8 @@ def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpeci
 
 def _built(scenario: Scenario) -> BuiltSpecimen:
     specimen = SimulationBuilder(scenario).specimen
-    _ = specimen.hull  # cached with the specimen, as many trials need it
+    # Cached with the specimen, as many trials need them.
+    _ = specimen.hull, specimen.hulls if scenario.cell.kind == "arms" else ()
     return specimen
 
 

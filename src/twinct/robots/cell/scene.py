@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -135,16 +136,22 @@ class GantryModel:
 
 
 def build_cell(
-    cell: Cell, specimen_mesh: trimesh.Trimesh | None, world_from_specimen: Pose, panel: Panel
+    cell: Cell,
+    specimen_mesh: trimesh.Trimesh | None,
+    world_from_specimen: Pose,
+    panel: Panel,
+    *,
+    solids: Sequence[trimesh.Trimesh] = (),
 ) -> CellModel:
     """Compose and compile the cell; ``apart`` judges its fixed bodies.
 
     Args:
         cell: arms, table, floor.
-        specimen_mesh: surface in the specimen's frame, mm, whose convex hull is the collision
-            shape. None leaves the holder empty.
+        specimen_mesh: surface in the specimen's frame, mm. None leaves the holder empty.
         world_from_specimen: pose of the specimen.
         panel: pixel lattice, which determines the size of the housing.
+        solids: convex bodies in the specimen's frame, mm, that collide in its place; its convex
+            hull by default.
 
     Raises:
         MissingExtraError: MuJoCo, or a requested Menagerie, is not installed.
@@ -152,7 +159,7 @@ def build_cell(
     """
     spec = _room(cell.floor_z_mm, cell.room)
     spec.option.timestep = cell.timestep_ms / 1000
-    bottom_mm = _specimen(spec, specimen_mesh, world_from_specimen)
+    bottom_mm = _specimen(spec, specimen_mesh, world_from_specimen, solids)
     _table(spec, cell, world_from_specimen, bottom_mm)
     arms = []
     for side, arm in zip(ARMS, (cell.source_arm, cell.detector_arm), strict=True):
@@ -240,24 +247,26 @@ def _rod(
 
 
 def _specimen(
-    spec: mujoco.MjSpec, mesh: trimesh.Trimesh | None, world_from_specimen: Pose
+    spec: mujoco.MjSpec,
+    mesh: trimesh.Trimesh | None,
+    world_from_specimen: Pose,
+    solids: Sequence[trimesh.Trimesh] = (),
 ) -> float | None:
     """Add the specimen, and return the height of its lowest point in the world, mm."""
-    mujoco = mujoco_module()
     position, quat = world_from_specimen.to_metres()
     body = spec.worldbody.add_body(name="specimen", pos=position, quat=np.roll(quat, 1))
     if mesh is None or len(mesh.vertices) == 0:
         return None
-    hull = mesh.convex_hull
+    mesh_geom = {"type": mujoco_module().mjtGeom.mjGEOM_MESH, "material": "bone"}
+    hulls = solids or (mesh.convex_hull,)
+    for index, hull in enumerate(hulls):
+        name = f"specimen_{index}" if index else "specimen"
+        add_mesh(spec, f"{name}_hull", hull)
+        body.add_geom(name=name, meshname=f"{name}_hull", group=COLLISION_GROUP, **mesh_geom)
+    add_mesh(spec, "specimen_look", mesh)
     look = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0}
-    for name, mesh_name, part, more in (
-        ("specimen", "specimen_hull", hull, {"group": COLLISION_GROUP}),
-        ("specimen_look", "specimen_look", mesh, look),
-    ):
-        add_mesh(spec, mesh_name, part)
-        kind = mujoco.mjtGeom.mjGEOM_MESH
-        body.add_geom(name=name, type=kind, meshname=mesh_name, material="bone", **more)
-    return float(world_from_specimen.apply(hull.vertices)[:, 2].min())
+    body.add_geom(name="specimen_look", meshname="specimen_look", **look, **mesh_geom)
+    return min(float(world_from_specimen.apply(hull.vertices)[:, 2].min()) for hull in hulls)
 
 
 def _table(
