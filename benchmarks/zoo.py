@@ -107,7 +107,8 @@ def of_fast(made):
     warned = beside > MUCH_BESIDE or ratio > UNEQUAL
     p = without_rest(made) if warned else made.p
     start = time.process_time()
-    volume = fast(made.A, p, photons=made.case.photons)
+    margin = 0.0 if warned else 0.2
+    volume = fast(made.A, p, photons=made.case.photons, margin=margin)
     seconds = time.process_time() - start
     found = {"error": made.error(volume.array), "seconds": seconds, "warned": bool(warned)}
     return {"fast": found | {"denoising": volume.extras["denoising"]}}

@@ -167,7 +167,7 @@ def test_without_it_nothing_changes(case):
     plain = sart(A, p, **keys)
     assert "passes" not in plain.extras
     assert not np.array_equal(plain, sart(A, p, stop="auto", **keys))
-    np.testing.assert_array_equal(fast(A, p, stop="auto"), fast(A, p))
+    np.testing.assert_array_equal(fast(A, p, passes=1, stop="auto"), fast(A, p, passes=1))
 
 
 @pytest.mark.parametrize(

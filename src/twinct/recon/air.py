@@ -15,9 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.core.draws import view_rng
 from twinct.recon.checks import Mask, mask_of, masked_image
-from twinct.recon.engine import Singles
 
 MOST_VIEWS = 32
 """Number of views, spread over the scan, from which the noise is taken."""
@@ -59,10 +57,10 @@ class KnownNoise:
         return self.in_air**-2.0
 
 
-def known_noise(
+def noise_in_air(
     p: NDArray[Any], mask: Mask | None, photons: NDArray[np.float64] | None
 ) -> KnownNoise | None:
-    """Return the noise of the photons, or without them of air; None if air shows none.
+    """Return the noise of the photons, or without them of air; None if there is no air.
 
     Args:
         p: line integrals, (views, rows, columns).
@@ -72,9 +70,15 @@ def known_noise(
     if photons is not None:
         return KnownNoise(photons**-0.5, "photons")
     found = air_noise(p, mask)
-    if found is None or found < LEAST:
-        return None
-    return KnownNoise(np.full(len(p), found), "air")
+    return None if found is None else KnownNoise(np.full(len(p), found), "air")
+
+
+def known_noise(
+    p: NDArray[Any], mask: Mask | None, photons: NDArray[np.float64] | None
+) -> KnownNoise | None:
+    """Return what ``noise_in_air`` does; None also if air shows no noise."""
+    found = noise_in_air(p, mask, photons)
+    return found if photons is not None or (found and found.in_air[0] >= LEAST) else None
 
 
 def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:
@@ -116,18 +120,3 @@ def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:
 def deviation_of(sizes: NDArray[Any]) -> float:
     """Return the standard deviation of normal noise from absolute values, by their median."""
     return float(np.median(sizes)) / _MEDIAN_OF_NORMAL
-
-
-def noise_like(p: Singles, in_air: NDArray[np.float64]) -> Singles:
-    """Draw noise of photon statistics, (views, rows, columns), the same in every call.
-
-    Args:
-        p: line integrals, (views, rows, columns).
-        in_air: standard deviation of each view's line integrals in air, (views,).
-    """
-    drawn = np.empty_like(p)
-    for view, image in enumerate(p):
-        rng = view_rng(0, "noise of line integrals", view)
-        drawn[view] = in_air[view] * np.exp(np.clip(image, 0, DARKEST) / 2)
-        drawn[view] *= rng.standard_normal(drawn.shape[1:], dtype=np.float32)
-    return drawn

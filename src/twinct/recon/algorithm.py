@@ -45,6 +45,7 @@ class Problem:
         callback: called after each update; see ``Step``.
         exposures: mAs of each view, (views,), in one unit for all; None: equal exposures.
         photons: photons of a pixel in the free beam, by view, (views,); None: unknown.
+        alone: the line integrals are those of the grid, without its surroundings.
     """
 
     projector: Projector
@@ -56,6 +57,7 @@ class Problem:
     callback: Callback | None = None
     exposures: NDArray[np.float64] | None = None
     photons: NDArray[np.float64] | None = None
+    alone: bool = False
 
     @property
     def counts(self) -> NDArray[np.float32]:

@@ -31,18 +31,6 @@ SHARE = 0.85
 The noise is that of the volume (``noise``), with the streaks that any volume has.
 """
 
-SHARE_IN_THIN_PARTS = 0.2
-"""The same for the noise of the photons alone, in volumes without homogeneous parts.
-
-From the zoo (benchmarks/zoo.py), where sheets of a quarter to two voxels are best with 0 to 0.3.
-"""
-
-MOST_OF_PHOTONS = 2.5
-"""Largest strength per noise of the photons: more is texture.
-
-Skulls are best with 2, foam and soft tissue with 0.9.
-"""
-
 FEWEST_BLOCKS = 40
 """Smallest number of blocks without a border from which the noise of a volume is taken."""
 
@@ -51,7 +39,13 @@ BLOCK = 3
 
 
 def lower_variation(
-    x: Singles, grid: VolumeGrid, kernels: Kernels, strength: float, floor: float
+    x: Singles,
+    grid: VolumeGrid,
+    kernels: Kernels,
+    strength: float,
+    floor: float,
+    *,
+    steps: int = STEPS,
 ) -> None:
     """Replace x by the minimiser of 0.5 |x' - x|^2 + strength * TV(x'), x' >= floor.
 
@@ -64,8 +58,9 @@ def lower_variation(
         kernels: kernels of a projector.
         strength: per voxel, in mm times the unit of ``x``.
         floor: lower bound of all voxels.
+        steps: steps of the dual iteration; few are enough for small strengths.
     """
-    around = STEPS + 2
+    around = steps + 2
     inverse = 1.0 / grid.voxel
     below = x[:0].copy()
     planes = max(FEWEST_PLANES, int(SLAB_SHARE * len(x)) - 2 * around)
@@ -76,7 +71,7 @@ def lower_variation(
         held, lowering = kernels.hold(slab), kernels.hold(lowered)
         weight = kernels.hold(np.ones_like(slab))
         dual = kernels.hold(np.zeros((3, *slab.shape), np.float32))
-        for _ in range(STEPS):
+        for _ in range(steps):
             kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)
             kernels.ascend(lowering, weight, inverse, strength, STEP, dual)
         kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)

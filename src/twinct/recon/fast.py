@@ -7,14 +7,19 @@ details. The coarse grids are larger. The contents of the last one's margin are 
 subtracted before the pass at full resolution, as in ``without_surroundings``; coarser voxels would
 describe them less well.
 
-An update with a relaxation of 1 to 2 makes details in one pass, but also noise where several views
-see each voxel. If views outnumber the voxels along an axis, the relaxation therefore falls over a
-level, in geometric steps, from its first value to that value times voxels along an axis over views,
-or with much noise times the square of that. The remaining noise is reduced by total variation
-(``lower_variation``), as strong as the ``noise`` of the volume's homogeneous parts requires, but no
-stronger than the noise of the photons, or of air in the projections, allows: what exceeds that
-after the same steps is texture. Where there are no such parts, as in thin ones, the noise of the
-photons or of air counts alone, and where it is unknown, too, nothing is denoised.
+An update with a relaxation of 1 to 2 makes details in one or two passes, but also noise where
+several views see each voxel. The relaxation therefore falls over a level, in geometric steps, from
+its first value to that value times voxels along an axis over views if there are more views, and
+times ``QUIET`` over the noise of the line integrals, as a share of their range, if it is more.
+
+Between the updates at full resolution, the total variation is lowered (``lower_variation``), in
+proportion to the sum of the relaxations since the last time. Together, the two minimise the
+residual plus the total variation, step by step (Bertsekas, Math. Program. 129 (2011) 163). Its
+strength follows from the noise of the photons, or of air in the projections
+(``strength_for``) and from the errors that voxels and materials leave in any model of the rays:
+nothing of the volume has to be homogeneous. If both are unknown, the total
+variation is lowered once, at the end, as strongly as the ``noise`` of the volume's homogeneous
+parts requires, and not at all where there are none.
 
 docs/reconstruction.md gives the reasons for these numbers.
 """
@@ -22,8 +27,9 @@ docs/reconstruction.md gives the reasons for these numbers.
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,13 +40,7 @@ from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
-from twinct.recon.denoise import (
-    MOST_OF_PHOTONS,
-    SHARE,
-    SHARE_IN_THIN_PARTS,
-    lower_variation,
-    noise,
-)
+from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
@@ -53,33 +53,46 @@ from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
-if TYPE_CHECKING:
-    from twinct.recon.air import KnownNoise
-
 log = logging.getLogger(__name__)
 
-SMALL, FEWEST_VIEWS = 48, 24
-"""Voxels along an axis, and views, of the smallest scan that stands for a larger one."""
+MANY_VIEWS = 2.0
+"""Views per voxel along an axis from which one pass makes the details."""
 
-QUIET = 0.01
+QUIET = 0.0035
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
 
-MOST_VIEWS = 16
-"""Number of views from which the range is taken."""
+PER_STRENGTH = 0.15
+"""Strength of the total variation, relative to that of ``strength_of_noise``, for one view."""
+
+OF_MODEL = 0.012
+"""Errors of the model of the rays, as a share of the range of line integrals; they act as noise."""
+
+MOST_BETWEEN = 30.0
+"""Largest sum of relaxations between two steps of the total variation."""
+
+TV_STEPS = 8
+"""Dual iterations of such a step."""
+
+MARGIN = 0.2
+"""Usual margin of the coarse grids on each side, as a share of the grid's size."""
 
 SMALLEST = 8
 """Smallest number of voxels and pixels along an axis of a coarser level."""
 
 
 class Fast(AlgorithmSettings):
-    """SART from coarse to fine, with one pass at full resolution."""
+    """SART from coarse to fine, with one or two passes at full resolution."""
 
     algorithm: Literal["fast"] = "fast"
-    passes: int = Field(
-        default=1, ge=1, le=1000, description="Passes over all views at full resolution."
+    passes: int | None = Field(
+        default=None,
+        ge=1,
+        le=1000,
+        description="Passes over all views at full resolution. By default 2, or 1 if there are "
+        "twice as many views as voxels along an axis.",
     )
     coarse_passes: int = Field(
-        default=3,
+        default=2,
         ge=1,
         le=1000,
         description="Passes over all views with voxels and pixels twice as large; each coarser "
@@ -100,18 +113,19 @@ class Fast(AlgorithmSettings):
     )
     denoising: NonNegative | None = Field(
         default=None,
-        description="Strength of the final total-variation denoising, in voxel edges times the "
-        "unit of the volume; 0 turns it off. By default it follows from the noise of homogeneous "
-        "parts of the volume, bounded by that of the scenario's photons or of air in the "
-        "projections, which counts alone if there are no such parts; if both are unknown, nothing "
-        "is denoised, and the log says so.",
+        description="Strength of a total-variation denoising at the end, in voxel edges times the "
+        "unit of the volume; 0 turns it off. By default the total variation is lowered between the "
+        "updates, as the noise of the scenario's photons or of air in the projections requires; if "
+        "it is unknown, at the end, as the noise of homogeneous parts of the volume requires; if "
+        "there are none, nothing is denoised, and the log says so.",
     )
-    margin: float = Field(
-        default=0.2,
+    margin: float | None = Field(
+        default=None,
         ge=0,
         le=2,
         description="Extra width of the coarse grids on each side, as a share of the grid's size; "
-        "the contribution of this margin is removed before the pass at full resolution.",
+        "the contribution of this margin is removed before the passes at full resolution. By "
+        "default 0.2, or 0 where the surroundings are removed.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
     stop: Stop = None
@@ -121,12 +135,12 @@ def fast(
     A: Projector,
     line_integrals: ArrayLike,
     *,
-    passes: int = 1,
-    coarse_passes: int = 3,
+    passes: int | None = None,
+    coarse_passes: int = 2,
     levels: int = 3,
     first_relaxation: float = 1.5,
     denoising: float | None = None,
-    margin: float = 0.2,
+    margin: float = MARGIN,
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
     photons: ArrayLike | None = None,
@@ -140,38 +154,39 @@ def fast(
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        passes: passes at full resolution, at least 1.
+        passes: passes at full resolution, at least 1; by default 2, or 1 with many views.
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
             level.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
         first_relaxation: relaxation of the first update of a level, between 0 and 2, both excluded.
-        denoising: strength of the total variation in voxel edges times the unit of the result;
-            0 for none; by default estimated from the noise, if it can be known.
+        denoising: strength of the total variation at the end in voxel edges times the unit of the
+            result; 0 for none; by default it is lowered between the updates, if the noise can be
+            known.
         margin: margin of the coarse grids on each side, as a share of the grid's size along each
-            axis.
+            axis; 0 is best for line integrals of the grid alone.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
         photons: photons of a pixel in the free beam, one number or one for each view, (views,);
             without them, air in the projections shows the noise.
         stop: ``auto``: end with the last pass at full resolution that improves the volume; see
-            ``BestPass``. As any pass may be the last, the relaxation falls anew in each of them.
+            ``BestPass``. The relaxation falls over the usual number of passes, and stays in any
+            further one.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
             stops.
 
     Returns:
         The volume. Its extras hold, with ``stop``, the number of ``passes`` at full resolution;
-        without a given strength, ``denoising``: its ``strength``, and ``from``, the source of the
-        noise: ``volume``, ``photons``, ``air`` or None.
+        without a given strength, ``denoising``: its ``strength`` in the last pass, in the unit of
+        ``denoising``, and ``from``, the source of the noise: ``photons``, ``air``, ``volume`` or
+        None.
 
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
-    from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
-
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     known = checks.photons(photons)
-    passes = checks.count("passes", passes)
+    passes = checks.count("passes", _usual_passes(A) if passes is None else passes)
     coarse_passes = checks.count("coarse_passes", coarse_passes)
     levels = checks.count("levels", levels)
     relaxation = checks.relaxation(first_relaxation)
@@ -182,34 +197,94 @@ def fast(
     checks.done()
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
-    seen = known_noise(p, pixels, known)
-    power = _power(p, pixels, seen)
-    steps = _Steps(passes, coarse_passes, levels, relaxation, margin, floor, power)
+    first = min(passes, _usual_passes(A)) if stop else passes
+    steps = _Steps(passes, first, coarse_passes, levels, relaxation, margin, floor)
+    steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
     x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
     extras: dict[str, Any] = best.extras
     if not whole:
         return Volume(x, A.grid, extras)
+    voxel = float(A.grid.voxel.mean())
+    if denoising is None and steps.source:
+        last = steps.shares(A, 1)[: len(A) * extras.get("passes", passes)][-len(A) :]
+        strength = float(last.sum()) * steps.strength / voxel
+        return Volume(x, A.grid, extras | {"denoising": _of(strength, steps.source)})
     if denoising is None:
-        steps = replace(steps, passes=extras.get("passes", passes))
-        denoising, source = _strength(A, p, pixels, x, seen, steps)
-        extras = extras | {"denoising": {"strength": denoising, "from": source}}
+        denoising, source = _of_volume(x)
+        extras = extras | {"denoising": _of(denoising, source)}
     del best
     if denoising:
-        lower_variation(x, A.grid, A.kernels, denoising * float(A.grid.voxel.mean()), floor)
+        lower_variation(x, A.grid, A.kernels, denoising * voxel, floor)
     return Volume(x, A.grid, extras)
+
+
+def _usual_passes(A: Projector) -> int:
+    return 1 if len(A) >= MANY_VIEWS * float(np.mean(A.domain_shape)) else 2
+
+
+def _of(strength: float, source: str | None) -> dict[str, float | str | None]:
+    return {"strength": strength, "from": source}
 
 
 @dataclass(frozen=True)
 class _Steps:
-    """Checked settings of ``fast``, and the power of ``_power``."""
+    """Checked settings of ``fast``, and what follows from the noise.
+
+    Attributes:
+        first: passes at full resolution over which the relaxation falls.
+        quiet: factor on the relaxation of the last update, 1 or less.
+        strength: of the total variation for one view, mm times the unit of the volume.
+        source: source of the noise that it follows from; None: nothing is lowered in between.
+    """
 
     passes: int
+    first: int
     coarse_passes: int
     levels: int
     relaxation: float
     margin: float
     floor: float
-    power: float
+    quiet: float = 1.0
+    strength: float = 0.0
+    source: str | None = None
+
+    def number(self, factor: int) -> int:
+        """Return the number of passes of a level."""
+        return self.passes if factor == 1 else self.coarse_passes * factor // 2
+
+    def shares(self, A: Projector, factor: int) -> NDArray[np.float64]:
+        """Return the relaxation of each update of a level."""
+        number = self.number(factor)
+        first = self.first if factor == 1 else number
+        last = self.relaxation * self.quiet * min(1.0, float(np.mean(A.domain_shape)) / len(A))
+        falling = np.geomspace(self.relaxation, last, first * len(A))
+        return np.concatenate([falling, np.full((number - first) * len(A), last)])
+
+
+def _for_noise(
+    A: Projector,
+    p: NDArray[Any],
+    pixels: Mask | None,
+    steps: _Steps,
+    photons: NDArray[np.float64] | None,
+    *,
+    lowers: bool,
+) -> _Steps:
+    """Return the steps for the noise of the line integrals, if it is known."""
+    from twinct.recon.air import noise_in_air  # only here: scenarios need the settings alone
+    from twinct.recon.regularisation import deviation_and_range, strength_for
+
+    if (seen := noise_in_air(p, pixels, photons)) is None:
+        return steps
+    deviation, most = deviation_and_range(p, seen, pixels)
+    quiet = min(1.0, QUIET * most / deviation) if deviation > 0 else 1.0
+    if not lowers:
+        return replace(steps, quiet=quiet)
+    strength = PER_STRENGTH * strength_for(A, math.hypot(deviation, OF_MODEL * most))
+    log.info(
+        "noise of %.3g of line integrals, of their range of %.3g (%s)", deviation, most, seen.source
+    )
+    return replace(steps, quiet=quiet, strength=strength, source=seen.source)
 
 
 def _from_coarse_to_fine(
@@ -220,26 +295,24 @@ def _from_coarse_to_fine(
     best: BestPass,
     callback: Callback | None = None,
 ) -> tuple[Singles, bool]:
-    """Return the volume before it is denoised, and False if the callback stopped it."""
+    """Return the volume, and False if the callback stopped it."""
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
-    numbers = [steps.passes if f == 1 else steps.coarse_passes * f // 2 for f in factors]
-    listener = Listener(callback, len(A) * sum(numbers))
+    listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
     done, x, grid = 0, np.zeros((2, 2, 2), np.float32), A.grid
     outside = level = None
-    for factor, number in zip(factors, numbers, strict=True):
+    for factor in factors:
         level = _level(A, p, pixels, factor, steps.margin, outside)
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
         grid = level.A.grid
-        fewer = min(1.0, float(np.mean(x.shape)) / len(A))
-        first, last = steps.relaxation, steps.relaxation * float(fewer**steps.power)
-        falls = number if best.watches and factor == 1 else 1
-        shares = np.tile(np.geomspace(first, last, number * len(A) // falls), falls)
-        views = np.tile(spread_order(len(A)), number)
-        work = WorkingVolume(level.A.kernels, x)
+        shares = steps.shares(level.A, factor)
+        views = np.tile(spread_order(len(A)), steps.number(factor))
+        work, since = WorkingVolume(level.A.kernels, x), 0.0
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
             square, rays = level.update(work, int(view), float(share), steps.floor, listener.wanted)
-            ended = best.watches and factor == 1 and used % len(A) == 0
-            if ended and best.is_over(work.array):
+            since, ended = since + float(share), factor == 1 and used % len(A) == 0
+            if steps.strength and factor == 1 and (ended or since > MOST_BETWEEN):
+                work, since = _lowered(A, work, since * steps.strength, steps.floor), 0.0
+            if best.watches and ended and best.is_over(work.array):
                 break
             if listener(0, done, square, rays, work):
                 return interpolated(work.array, grid, A.grid), False
@@ -251,88 +324,26 @@ def _from_coarse_to_fine(
     return x, True
 
 
-def _power(p: NDArray[Any], pixels: Mask | None, seen: KnownNoise | None) -> float:
-    """Return the power of voxels along an axis over views by which the relaxation falls.
-
-    It is 1 where line integrals have less noise than ``QUIET`` of their range, and 2 from twice as
-    much on: each voxel then takes the mean of more views.
-    """
-    if seen is None:
-        return 1.0
-    from twinct.recon.air import DARKEST
-
-    views = range(0, len(p), -(-len(p) // MOST_VIEWS))
-    images = np.stack([masked_image(p, view, pixels)[::2, ::2] for view in views])
-    more = float(np.exp(np.clip(images, 0, DARKEST)).mean(dtype=np.float64))
-    noisy = float(seen.in_air.mean()) * np.sqrt(more) / max(float(np.percentile(images, 99)), 1e-6)
-    return 1.0 + float(np.clip(np.log2(noisy / QUIET), 0.0, 1.0))
+def _lowered(A: Projector, work: WorkingVolume, strength: float, floor: float) -> WorkingVolume:
+    """Return the volume with less total variation."""
+    x = work.array
+    del work
+    lower_variation(x, A.grid, A.kernels, strength, floor, steps=TV_STEPS)
+    return WorkingVolume(A.kernels, x)
 
 
-def _strength(
-    A: Projector,
-    p: NDArray[Any],
-    pixels: Mask | None,
-    x: Singles,
-    seen: KnownNoise | None,
-    steps: _Steps,
-) -> tuple[float, str | None]:
-    """Return the strength of the denoising, and the source of the noise: None if it is unknown."""
-    of_volume = noise(x)
-    if seen is None and of_volume is None:
+def _of_volume(x: Singles) -> tuple[float, str | None]:
+    """Return the strength of a denoising at the end, and the source of the noise, or None."""
+    deviation = noise(x)
+    if deviation is None:
         log.warning(
             "the volume was not denoised: it has no homogeneous parts, the number of photons is "
-            "unknown and the projections show no noise in air; state the strength "
+            "unknown and the projections show no air; state the strength "
             "(reconstruction.denoising)"
         )
         return 0.0, None
-    if seen is None:
-        assert of_volume is not None
-        log.info("noise of %.3g in homogeneous parts of the volume", of_volume)
-        return SHARE * of_volume, "volume"
-    deviation = _propagated(A, p, pixels, seen, steps)
-    log.info(
-        "noise of %.3g in the volume, from that of %.3g of line integrals in the free beam (%s)",
-        deviation,
-        seen.in_air.mean(),
-        seen.source,
-    )
-    if of_volume is None:
-        return SHARE_IN_THIN_PARTS * deviation, seen.source
-    if SHARE * of_volume <= MOST_OF_PHOTONS * deviation:
-        return SHARE * of_volume, "volume"
-    log.info("homogeneous parts of the volume have more, %.3g, which is texture", of_volume)
-    return MOST_OF_PHOTONS * deviation, seen.source
-
-
-def _propagated(
-    A: Projector, p: NDArray[Any], pixels: Mask | None, seen: KnownNoise, steps: _Steps
-) -> float:
-    """Return the deviation that noise of the line integrals leaves in the volume.
-
-    Noise alone is reconstructed by the same steps, without bounds. A smaller scan stands for a
-    large one: by a factor fewer views, and fewer, larger voxels and pixels along each axis. Its
-    relaxation falls alike. The variance is proportional to 1 / (views * voxel^2), and so it is
-    smaller by this factor.
-    """
-    from twinct.recon.air import deviation_of, noise_like
-
-    shortest = min(*A.domain_shape, *A.range_shape[1:])
-    factor = 1
-    while shortest >= 2 * factor * SMALL and len(A) >= 2 * factor * FEWEST_VIEWS:
-        factor *= 2
-    views = A.geometry[::factor].binned(factor, factor)
-    small = A[::factor].on(coarse_grid(A.grid, 0.0, factor * A.grid.voxel), views)
-    mask = pixels if pixels is None or pixels.ndim == 2 else pixels[::factor]
-    larger, mask = binned(p[::factor], mask, (factor, factor))
-    drawn, _ = _from_coarse_to_fine(
-        small,
-        noise_like(larger, seen.in_air[::factor]),
-        mask,
-        replace(steps, floor=LOWEST),
-        BestPass(None),
-    )
-    middle = drawn[tuple(slice(n // 8, n - n // 8) for n in drawn.shape)]
-    return deviation_of(np.abs(middle)) * float(np.sqrt(factor))
+    log.info("noise of %.3g in homogeneous parts of the volume", deviation)
+    return SHARE * deviation, "volume"
 
 
 def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> list[int]:
@@ -418,7 +429,7 @@ def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
     if factor == 1:
         return
     try:
-        _with_margin(views, grid, factor, settings.margin)
+        _with_margin(views, grid, factor, settings.margin or 0.0)
     except InputError as error:
         raise InputError(f"reconstruction.margin: {one}" for one in error.problems) from None
 
@@ -437,7 +448,10 @@ def _outside(A: Projector, level: _Level, x: Singles) -> _Outside:
 
 
 def _solve(problem: Problem, settings: Fast) -> Volume:
-    return solve_by(fast, problem, settings, nonnegative=not settings.allow_negative)
+    margin = settings.margin
+    if margin is None:
+        margin = 0.0 if problem.alone else MARGIN
+    return solve_by(fast, problem, settings, nonnegative=not settings.allow_negative, margin=margin)
 
 
 FAST = Algorithm(
@@ -447,6 +461,6 @@ FAST = Algorithm(
     projections=0.5,
     check=_check,
     updates=lambda own, views: (
-        views * (own.passes + own.coarse_passes * (2 ** (own.levels - 1) - 1))
+        views * ((own.passes or 2) + own.coarse_passes * (2 ** (own.levels - 1) - 1))
     ),
 )

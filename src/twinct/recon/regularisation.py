@@ -23,6 +23,35 @@ from twinct.recon.projector import Projector
 PER_NOISE = 3.0
 """Strength per s q / (sqrt(V) S); from ``fista_tv`` at its best on the zoo (bench_prior_zoo.py)."""
 
+MOST_VIEWS = 16
+"""Number of views from which the range is taken."""
+
+
+def deviation_and_range(
+    p: NDArray[Any], seen: KnownNoise, mask: Mask | None
+) -> tuple[float, float]:
+    """Return the root mean square of the noise of line integrals, and their largest per cent.
+
+    Args:
+        p: line integrals, (views, rows, columns).
+        seen: noise in the free beam.
+        mask: True where a pixel counts.
+    """
+    variances: list[float] = []
+    most: list[float] = []
+    step = -(-len(p) // MOST_VIEWS)
+    for view, deviation in enumerate(seen.in_air):
+        image, good = masked_image(p, view, mask), mask_of(mask, view)
+        counts = image if good is None else image[good]
+        if counts.size:
+            mean = np.exp(np.clip(counts, 0, DARKEST)).mean(dtype=np.float64)
+            variances.append(float(mean) * float(deviation) ** 2)
+            if view % step == 0:
+                most.append(float(np.percentile(counts, 99)))
+    if not variances:
+        return 0.0, 0.0
+    return math.sqrt(sum(variances) / len(variances)), sum(most) / max(len(most), 1)
+
 
 def strength_of_noise(A: Projector, p: NDArray[Any], seen: KnownNoise, mask: Mask | None) -> float:
     """Return the strength of the total variation for photon noise.
@@ -33,20 +62,15 @@ def strength_of_noise(A: Projector, p: NDArray[Any], seen: KnownNoise, mask: Mas
         seen: noise in the free beam.
         mask: True where a pixel counts.
     """
-    variances: list[float] = []
-    for view, deviation in enumerate(seen.in_air):
-        image, good = masked_image(p, view, mask), mask_of(mask, view)
-        counts = image if good is None else image[good]
-        if counts.size:
-            mean = np.exp(np.clip(counts, 0, DARKEST)).mean(dtype=np.float64)
-            variances.append(float(mean) * float(deviation) ** 2)
-    if not variances:
-        return 0.0
-    lengths = A.chords()
+    return strength_for(A, deviation_and_range(p, seen, mask)[0])
+
+
+def strength_for(A: Projector, deviation: float) -> float:
+    """Return the strength of the total variation for noise of this deviation in all rays."""
+    lengths = A[:: -(-len(A) // MOST_VIEWS)].chords()
     inside = lengths > 0
     mean_length = float(lengths[inside].mean()) if inside.any() else float(A.grid.size_mm.mean())
-    noise = math.sqrt(sum(variances) / len(variances))
-    return float(PER_NOISE * noise * _pitch(A) / (math.sqrt(len(A)) * mean_length))
+    return float(PER_NOISE * deviation * _pitch(A) / (math.sqrt(len(A)) * mean_length))
 
 
 def _pitch(A: Projector) -> float:

@@ -165,9 +165,8 @@ def _reconstruct(
     if (views := views_that_count(scenario, scan.middle_s)) is not None:
         scan, poses, pixels = gated_scan(scan, poses, pixels, views)
     grid = section.volume_grid
-    kept = _Checkpoints(None, "")
-    if checkpoints is not None and algorithm.resumes:
-        kept = _Checkpoints(checkpoints, f"{which}-{_digest(scan, poses, pixels)[:16]}")
+    folder = checkpoints if algorithm.resumes else None
+    kept = _Checkpoints(folder, f"{which}-{_digest(scan, poses, pixels)[:16]}" if folder else "")
     done, x0, residuals = kept.newest(grid)
     watch = watch or (lambda number, residual: None)
     for number, residual in enumerate(residuals, start=1):
@@ -200,6 +199,7 @@ def _reconstruct(
             transmission=scan.transmission,
             exposures=scan.exposures_rel,
             photons=scan.photons,
+            alone=section.around is not None,
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),

@@ -49,6 +49,9 @@ STAGES: dict[StageName, _Stage] = {
 OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
 
+_SINCE_NOISE, _BY_NOISE = 3, ("fast", "prior_tv")
+"""Version of the volumes of these algorithms: the noise decides on their steps since then."""
+
 _SINCE_PHOTONS = 2
 """Version of volumes from scans with noise: its photons, or air, count since then."""
 
@@ -135,6 +138,8 @@ def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
 
 def _version(scenario: Scenario, stage: StageName) -> int:
     """Return the version of a stage; it is the former one where the results are."""
+    if stage == "volume" and scenario.reconstruction.algorithm in _BY_NOISE:
+        return _SINCE_NOISE
     if stage == "volume" and (_has_noise(scenario) or scenario.specimen.unknown):
         return _SINCE_PHOTONS
     return STAGES[stage].version
