@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import Counter
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,32 +131,37 @@ def _counts(topic: Topic) -> str:
 def _page(topic: Topic) -> str:
     dates = sorted({record["date"] for record in topic.records if "date" in record})
     until = f" Newest figure: {dates[-1]}." if dates else ""
-    lines = [f"# {topic.title}\n", f"{topic.question}{until}\n"]
+    counts = ", ".join(
+        f"{topic.count(met)} {word}"
+        for met, word in (("yes", "met"), ("no", "missed"), ("reported", "only reported"))
+        if topic.count(met)
+    )
+    lines = [f"# {topic.title}\n", f"{topic.question} {counts[0].upper()}{counts[1:]}.{until}\n"]
     if topic.machine != USUAL:
         lines.append(f"Machine: {topic.machine}.\n")
     if topic.conditions:
         lines.append(f"{topic.conditions}\n")
-    lines.append("A row without a command belongs to the command above it.\n")
-    group, command = None, ""
-    for record in topic.records:
-        if record.get("group") != group or group is None:
-            if group is not None or "group" in record:
-                lines.append("")
-            group = record.get("group", "")
-            lines += [f"## {group}\n"] * bool(group)
-            lines += ["| | measured quantity | asked for | measured |", "|---|---|---|---|"]
-            command = ""
-        shown = "" if record["command"] == command else f"<br>`{record['command']}`"
-        command = record["command"]
-        cells = (record["what"] + shown, record["asked"], record["measured"])
-        lines.append(f"| {MARKS[record['met']]} | " + " | ".join(_cell(c) for c in cells) + " |")
+    lines.append("The last column is the number of the command below the table.\n")
+    for group, records in groupby(topic.records, key=lambda record: record.get("group", "")):
+        lines += [f"## {group}\n"] * bool(group)
+        lines += _table(list(records))
     if topic.notes:
-        lines += ["", "## Remarks\n", "\n\n".join(topic.notes)]
-    return "\n".join(lines).replace("\n\n\n", "\n\n") + "\n"
+        lines += ["## Remarks\n", "\n\n".join(topic.notes)]
+    return "\n".join(lines).rstrip() + "\n"
 
 
-def _cell(text: str) -> str:
-    return text.replace("|", r"\|")
+def _table(records: list[dict[str, str]]) -> list[str]:
+    """Return one table of records, and the commands that measure them, folded away."""
+    commands = list(dict.fromkeys(record["command"] for record in records))
+    lines = ["| | measured quantity | asked for | measured | command |", "|---|---|---|---|---|"]
+    for record in records:
+        cells = [record["what"], record["asked"], record["measured"]]
+        shown = " | ".join(cell.replace("|", r"\|") for cell in cells)
+        number = commands.index(record["command"]) + 1
+        lines.append(f"| {MARKS[record['met']]} | {shown} | {number} |")
+    listed = [f"{number}. `{command}`" for number, command in enumerate(commands, 1)]
+    fold = "<details>\n<summary>Commands that measure these</summary>\n"
+    return [*lines, "", fold, *listed, "\n</details>\n"]
 
 
 def main() -> int:

@@ -7,6 +7,15 @@ from __future__ import annotations
 
 import os
 import sys
+
+# Ctrl-C ends a command that is still being imported at once, without Python's traceback, until
+# ``twinct.cli`` takes care of signals.
+if os.path.basename(sys.argv[0]) == "twinct" or (sys.argv[0] == "-m" and "twinct" in sys.orig_argv):
+    import signal
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

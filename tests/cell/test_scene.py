@@ -14,7 +14,7 @@ import trimesh
 from twinct.core.errors import InputError, MemoryShortageError, ScenarioError, StorageError
 from twinct.geometry import Pose
 from twinct.robots.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
-from twinct.robots.cell.render import _add_names
+from twinct.robots.cell.render import _add_names, _shown
 from twinct.robots.cell.scene import _compile
 from twinct.robots.cell.standing import VISUAL_GROUP
 from twinct.scenario import Cell, Detector, GantryCell
@@ -164,7 +164,9 @@ def test_a_gantry_holds_source_and_panel_at_the_poses(
     assert room.model.stat.extent == pytest.approx(poses[0].distance_mm(poses[1]) / 1000 + 0.2)
 
 
-def test_a_picture_on_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_on_a_full_disk_is_told(
+    cell: CellModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -172,7 +174,7 @@ def test_a_picture_on_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr("twinct.robots.cell.render.room_pictures", lambda *_: iter([pixels]))
     monkeypatch.setattr("PIL.Image.Image.save", full)
     with pytest.raises(StorageError, match=r"room\.png: the disk is full"):
-        render_cell(Mock(), tmp_path / "room.png")
+        render_cell(cell, tmp_path / "room.png")
 
 
 def test_drawing_that_fails_with_little_memory_tells_of_it(
@@ -205,3 +207,15 @@ def test_a_model_is_not_compiled_with_little_memory(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("twinct.core.files.boundary.available_bytes", lambda: (2**27, "limit"))
     with pytest.raises(MemoryShortageError, match=r"model of the room needs 0\.188 GiB"):
         _compile(Mock())
+
+
+def test_a_camera_knows_how_much_of_the_panel_other_bodies_hide(head: trimesh.Trimesh) -> None:
+    towards = [Pose.from_euler([x, 0, 0], [0, turn, 0]) for x, turn in ((-300, 90), (200, -90))]
+    cell = GantryCell(kind="gantry")
+    room = build_gantry(cell, head, Pose.identity(), Detector().panel, *towards)
+    data = mujoco.MjData(room.model)
+    mujoco.mj_forward(room.model, data)
+    eyes = [(-1.0, 0.0, 0.0), (0.5, -2.0, 0.5)]  # behind source and head, and beside them
+    behind, beside = (_shown(room.model, data, "detector_panel", np.array(eye)) for eye in eyes)
+    assert behind < 0.8
+    assert beside == 1

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from twinct.cli import run_command
+from twinct.study import StudyRun
+from twinct.study.folder import StudyFolder
 
 STUDY = """scenario:
   cell: {kind: gantry}
@@ -110,6 +112,13 @@ def test_a_folder_of_other_things_and_no_file_are_one_message(study, tmp_path, c
     assert "notes.txt" in capfd.readouterr().err
     assert run_command(["study", str(tmp_path / "none.yaml"), "--out", str(tmp_path / "o")]) == 2
     assert "none.yaml: the study does not exist" in capfd.readouterr().err
+
+
+def test_failed_trials_are_told_with_a_reason(study, tmp_path, capfd, monkeypatch) -> None:
+    done = StudyRun(StudyFolder(tmp_path / "out"), 1, 2, "no light")
+    monkeypatch.setattr("twinct.study.run_study", lambda *_, **__: done)
+    assert study(AXES) == 0
+    assert "2 trials failed, the first because: no light" in capfd.readouterr().err
 
 
 def test_its_help(capfd) -> None:

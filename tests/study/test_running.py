@@ -201,6 +201,7 @@ def test_what_fails_is_a_row_and_the_others_go_on(warm, no_page, tmp_path) -> No
     again = run_study(failing(tmp_path), out, resume=True, retry=True)
     new = finished.folder.journal.read_text().splitlines()[len(before) :]
     assert (again.done, again.failed, len(new)) == (2, 2, 2)
+    assert again.problem == message
     assert all("nonsense.csv" in line for line in new)
 
 

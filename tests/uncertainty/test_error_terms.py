@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twinct.calibration.arm_calibration import arm_prior, view_covariance
-from twinct.core.error_terms import ErrorTerm, Spread, ToolMotion
+from twinct.core.error_terms import ErrorSettings, ErrorTerm, Spread, ToolMotion, size
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose
 from twinct.geometry.wire import Instant, to_seven
@@ -119,3 +119,13 @@ def test_a_calibration_expects_the_spreads(scan: NominalScan, only: Any) -> None
     only(SPREADS["pose of a view"])
     squares = np.diag(view_covariance(SECTION, motions))
     assert squares == pytest.approx(np.concatenate([TWIST[:3], TWIST]) ** 2)
+
+
+def test_the_size_of_a_term_is_not_negative_unless_it_has_a_sign() -> None:
+    class Sag(ErrorSettings):
+        mm: float = size("Way down.")
+        ms: float = size("Delay.", signed=True)
+
+    assert Sag(mm=1, ms=-2).sizes == (1, -2)
+    with pytest.raises(ValueError, match="greater than or equal to 0"):
+        Sag(mm=-1)

@@ -79,9 +79,12 @@ def test_the_next_imager_finds_nothing_of_the_last_one():
 def test_an_image_does_not_depend_on_what_was_imaged_before():
     """gVXR switches its artefact filter on with the first view on a panel of another size.
 
-    In a process of its own, where no earlier test has taken that first view.
+    In a process of its own, where no earlier test has taken that first view. The process ends
+    before destructors of libraries, here a function that aborts.
     """
     code = """
+    import ctypes
+
     import numpy as np
     from twinct.geometry import Pose
     from twinct.scenario import Detector, Source, Specimen
@@ -89,6 +92,8 @@ def test_an_image_does_not_depend_on_what_was_imaged_before():
     from twinct.trajectory import SinusoidTrajectory, commanded_views
     from twinct.xray import Imager
 
+    libc = ctypes.CDLL(None)
+    libc.on_exit(libc.abort, None)
     ball = {"shape": {"kind": "sphere", "radius_mm": 12}, "position_mm": (20, -30, 40)}
     specimen = build_specimen(Specimen(parts=(ball,)))
     path = SinusoidTrajectory(kind="sinusoid", views=8)

@@ -77,8 +77,8 @@ COMMANDS = {
         victims=("robots", "xray"),
     ),
     "study": Command(
-        "study MADE/study.yaml --out OUT --jobs 1", ("journal.jsonl", "trials/*"), ("--resume",),
-        ("trials/*",), victims=("worker",),
+        "study MADE/study.yaml --out OUT --jobs 1", ("journal.jsonl", "trials/*"),
+        ("--resume", "--retry-failed"), ("trials/*",), victims=("worker",),
     ),
     "study on a cluster": Command(
         "study MADE/study.yaml --out OUT --address ADDRESS", ("journal.jsonl", "trials/*"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +16,8 @@ from rich.text import Text
 from twinct.cli.arguments import Flag
 from twinct.cli.progress import on_terminal
 from twinct.core.errors import InputError
-from twinct.core.foreign_text import counted
+from twinct.core.foreign_text import counted, shortened
+from twinct.core.memory import if_little
 
 if TYPE_CHECKING:
     from twinct.study import DryRun, Tally
@@ -77,6 +79,12 @@ def study(
         highlight=False,
         soft_wrap=True,
     )
+    if finished.failed:
+        sys.stderr.write(
+            f"twinct: {counted(finished.failed, 'trial')} failed, the first because: "
+            f"{shortened(finished.problem)}{if_little()}; --resume --retry-failed tries them "
+            "again\n"
+        )
 
 
 def _planned(file: Path, out: Path, jobs: int | None, retry: bool) -> DryRun:

@@ -32,9 +32,12 @@ the executed pose of source or panel."""
 _SIZE = object()
 
 
-def size(description: str) -> Any:
-    """Return the field of a key that makes executed poses deviate unless it is 0, its default."""
-    field: FieldInfo = setting(0.0, description)
+def size(description: str, *, signed: bool = False) -> Any:
+    """Return the field of a key that makes executed poses deviate unless it is 0, its default.
+
+    It takes no number below 0 unless it is ``signed``.
+    """
+    field: FieldInfo = setting(0.0, description, **({} if signed else {"ge": 0}))
     field.metadata.append(_SIZE)
     return field
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,6 +84,18 @@ class VolumeGrid:
 
     __hash__ = None  # type: ignore[assignment]
 
+    def __str__(self) -> str:
+        """Return numbers and edges of the voxels, the centre, and angles about x, y and z."""
+        edges = self.voxel[:1] if (self.voxel == self.voxel[0]).all() else self.voxel
+        position, angles = self.world_from_grid.to_euler()
+        told = f"{_joined(' x ', self.shape_xyz)} voxels of {_joined(' x ', edges)} mm about"
+        turned = f", turned by ({_joined(', ', angles)}) deg" if angles.any() else ""
+        return f"{told} ({_joined(', ', position)}) mm{turned}"
+
     def __repr__(self) -> str:
         """Return an expression that evaluates to an equal grid."""
         return f"VolumeGrid({self.shape}, {self.voxel.tolist()}, {self.world_from_grid!r})"
+
+
+def _joined(between: str, values: Iterable[float]) -> str:
+    return between.join(f"{value + 0.0:.7g}" for value in values)  # no -0

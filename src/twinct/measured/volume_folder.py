@@ -256,6 +256,7 @@ def _made(
 
 def _half(scan: Scan, which: str, first: int, audience: Audience) -> Volume:
     """Reconstruct every other view."""
+    audience.say(f"{'odd' if first else 'even'} views alone, for the noise")
     part = replace(
         scan,
         transmission=scan.transmission[first::2],

@@ -124,7 +124,7 @@ class Volume(NDArrayOperatorsMixin):
         corners = np.vstack([np.zeros(3), np.diag(np.array(self.grid.shape_xyz) - 1.0)])
         apart = np.c_[corners, np.ones(4)] @ (self.grid.affine - grid.affine).T
         if self.shape != grid.shape or np.abs(apart).max() > SAME_MM:
-            raise InputError(f"two volumes have different grids: {self.grid} and {grid}")
+            raise InputError(f"two volumes have different grids: {self.grid}, and {grid}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy array, grid and extras."""

@@ -183,7 +183,7 @@ def _reconstruct(
         return metal.put_back(finished)
     if done:
         section = section.model_copy(update={"iterations": iterations - done})
-    updates, name = algorithm.updates(section, len(scan)), f"{algorithm.name}, {which} geometry"
+    updates, name = algorithm.updates(section, len(scan)), _stage(algorithm, geometry, which)
 
     def on_iteration(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
         watch(iteration, residual)
@@ -208,6 +208,12 @@ def _reconstruct(
         volume = _counted(algorithm.solve(problem, section), section, done)
         follower.finish((iterations - done) * updates)
     return metal.put_back(volume) if metal else volume
+
+
+def _stage(algorithm: Algorithm[Any], geometry: str | ScanGeometry | None, which: str) -> str:
+    """Return the name of a stage; a geometry that was given has no name."""
+    given = isinstance(geometry, ScanGeometry)
+    return algorithm.name if given else f"{algorithm.name}, {which} geometry"
 
 
 def _corrected(

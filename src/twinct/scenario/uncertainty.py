@@ -69,36 +69,30 @@ class ArmErrors(ErrorSettings):
     and the encoders. So do the plan, its clearance and the trigger.
     """
 
-    joint_offset_deg: NonNegative = size("Error of each joint's zero.")
-    link_mm: NonNegative = size(
+    joint_offset_deg: Finite = size("Error of each joint's zero.")
+    link_mm: Finite = size(
         "Error of each joint's position on the previous link, along each axis: lengths and "
         "offsets.",
     )
-    link_deg: NonNegative = size(
-        "Tilt of each joint's axis about the two axes perpendicular to it."
-    )
-    base_mm: NonNegative = size(
-        "Error of the base position along each axis: registration of the arm."
-    )
-    base_deg: NonNegative = size("Error of the base rotation about each axis.")
-    tool_mm: NonNegative = size(
+    link_deg: Finite = size("Tilt of each joint's axis about the two axes perpendicular to it.")
+    base_mm: Finite = size("Error of the base position along each axis: registration of the arm.")
+    base_deg: Finite = size("Error of the base rotation about each axis.")
+    tool_mm: Finite = size(
         "Error of focal spot and panel on their flange, along each axis: hand-eye calibration."
     )
-    tool_deg: NonNegative = size(
-        "Rotation error of source and panel on their flange, about each axis."
-    )
-    windup_deg: NonNegative = size(
+    tool_deg: Finite = size("Rotation error of source and panel on their flange, about each axis.")
+    windup_deg: Finite = size(
         "Deflection of each joint at its published torque limit, behind the encoder; the weight "
         "of links and tool deflects it in proportion.",
     )
     windup_spread: float = setting(
         0.0, "Spread of the deflection from joint to joint, as a share of windup_deg.", ge=0, le=0.3
     )
-    gear_deg: NonNegative = size(
+    gear_deg: Finite = size(
         "Amplitude of each joint's gear error, a sine of the joint angle with a random phase."
     )
     gear_periods: int = setting(1, "Periods of that sine per turn of the joint.", ge=1)
-    drift_mm: NonNegative = size(
+    drift_mm: Finite = size(
         "Growth of each link along each axis once it is warm. The arms are calibrated warm; the "
         "growth that is still missing fades with warm_up_min.",
     )
@@ -116,9 +110,9 @@ class ArmErrors(ErrorSettings):
         0.0, "Time since the calibration of the arms.", unit="months of 30 days"
     )
     trigger_delay_ms: Finite = size(
-        "Delay from the encoders' reading to the image, while the arms move on."
+        "Delay from the encoders' reading to the image, while the arms move on.", signed=True
     )
-    trigger_jitter_ms: NonNegative = size(
+    trigger_jitter_ms: Finite = size(
         "Standard deviation of that delay from view to view; both arms share it."
     )
     seed: int | None = setting(
@@ -138,13 +132,13 @@ class ArmErrors(ErrorSettings):
 class ViewErrors(ErrorSettings):
     """Errors of executed poses, drawn for each view: standard deviations for each axis."""
 
-    source_mm: NonNegative = size("Error of the focal spot along each axis.")
-    detector_in_plane_mm: NonNegative = size(
+    source_mm: Finite = size("Error of the focal spot along each axis.")
+    detector_in_plane_mm: Finite = size(
         "Error of the panel along its columns and rows, which moves the piercing point."
     )
-    detector_normal_mm: NonNegative = size("Error of the panel along its normal.")
-    detector_tilt_deg: NonNegative = size("Rotation error of the panel about its two axes.")
-    detector_turn_deg: NonNegative = size("Rotation error of the panel about its normal.")
+    detector_normal_mm: Finite = size("Error of the panel along its normal.")
+    detector_tilt_deg: Finite = size("Rotation error of the panel about its two axes.")
+    detector_turn_deg: Finite = size("Rotation error of the panel about its normal.")
     correlation_views: NonNegative = setting(
         0.0, "Correlation length of these errors in views, as for the noise of the reported poses."
     )
@@ -156,15 +150,13 @@ class PatientMotion(ErrorSettings):
     It starts at the scenario's pose. The truth stays at that pose.
     """
 
-    nod_mm: NonNegative = size(
+    nod_mm: Finite = size(
         "Amplitude of a nod: the specimen moves this far and back, again and again."
     )
-    nod_deg: NonNegative = size("Rotation during the nod.")
+    nod_deg: Finite = size("Rotation during the nod.")
     nod_period_s: Positive = setting(20.0, "Period of the nod, in simulated time.")
-    jerk_mm: NonNegative = size(
-        "Displacement of a sudden jerk, after which the specimen stays there."
-    )
-    jerk_deg: NonNegative = size("Rotation during the jerk.")
+    jerk_mm: Finite = size("Displacement of a sudden jerk, after which the specimen stays there.")
+    jerk_deg: Finite = size("Rotation during the jerk.")
     jerk_at_s: NonNegative = setting(
         5.0, "Simulated time at which the jerk starts; it takes 0.2 s."
     )

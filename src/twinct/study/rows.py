@@ -33,12 +33,13 @@ class Rows:
         self._badness = BADNESS[better or figure_words(self._figure).best]
         self._journal = Journal(folder.path)
         self.status: dict[str, str] = {}
+        self.problems: dict[str, str] = {}
         self._ranked: dict[str, tuple[float, str]] = {}
         for row in self._journal.rows():
             self._count(row)
 
     def _count(self, row: Row) -> None:
-        self.status[row.key] = row.status
+        self._current(row)
         if (self._folder.best / f"{row.key}.npz").exists() and row.status == "done":
             self._ranked[_combination(row)] = self._rank(row), row.key
 
@@ -47,10 +48,16 @@ class Rows:
         rows = list(rows)
         self._journal.append(rows)
         for row in rows:
-            if row.current:
-                self.status[row.key] = row.status
-            else:
-                self.status.pop(row.key, None)
+            self._current(row)
+
+    def _current(self, row: Row) -> None:
+        self.problems.pop(row.key, None)
+        if not row.current:
+            self.status.pop(row.key, None)
+            return
+        self.status[row.key] = row.status
+        if row.message:
+            self.problems[row.key] = row.message
 
     def done(self, one: Checked, event: Done, seconds: Mapping[str, float], report: str) -> Row:
         """Store the row of a finished trial, and its cross-sections if it is among the best."""

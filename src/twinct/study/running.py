@@ -44,11 +44,13 @@ class StudyRun:
         folder: folder of the study.
         done: number of finished trials.
         failed: number of failed trials.
+        problem: message of the first failed trial, if any.
     """
 
     folder: StudyFolder
     done: int
     failed: int
+    problem: str = ""
 
     @property
     def results(self) -> pd.DataFrame:
@@ -136,7 +138,8 @@ def run_study(
             else:
                 driver.run(trials, retry=retry)
         status = list(rows.status.values())
-    return StudyRun(folder, status.count("done"), status.count("failed"))
+        problem = next(iter(rows.problems.values()), "")
+    return StudyRun(folder, status.count("done"), status.count("failed"), problem)
 
 
 def _remove_pickles(folder: StudyFolder, observers: Observers) -> None:

@@ -119,7 +119,7 @@ def take_scan(spec: TrialSpec, place: Place) -> WithArtifacts:
     """
     scenario, cache, seconds = spec.scenario_at(place), Cache(place.folder), _Seconds()
     _check(scenario)
-    _start(spec, seconds)
+    _start(spec, place.folder, seconds)
     specimen = _specimen(scenario, cache, seconds)
     builder = SimulationBuilder(scenario, _plan(scenario, specimen, cache, seconds), specimen)
     with seconds.stage("scan"):
@@ -138,7 +138,7 @@ def try_trial(spec: TrialSpec, place: Place) -> WithArtifacts:
         InputError: the trial cannot be run.
     """
     cache, seconds = Cache(place.folder), _Seconds()
-    _start(spec, seconds)
+    _start(spec, place.folder, seconds)
     began = time.perf_counter()
     with cache.locked("trials", spec.key):
         folder = place.folder / "trials" / spec.key
@@ -166,7 +166,7 @@ _SMALLEST = {
 }
 
 
-def _start(spec: TrialSpec, seconds: _Seconds) -> None:
+def _start(spec: TrialSpec, folder: Path, seconds: _Seconds) -> None:
     """Load all engines by a tiny trial, so that the first trial takes as long as the others.
 
     Over ROS 2, other processes load them with each scan.
@@ -175,7 +175,8 @@ def _start(spec: TrialSpec, seconds: _Seconds) -> None:
     if not _started and spec.link == "local":
         _started = True
         smallest, taken = parse_scenario(_SMALLEST), _Seconds()
-        with seconds.stage(START), tempfile.TemporaryDirectory() as name, suppress(TwinctError):
+        here = tempfile.TemporaryDirectory(dir=folder)  # goes with that folder if a worker dies
+        with seconds.stage(START), here as name, suppress(TwinctError):
             first = replace(spec, scan=START, shared=False, keep="figures")
             _figures(first, smallest, None, Path(name), Cache(Path(name)), taken)
 

@@ -13,6 +13,9 @@ no other code needs to:
 - Its artefact filter, on by default, costs up to half the time and makes closed meshes worse: a
   titanium sphere inside bone is off by up to 10 mm at its rim with the filter, 0.8 mm without. The
   filter returns with the first view on a panel of another size, so it is disabled after one view.
+- Its destructors draw at the end of the process, in a thread without the context. A process once
+  died of a corrupted heap there. So it ends before them, after Python has ended and with its exit
+  code.
 - Its import takes about 5 s and 2 GB of permanent memory, for a sphere table.
 """
 
@@ -170,6 +173,8 @@ class GvxrEngine:
                 f"gVXR found no OpenGL to draw with ({reason}). {ADVICE}{if_little()}"
                 f"{self._complaints()}"
             )
+        libc = ctypes.CDLL(None)
+        libc.on_exit(libc._exit, None)  # called with the exit code, before what was there earlier
         self._gvxr = gvxr
         return gvxr
 

@@ -35,6 +35,11 @@ SEE_THROUGH = 0.3
 """Opacity below which a body is a region, whose name is written into it."""
 LONGEST_NAME = 60
 """Characters of a name in a picture; MuJoCo takes 99 bytes."""
+SHOWN_GROUPS = (1, 1, 1, 0, 0, 0)
+AZIMUTHS_DEG = (125, 95, 155, 65, 185, 35, 215, 5, 245)
+"""Where the camera may stand, the usual place first."""
+AS_CLEAR = 0.75
+"""Share of the clearest view of both tools at which the camera stays at its usual place."""
 GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
 
 
@@ -130,8 +135,8 @@ def render_cell(
     from PIL import Image
 
     at = None if joints is None else np.asarray(joints, dtype=np.float64)
-    moment = Moment(at, marks or Marks())
-    pixels = next(room_pictures(cell_model, [moment], width, height))
+    moment, camera = Moment(at, marks or Marks()), _clearest(cell_model, at)
+    pixels = next(room_pictures(cell_model, [moment], width, height, camera))
     try:
         with storage_errors(Path(path_png)), complete(Path(path_png)) as draft:
             Image.fromarray(pixels).save(draft, format="PNG")
@@ -140,9 +145,15 @@ def render_cell(
 
 
 def room_pictures(
-    cell_model: CellModel | GantryModel, moments: Iterable[Moment], width: int, height: int
+    cell_model: CellModel | GantryModel,
+    moments: Iterable[Moment],
+    width: int,
+    height: int,
+    camera: Any = None,
 ) -> Iterator[NDArray[np.uint8]]:
     """Yield a picture of the whole cell for each moment, (height, width, 3).
+
+    ``camera`` is MuJoCo's; None takes the usual one.
 
     Raises:
         InputError: MuJoCo cannot draw here.
@@ -150,15 +161,9 @@ def room_pictures(
     mujoco = mujoco_module()
     model = copy.copy(cell_model.model)
     data = mujoco.MjData(model)
-    camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    wide = isinstance(cell_model, CellModel) and cell_model.cell.room == "operating"
-    camera.lookat[:], camera.distance = ((0, 0.1, -0.12), 4.6) if wide else ((0, 0, -0.30), 2.8)
-    camera.azimuth, camera.elevation = 125.0, -16.0
-    if isinstance(cell_model, GantryModel):
-        camera.lookat[:], camera.distance = model.stat.center, 1.6 * model.stat.extent
+    camera = camera or _camera(cell_model)
     option = mujoco.MjvOption()
-    option.geomgroup[:] = (1, 1, 1, 0, 0, 0)
+    option.geomgroup[:] = SHOWN_GROUPS
     option.sitegroup[:] = 0
     red: tuple[str, ...] = ()
     renderer: Any = None
@@ -187,6 +192,53 @@ def room_pictures(
     finally:
         if renderer is not None:
             renderer.close()
+
+
+def _camera(cell_model: CellModel | GantryModel) -> Any:
+    mujoco, model = mujoco_module(), cell_model.model
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    wide = isinstance(cell_model, CellModel) and cell_model.cell.room == "operating"
+    camera.lookat[:], camera.distance = ((0, 0.1, -0.12), 4.6) if wide else ((0, 0, -0.30), 2.8)
+    camera.azimuth, camera.elevation = AZIMUTHS_DEG[0], -16.0
+    if isinstance(cell_model, GantryModel):
+        camera.lookat[:], camera.distance = model.stat.center, 1.6 * model.stat.extent
+    return camera
+
+
+def _clearest(cell_model: CellModel | GantryModel, joints: Floats | None) -> Any:
+    """Return the camera at a place where no body hides the tube or the panel, if there is one."""
+    mujoco, model, camera = mujoco_module(), cell_model.model, _camera(cell_model)
+    data = mujoco.MjData(model)
+    if joints is not None:
+        data.qpos[:] = joints
+    mujoco.mj_forward(model, data)
+
+    def seen(azimuth: float) -> float:
+        """Return the share of points of the worse seen tool that nothing hides."""
+        a, e = np.radians([azimuth, camera.elevation])
+        forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+        eye = camera.lookat - camera.distance * forward
+        return min(_shown(model, data, name, eye) for name in ("source_housing", "detector_panel"))
+
+    shares = [seen(azimuth) for azimuth in AZIMUTHS_DEG]
+    best = 0 if shares[0] >= AS_CLEAR * max(shares) else int(np.argmax(shares))
+    camera.azimuth = AZIMUTHS_DEG[best]
+    return camera
+
+
+def _shown(model: Any, data: Any, name: str, eye: Floats) -> float:
+    """Return the share of a box's points that no other body hides from an eye."""
+    geom, hit = model.geom(name).id, np.zeros(1, np.int32)
+    grid = np.array(np.meshgrid(*[[-0.8, 0.0, 0.8]] * 3)).reshape(3, -1).T * model.geom_size[geom]
+    points = data.geom_xpos[geom] + grid @ data.geom_xmat[geom].reshape(3, 3).T
+    own = 0
+    for point in points:
+        mujoco_module().mj_ray(
+            model, data, eye, point - eye, np.array(SHOWN_GROUPS, np.uint8), 1, -1, hit
+        )
+        own += hit[0] >= 0 and model.geom_bodyid[hit[0]] == model.geom_bodyid[geom]
+    return own / len(points)
 
 
 def _renderer(model: Any, width: int, height: int) -> Any:
