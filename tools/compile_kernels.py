@@ -45,9 +45,12 @@ def compile_vector() -> None:
 
 def compile_rest() -> None:
     """Compile the plain engine into its own cache, and all kernels outside the engines."""
+    from twinct.specimen.skull import skull_surface
+
     os.environ["TWINCT_ENGINE"] = "plain"
     _reconstruct("plain")
     _voxelise()
+    skull_surface()  # kept on disk for later processes
     _move()
     _paint()
     _cast_shadows()

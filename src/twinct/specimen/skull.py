@@ -13,11 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
+from twinct.core.disk_cache import made_once
 from twinct.geometry import Floats
 from twinct.specimen.implicit import (
     Body,
@@ -43,8 +47,28 @@ WALL_MM = 6.3
 """Thickness of the vault's wall, before sutures and ridges."""
 
 
+SOURCES = ("skull.py", "implicit.py", "surface.py")
+"""Files of this package that make the surface."""
+
+
 @lru_cache(maxsize=2)
 def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
+    texts = [Path(__file__).with_name(name).read_bytes() for name in SOURCES]
+    libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy", "scikit-image")]
+    numbers = repr((scale, resolution_mm, *libraries, version("manifold3d")))
+    found = made_once(
+        "skull",
+        [*texts, numbers.encode()],
+        lambda: _arrays(_made(scale, resolution_mm)),
+    )
+    return surface(found["vertices"], found["faces"].astype(np.int64))
+
+
+def _arrays(mesh: trimesh.Trimesh) -> dict[str, NDArray[Any]]:
+    return {"vertices": mesh.vertices.view(np.ndarray), "faces": mesh.faces.astype(np.int32)}
+
+
+def _made(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     head = skull_canvas(resolution_mm / scale)
     mesh = _without_crumbs(isosurface(-head.mirrored, 0.0, head.affine))
     vertices = (mesh.vertices - mesh.bounds.mean(axis=0)) * scale

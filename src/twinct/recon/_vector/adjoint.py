@@ -6,9 +6,15 @@ from numba import njit, prange
 
 from twinct.recon._vector.brick import fits, in_brick, in_volume, move
 from twinct.recon._vector.groups import TILE_COLUMNS, TILE_ROWS, box_of, load, room, slab_of
-from twinct.recon._vector.march import BLOCK, VALUE, add_along, add_guarded, add_pairs_along
+from twinct.recon._vector.march import (
+    BLOCK,
+    LANES,
+    VALUE,
+    add_along,
+    add_guarded,
+    add_pairs_along,
+)
 from twinct.recon._vector.options import CUBE, IMAGE, OPTIONS, RAYS, kernel
-from twinct.recon._vector.vectors import LANES
 
 PLANES = 16
 """Planes of a slab: a cache line of voxels along x."""
@@ -24,7 +30,7 @@ def _weigh(y, rays, pixels, steps, groups):
             rays[slot // LANES * BLOCK + VALUE + slot % LANES] = value
 
 
-_add_slab = slab_of(add_along, add_pairs_along, add_guarded)
+_add_slab = slab_of(add_along, add_pairs_along, add_pairs_along, add_guarded)
 """Function that adds the rays' values to the voxels of the planes from start to end."""
 
 

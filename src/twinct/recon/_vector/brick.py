@@ -25,6 +25,7 @@ from twinct.recon._vector.vectors import (
     LANES,
     arguments,
     ask_for,
+    interleaved,
     intrinsic,
     transposed,
     vector_at,
@@ -104,6 +105,63 @@ def move(x, shape, axis, box, brick, back):
                 _copy_line(x, at, brick, to, nb)
 
 
+@intrinsic
+def _interleave(typingctx, one, at, other, there, target, to):
+    """Set target.flat[to + 2 n] = one.flat[at + n], and target.flat[to + 2 n + 1] = other's."""
+    n, void = types.int64, types.void
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        one, at, other, there, target, to = arguments(context, builder, signature, args)
+        taken = (
+            builder.load(vector_at(builder, data, first), align=4)
+            for data, first in ((one, at), (other, there))
+        )
+        builder.store(
+            interleaved(builder, *taken), vector_at(builder, target, to, 2 * LANES), align=4
+        )
+        return context.get_dummy_value()
+
+    return void(one, n, other, n, target, n), codegen
+
+
+@njit(inline="always", **OPTIONS)
+def _pair(one, at, other, there, target, to, count):
+    """Set target[to + 2 n] = one[at + n] and target[to + 2 n + 1] = other[there + n], n < count."""
+    whole = count // LANES * LANES
+    for n in range(0, whole, LANES):
+        _interleave(one, at + n, other, there + n, target, to + 2 * n)
+    for n in range(whole, count):
+        target[to + 2 * n] = one[at + n]
+        target[to + 2 * n + 1] = other[there + n]
+
+
+@njit(**OPTIONS)
+def take_pairs(x, shape, axis, box, lines, pairs):
+    """Copy a box of the volume ``x`` (flat) into ``pairs`` (flat): (plane, c, b, 2).
+
+    Each voxel stands beside the next one in c, and the last c has no place of its own: with the
+    next pair in b, the four voxels around a sample are adjacent. ``lines`` is room for a brick.
+    """
+    _, ny, nx = shape
+    start, planes, c0, nc, b0, nb = box
+    stride = 2 * nb * (nc - 1)
+    if axis == 0:
+        for c in range(nc):
+            here, before = c % 2 * nb * planes, (c + 1) % 2 * nb * planes
+            at = ((c0 + c) * ny + b0) * nx + start
+            _copy(x, at, nx, lines, here, nb, nb, planes)
+            if c > 0:
+                for p in range(planes):
+                    to = p * stride + (c - 1) * 2 * nb
+                    _pair(lines, before + p * nb, lines, here + p * nb, pairs, to, nb)
+        return
+    for p in range(planes):
+        for c in range(nc - 1):
+            k, j = (c0 + c, start + p) if axis == 1 else (start + p, c0 + c)
+            at, step = (k * ny + j) * nx + b0, ny * nx if axis == 1 else nx
+            _pair(x, at, x, at + step, pairs, p * stride + c * 2 * nb, nb)
+
+
 @njit(inline="always", **OPTIONS)
 def fits(box):
     """Return True if a brick can hold the box; a box of rays far apart is too large."""
@@ -147,16 +205,26 @@ def in_brick(box, axis, shape):
     """Return the lattice (see ``march``) of a brick."""
     start, _, c0, nc, b0, nb = box
     middle, stride = np.float32(0.5 * (shape[2 - axis] - 1)), nc * nb
-    return middle, np.float32(b0), np.float32(c0), -start * stride, nb - 1, nc - 1, 1, nb, stride
+    from_b, from_c = np.float32(b0), np.float32(c0)
+    return middle, from_b, from_c, -start * stride, nb - 1, nc - 1, 1, nb, stride, nb
+
+
+@njit(inline="always", **OPTIONS)
+def in_pairs(box, axis, shape):
+    """Return the lattice of what ``take_pairs`` writes."""
+    start, _, c0, nc, b0, nb = box
+    middle, stride = np.float32(0.5 * (shape[2 - axis] - 1)), 2 * nb * (nc - 1)
+    from_b, from_c = np.float32(b0), np.float32(c0)
+    return middle, from_b, from_c, -start * stride, nb - 1, nc - 1, 2, 2 * nb, stride, 1
 
 
 @njit(inline="always", **OPTIONS)
 def in_volume(axis, shape):
-    """Return the lattice (see ``march``) of the volume itself."""
+    """Return the lattice of the volume itself."""
     nz, ny, nx = shape
     middle, zero = np.float32(0.5 * (shape[2 - axis] - 1)), np.float32(0.0)
     if axis == 0:
-        return middle, zero, zero, 0, ny - 1, nz - 1, nx, nx * ny, 1
+        return middle, zero, zero, 0, ny - 1, nz - 1, nx, nx * ny, 1, nx * ny
     if axis == 1:
-        return middle, zero, zero, 0, nx - 1, nz - 1, 1, nx * ny, nx
-    return middle, zero, zero, 0, nx - 1, ny - 1, 1, nx, nx * ny
+        return middle, zero, zero, 0, nx - 1, nz - 1, 1, nx * ny, nx, nx * ny
+    return middle, zero, zero, 0, nx - 1, ny - 1, 1, nx, nx * ny, nx

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import prange
 
-from twinct.recon._vector.brick import fits, in_brick, in_volume, move
+from twinct.recon._vector.brick import ROOM, fits, in_pairs, in_volume, take_pairs
 from twinct.recon._vector.groups import TILE_COLUMNS, TILE_ROWS, box_of, load, room, slab_of
-from twinct.recon._vector.march import BLOCK, VALUE, read_along, read_guarded, read_pairs_along
+from twinct.recon._vector.march import (
+    BLOCK,
+    LANES,
+    VALUE,
+    read_along,
+    read_fours_along,
+    read_guarded,
+    read_pairs_along,
+)
 from twinct.recon._vector.options import CUBE, IMAGE, RAYS, kernel
-from twinct.recon._vector.vectors import LANES
 
 PLANES = 16
 """Planes of a slab; all rays of a tile go through one slab before the next."""
 
 
-_sum_slab = slab_of(read_along, read_pairs_along, read_guarded)
+_sum_slab = slab_of(read_along, read_pairs_along, read_fours_along, read_guarded)
 """Function that adds up the samples of the planes from start to end."""
 
 
@@ -29,7 +37,8 @@ def forward(x, view, out):
         bottom, right = min(top + TILE_ROWS, rows), min(left + TILE_COLUMNS, columns)
         out[top:bottom, left:right] = 0.0
         scratch = room()
-        blocks, ranges, pixels, steps, groups, _, edges, brick = scratch
+        blocks, ranges, pixels, steps, groups, _, edges, lines = scratch
+        pairs = np.empty(2 * ROOM, np.float32)
         load(view, shape, (top, bottom), (left, right), False, scratch)
         for axis in range(3):
             if groups[axis] == 0:
@@ -41,9 +50,9 @@ def forward(x, view, out):
                 then = box_of(edges[axis], groups[axis], axis, shape, end + 1, stop)
                 ahead = flat, shape, axis, then
                 if fits(box):
-                    move(flat, shape, axis, box, brick, False)
-                    lattice = in_brick(box, axis, shape)
-                    _sum_slab(brick, lattice, start, end, rays, bounds, groups[axis], ahead)
+                    take_pairs(flat, shape, axis, box, lines, pairs)
+                    lattice = in_pairs(box, axis, shape)
+                    _sum_slab(pairs, lattice, start, end, rays, bounds, groups[axis], ahead)
                 else:
                     lattice = in_volume(axis, shape)
                     _sum_slab(flat, lattice, start, end, rays, bounds, groups[axis], ahead)

@@ -1,20 +1,15 @@
-"""Rays sorted by the axis that they cross fastest, in groups of eight for ``march``."""
+"""Rays sorted by the axis that they cross fastest, in groups for ``march``."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
+from twinct.recon._vector import vectors
 from twinct.recon._vector.brick import ROOM, ask_for_box
-from twinct.recon._vector.march import (
-    B_MIDDLE,
-    BLOCK,
-    C_MIDDLE,
-    VALUE,
-)
+from twinct.recon._vector.march import B_MIDDLE, BLOCK, C_MIDDLE, LANES, VALUE
 from twinct.recon._vector.options import OPTIONS
 from twinct.recon._vector.rays import ray_of
-from twinct.recon._vector.vectors import LANES
 
 TILE_ROWS = 32
 TILE_COLUMNS = 64
@@ -78,7 +73,7 @@ def _clear(lo, hi, at_middle, slope, middle, cells):
 
 @njit(inline="always", **OPTIONS)
 def _edge(block, kind, near, far, edge):
-    """Write two straight lines that enclose eight rays between two planes.
+    """Write two straight lines that enclose a group's rays between two planes.
 
     Planes count from the middle. The lowest position among straight lines is a concave function of
     the plane, never below the line between its ends; the highest position is convex and never
@@ -182,9 +177,9 @@ def box_of(edges, groups, axis, shape, start, end):
     # The cell of the highest sample, and one more against rounding errors.
     nb = min(int(max(b_high, np.float32(0.0))) + 2, b_cells) - b0 + 1
     nc = min(int(max(c_high, np.float32(0.0))) + 2, c_cells) - c0 + 1
-    if axis == 0:
-        # Multiples of eight are copied faster.
-        nb = min((nb + LANES - 1) // LANES * LANES, b_cells + 1 - b0)
+    # Multiples of eight are copied faster.
+    whole = (nb + vectors.LANES - 1) // vectors.LANES * vectors.LANES
+    nb = min(whole, b_cells + 1 - b0)
     return start, end - start + 1, c0, nc, b0, nb
 
 
@@ -193,7 +188,7 @@ def _below(lowest, cells):
     return min(max(int(max(lowest, np.float32(0.0))) - 1, 0), cells - 1)
 
 
-def slab_of(along, pairs_along, guarded):
+def slab_of(along, pairs_along, fours_along, guarded):
     """Build a function that takes groups through the planes of a slab, with functions of ``march``.
 
     The function also prefetches the next box: ``ahead``, see ``ask_for_box``.
@@ -213,7 +208,9 @@ def slab_of(along, pairs_along, guarded):
                 lo, hi = last + 1, last
             if first < lo:
                 guarded(x, rays, block, first, lo - 1, lattice)
-            if lattice[6] == 1:
+            if lattice[9] == 1:
+                fours_along(x, rays, block, lo, hi, lattice)
+            elif lattice[6] == 1:
                 pairs_along(x, rays, block, lo, hi, lattice)
             else:
                 along(x, rays, block, lo, hi, lattice)

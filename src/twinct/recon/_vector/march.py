@@ -1,15 +1,16 @@
-"""Eight rays through planes of voxels, read or written, as explicit vector code.
+"""Sixteen rays through planes of voxels, read or written, as explicit vector code.
 
-LLVM does not vectorise scattered reads in a loop well, and does not know that the two neighbours
-along x are adjacent in memory. With explicit code, a plane takes a third to a quarter of the time.
-Sums stay in a register, and a pair of neighbours moves as one 64-bit word.
+LLVM does not vectorise scattered reads in a loop well, and does not know which neighbours are
+adjacent in memory. With explicit code, a plane takes a fraction of the time. Sums stay in a
+register, and adjacent neighbours move as one word.
 
-All functions have the same arguments: the voxels, the rays and the start of the block of eight in
-them, first and last plane, and the lattice (middle, b_from, c_from as float32; offset, b_cells,
-c_cells, near, far, stride). In plane n a ray is at b = b_middle - b_from + (n - middle) b_slope,
-and likewise for c. Its four voxels are x.flat at offset + n stride + b near + c far and the next
-voxels in b and c, with bilinear weights. Nothing is checked: except in the guarded functions, all
-samples must lie inside, 0 <= b < b_cells, 0 <= c < c_cells.
+All functions have the same arguments: the voxels, the rays and the start of their block, first and
+last plane, and the lattice (middle, b_from, c_from as float32; offset, b_cells, c_cells, near, far,
+stride, up). In plane n a ray is at b = b_middle - b_from + (n - middle) b_slope, and likewise for
+c. The first of its four voxels is x.flat at offset + n stride + b near + c far, the next one in b
+is ``near`` further, the next one in c is ``up`` further; the weights are bilinear. Nothing is
+checked: except in the guarded functions, all samples must lie inside, 0 <= b < b_cells and
+0 <= c < c_cells.
 """
 
 from __future__ import annotations
@@ -22,18 +23,22 @@ from numba import types
 
 from twinct.recon._vector import vectors as vec
 
-B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE = (n * vec.LANES for n in range(7))
+LANES = vec.WIDE
+"""Rays of a block."""
+
+B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE = (n * LANES for n in range(7))
 """Offsets of the eight numbers of each kind in a block; FIRST and LAST are planes."""
 
-BLOCK = 7 * vec.LANES
+BLOCK = 7 * LANES
 """Length of a block."""
 
-_ZEROS = ir.Constant(vec.VECTOR, [0.0] * vec.LANES)
-_ONES = ir.Constant(vec.VECTOR, [1.0] * vec.LANES)
+_ZEROS = ir.Constant(vec.VECTOR, [0.0] * LANES)
+_ONES = ir.Constant(vec.VECTOR, [1.0] * LANES)
 _FAST = ["fast"]
 
-_KINDS = (False, False), (True, False), (False, True)
-"""Combinations of adjacent and guarded, see ``_emit``."""
+SINGLES, PAIRS, FOURS = 1, 2, 4
+"""Number of adjacent voxels that are read as one word: none, those in b (``near`` is 1), or all
+four (``near`` is 2 and ``up`` is 1)."""
 
 # Takes the builder, the two lines of voxels (one in c, and the next), the distance to the next
 # voxel in b, the positions in the lines, the weights of the next voxels in b and c, and the value
@@ -55,7 +60,7 @@ def _cell(
         at = _clamp(builder, at, top)
     whole = builder.fptosi(at, vec.INTS)
     if guarded:
-        int_ones = ir.Constant(vec.INTS, [1] * vec.LANES)
+        int_ones = ir.Constant(vec.INTS, [1] * LANES)
         highest = builder.sub(builder.fptosi(top, vec.INTS), int_ones)
         below = builder.icmp_signed("<", whole, highest)
         whole = builder.select(below, whole, highest)
@@ -64,7 +69,7 @@ def _cell(
 
 def _pointer(builder: Any, rays: Any, block: Any, place: int) -> Any:
     """Return a pointer to the eight numbers of one kind in a block."""
-    return vec.vector_at(builder, rays, builder.add(block, ir.Constant(vec.I64, place)))
+    return vec.vector_at(builder, rays, builder.add(block, ir.Constant(vec.I64, place)), LANES)
 
 
 def _loaded(builder: Any, rays: Any, block: Any) -> list[Any]:
@@ -84,11 +89,11 @@ def _join(phi: Any, *incoming: tuple[Any, Any]) -> Any:
     return phi
 
 
-def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
+def _emit(word: int, guarded: bool, adds_up: bool, body: _Body) -> Any:
     """Return the code generator of the loop over the planes.
 
     Args:
-        adjacent: neighbours in b are adjacent in memory.
+        word: ``SINGLES``, ``PAIRS`` or ``FOURS``.
         guarded: clamp b and c at the border, and respect FIRST and LAST.
         adds_up: the rays' values are sums that the body adds to, else factors that it uses.
         body: code generator for one plane.
@@ -96,9 +101,11 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         x, rays, block, first, last, lattice = vec.arguments(context, builder, signature, args)
-        middle, b_from, c_from, offset, b_cells, c_cells, near, far, stride = (
-            builder.extract_value(lattice, n) for n in range(9)
+        middle, b_from, c_from, offset, b_cells, c_cells, near, far, stride, up = (
+            builder.extract_value(lattice, n) for n in range(10)
         )
+        if word == FOURS:  # they are counted in pairs
+            far = builder.ashr(far, ir.Constant(vec.I64, 1))
 
         b_middle, b_slope, c_middle, c_slope, firsts, lasts, values = _loaded(builder, rays, block)
         near_lanes, far_lanes = (vec.splat(builder, builder.trunc(n, vec.I32)) for n in (near, far))
@@ -108,7 +115,7 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
         tops = [vec.splat(builder, builder.sitofp(cells, vec.F32)) for cells in (b_cells, c_cells)]
         plane_start = vec.splat(builder, builder.sitofp(first, vec.F32))
         low_start = builder.gep(x, [builder.add(offset, builder.mul(first, stride))])
-        high_start = builder.gep(low_start, [far])
+        high_start = builder.gep(low_start, [up])
 
         before, loop, after = builder.block, *map(builder.append_basic_block, ("plane", "after"))
         builder.cbranch(builder.icmp_signed("<=", first, last), loop, after)
@@ -118,7 +125,7 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
         m = builder.fsub(plane, middles, flags=_FAST)
         i, f = _cell(builder, m, b_middle, b_slope, tops[0], guarded)
         k, g = _cell(builder, m, c_middle, c_slope, tops[1], guarded)
-        if not adjacent:
+        if word == SINGLES:
             i = builder.mul(i, near_lanes, flags=["nsw"])
         places = vec.lanes_of(builder, builder.add(i, builder.mul(k, far_lanes), flags=["nsw"]))
         inside = _within(builder, plane, firsts, lasts) if guarded else None
@@ -145,29 +152,29 @@ def _emit(adjacent: bool, guarded: bool, adds_up: bool, body: _Body) -> Any:
     return codegen
 
 
-def _gather(adjacent: bool) -> _Body:
+def _gather(word: int) -> _Body:
     def body(builder: Any, lines: Any, near: Any, places: Any, f: Any, g: Any, sums: Any) -> Any:
-        rows = []
-        for line in lines:
-            if adjacent:
-                left, right = vec.read_pairs(builder, line, places)
-            else:
-                left = vec.read_single(builder, line, places)
-                right = vec.read_single(builder, builder.gep(line, [near]), places)
-            rows.append(vec.mix(builder, left, right, f))
-        low, high = rows
+        if word == FOURS:
+            left, left_up, right, right_up = vec.read_fours(builder, lines[0], places)
+            voxels = (left, right), (left_up, right_up)
+        elif word == PAIRS:
+            voxels = tuple(vec.read_pairs(builder, line, places) for line in lines)
+        else:
+            starts = ((line, builder.gep(line, [near])) for line in lines)
+            voxels = tuple([vec.read_single(builder, at, places) for at in two] for two in starts)
+        low, high = (vec.mix(builder, left, right, f) for left, right in voxels)
         return builder.fadd(sums, vec.mix(builder, low, high, g), flags=_FAST)
 
     return body
 
 
-def _scatter(adjacent: bool) -> _Body:
+def _scatter(word: int) -> _Body:
     def body(builder: Any, lines: Any, near: Any, places: Any, f: Any, g: Any, y: Any) -> Any:
         upper = builder.fmul(y, g, flags=_FAST)
         for line, share in zip(lines, (builder.fsub(y, upper, flags=_FAST), upper), strict=True):
             right = builder.fmul(share, f, flags=_FAST)
             left = builder.fsub(share, right, flags=_FAST)
-            if adjacent:
+            if word == PAIRS:
                 vec.add_pairs(builder, line, places, left, right)
             else:
                 vec.add_single(builder, line, places, left)
@@ -177,17 +184,22 @@ def _scatter(adjacent: bool) -> _Body:
     return body
 
 
-def _along(adjacent: bool, guarded: bool, adds_up: bool) -> Any:
+def _along(word: int, guarded: bool, adds_up: bool) -> Any:
     def typed(typingctx, x, rays, block, first, last, lattice):
         n, void = types.int64, types.void
-        body = _gather(adjacent) if adds_up else _scatter(adjacent)
-        return void(x, rays, n, n, n, lattice), _emit(adjacent, guarded, adds_up, body)
+        body = _gather(word) if adds_up else _scatter(word)
+        return void(x, rays, n, n, n, lattice), _emit(word, guarded, adds_up, body)
 
     return vec.intrinsic(typed)
 
 
-read_along, read_pairs_along, read_guarded = (_along(*kind, True) for kind in _KINDS)
-"""Functions that add the samples of the planes to the eight values; pairs: ``near`` is 1."""
+read_along, read_pairs_along, read_fours_along = (
+    _along(word, False, True) for word in (SINGLES, PAIRS, FOURS)
+)
+"""Functions that add the samples of the planes to the rays' values."""
 
-add_along, add_pairs_along, add_guarded = (_along(*kind, False) for kind in _KINDS)
-"""Functions that add the eight values, weighted, to the planes' voxels; guarded: for any ray."""
+add_along, add_pairs_along = (_along(word, False, False) for word in (SINGLES, PAIRS))
+"""Functions that add the rays' values, weighted, to the planes' voxels."""
+
+read_guarded, add_guarded = (_along(SINGLES, True, adds_up) for adds_up in (True, False))
+"""The same for any rays."""

@@ -18,7 +18,7 @@ def sample_line(typingctx, out, image, width, first, count, a, e, d, a1, e1, d1)
     four pixels around a position are adjacent in memory. ``width`` is the number of columns.
 
     Voxel t = first + p projects to column (a + t a1) / (d + t d1) and row (e + t e1) / (d + t d1),
-    at least 0 each. ``out`` must hold ``count`` rounded up to ``LANES``.
+    at least 0 each. ``out`` must hold ``count`` rounded up to ``WIDE``.
     """
     n, real, void = types.int64, types.float32, types.void
     signature = void(out, image, n, n, n, real, real, real, real, real, real)
@@ -30,14 +30,14 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     out, image, width, first, count, *numbers = vec.arguments(context, builder, signature, args)
     a, e, d, a1, e1, d1 = (vec.splat(builder, number) for number in numbers)
     widths = vec.splat(builder, builder.trunc(width, vec.I32))
-    ones = ir.Constant(vec.VECTOR, [1.0] * vec.LANES)
-    step = ir.Constant(vec.VECTOR, [float(vec.LANES)] * vec.LANES)
-    ramp = ir.Constant(vec.VECTOR, [float(lane) for lane in range(vec.LANES)])
+    ones = ir.Constant(vec.VECTOR, [1.0] * vec.WIDE)
+    step = ir.Constant(vec.VECTOR, [float(vec.WIDE)] * vec.WIDE)
+    ramp = ir.Constant(vec.VECTOR, [float(lane) for lane in range(vec.WIDE)])
     start = builder.fadd(vec.splat(builder, builder.sitofp(first, vec.F32)), ramp)
     final = builder.sub(builder.add(first, count), ir.Constant(vec.I64, 1))
     last = vec.splat(builder, builder.sitofp(final, vec.F32))
     before = builder.block
-    loop = builder.append_basic_block("eight")
+    loop = builder.append_basic_block("samples")
     after = builder.append_basic_block("after")
     builder.cbranch(builder.icmp_signed(">", count, ir.Constant(vec.I64, 0)), loop, after)
     builder.position_at_end(loop)
@@ -57,8 +57,10 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     places = vec.lanes_of(builder, builder.add(c, builder.mul(r, widths, flags=["nsw"])))
     left_low, left_high, right_low, right_high = vec.read_fours(builder, image, places)
     low, high = vec.mix(builder, left_low, right_low, f), vec.mix(builder, left_high, right_high, f)
-    builder.store(vec.mix(builder, low, high, g), vec.vector_at(builder, out, done), align=4)
-    following = builder.add(done, ir.Constant(vec.I64, vec.LANES))
+    builder.store(
+        vec.mix(builder, low, high, g), vec.vector_at(builder, out, done, vec.WIDE), align=4
+    )
+    following = builder.add(done, ir.Constant(vec.I64, vec.WIDE))
     done.add_incoming(ir.Constant(vec.I64, 0), before)
     done.add_incoming(following, loop)
     t.add_incoming(start, before)

@@ -7,7 +7,7 @@ from numba import njit, prange
 
 from twinct.recon._vector.options import CUBE, IMAGE, MATRIX, OPTIONS, kernel
 from twinct.recon._vector.sample import sample_line
-from twinct.recon._vector.vectors import CACHE_LINE, LANES, ask_for
+from twinct.recon._vector.vectors import CACHE_LINE, WIDE, ask_for
 
 CHUNK = 128
 """Voxels of a line that are processed together."""
@@ -103,8 +103,8 @@ def update(x, matrix, image, mask, missing, floor):
         _with_next_row(image, row, fours)
         _with_next_row(mask, row, weight_fours)
     for k in prange(nz):
-        values = np.empty(CHUNK + LANES, np.float32)
-        weights = np.empty(CHUNK + LANES, np.float32)
+        values = np.empty(CHUNK + WIDE, np.float32)
+        weights = np.empty(CHUNK + WIDE, np.float32)
         for j in range(ny):
             a = matrix[0, 1] * j + matrix[0, 2] * k + matrix[0, 3]
             e = matrix[1, 1] * j + matrix[1, 2] * k + matrix[1, 3]

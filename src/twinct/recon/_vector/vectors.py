@@ -1,4 +1,4 @@
-"""LLVM building blocks for eight float32 at a time, for the kernels' vector code."""
+"""LLVM building blocks for 8 or 16 float32 at a time, for the kernels' vector code."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from numba.extending import intrinsic as numba_intrinsic
 intrinsic: Any = numba_intrinsic
 
 LANES = 8
-"""Samples that one call blends."""
+"""Lanes of a vector of AVX2; what is read or written lane by lane, is so eight at a time."""
+
+WIDE = 16
+"""Samples that one call blends: a vector of AVX-512, or two of smaller processors."""
 
 CACHE_LINE = 16
 """Number of float32 in a cache line."""
 
 F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
-VECTOR, INTS = ir.VectorType(F32, LANES), ir.VectorType(I32, LANES)
+VECTOR, INTS = ir.VectorType(F32, WIDE), ir.VectorType(I32, WIDE)
 _PAIR, _FOUR = ir.VectorType(F32, 2), ir.VectorType(F32, 4)
 # This order of pairs lets one in-lane shuffle separate lower from upper neighbours.
 _HALVES = ((0, 1, 4, 5), (2, 3, 6, 7))
@@ -60,35 +63,64 @@ def ask_for(typingctx, source, at):
     return void(source, n), codegen
 
 
-def vector_at(builder: Any, data: Any, first: Any) -> Any:
-    """Return a pointer to eight elements from ``first`` on."""
-    return builder.bitcast(builder.gep(data, [first]), VECTOR.as_pointer())
+def vector_at(builder: Any, data: Any, first: Any, lanes: int = LANES) -> Any:
+    """Return a pointer to so many elements from ``first`` on."""
+    kind = ir.VectorType(F32, lanes)
+    return builder.bitcast(builder.gep(data, [first]), kind.as_pointer())
 
 
 def splat(builder: Any, value: Any) -> Any:
-    """Return a vector that holds a number eight times."""
-    undefined = ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined)
+    """Return a wide vector that holds a number in every lane."""
+    undefined = ir.Constant(ir.VectorType(value.type, WIDE), ir.Undefined)
     one = builder.insert_element(undefined, value, ir.Constant(I32, 0))
-    return builder.shuffle_vector(one, undefined, _mask([0] * LANES))
+    return builder.shuffle_vector(one, undefined, _mask([0] * WIDE))
+
+
+def joined(builder: Any, low: Any, high: Any) -> Any:
+    """Return the lanes of two vectors as one."""
+    return builder.shuffle_vector(low, high, _mask(range(2 * low.type.count)))
+
+
+def interleaved(builder: Any, one: Any, other: Any) -> Any:
+    """Return a vector of one's first lane, the other's first, one's second and so on."""
+    count = one.type.count
+    lanes = [lane + part * count for lane in range(count) for part in (0, 1)]
+    return builder.shuffle_vector(one, other, _mask(lanes))
+
+
+def halves_of(builder: Any, vector: Any) -> list[Any]:
+    """Return a vector's lower and upper lanes as two vectors."""
+    half = vector.type.count // 2
+    parts = (range(half), range(half, 2 * half))
+    return [builder.shuffle_vector(vector, vector, _mask(part)) for part in parts]
 
 
 def lanes_of(builder: Any, vector: Any) -> list[Any]:
-    """Return eight non-negative 32-bit integers, widened to 64 bits.
+    """Return the lanes of non-negative 32-bit integers, widened to 64 bits.
 
     They pass through memory, because the units that would extract lanes also blend samples, and
     are busy. An empty instruction that may use the memory keeps LLVM from extracting nevertheless.
     """
-    room = cgutils.alloca_once(builder, INTS)
+    room = cgutils.alloca_once(builder, vector.type)
     builder.store(vector, room)
     kind = ir.FunctionType(ir.VoidType(), [room.type])
     builder.asm(kind, "", "r,~{memory}", [room], side_effect=True)
     lanes = builder.bitcast(room, I32.as_pointer())
-    places = (builder.gep(lanes, [ir.Constant(I64, lane)]) for lane in range(LANES))
+    places = (builder.gep(lanes, [ir.Constant(I64, lane)]) for lane in range(vector.type.count))
     return [builder.zext(builder.load(place, align=4), I64) for place in places]
+
+
+def _eights(places: list[Any]) -> tuple[list[Any], list[Any]]:
+    """Return the places of 16 lanes as two lists."""
+    return places[:LANES], places[LANES:]
 
 
 def read_pairs(builder: Any, base: Any, places: list[Any]) -> tuple[Any, Any]:
     """Return vectors of base[i] and of base[i + 1], with one 64-bit load per pair."""
+    if len(places) > LANES:
+        parts = [read_pairs(builder, base, part) for part in _eights(places)]
+        left, right = (joined(builder, *two) for two in zip(*parts, strict=True))
+        return left, right
     pairs = []
     for place in places:
         pair = builder.bitcast(builder.gep(base, [place]), _PAIR.as_pointer())
@@ -104,6 +136,9 @@ def read_pairs(builder: Any, base: Any, places: list[Any]) -> tuple[Any, Any]:
 
 def read_fours(builder: Any, base: Any, places: list[Any]) -> list[Any]:
     """Return vectors of base[2 i], base[2 i + 1], base[2 i + 2], base[2 i + 3], one load each."""
+    if len(places) > LANES:
+        parts = [read_fours(builder, base, part) for part in _eights(places)]
+        return [joined(builder, *two) for two in zip(*parts, strict=True)]
     fours = []
     for place in places:
         at = builder.shl(place, ir.Constant(I64, 1))
@@ -125,7 +160,7 @@ def read_fours(builder: Any, base: Any, places: list[Any]) -> list[Any]:
 
 def read_single(builder: Any, base: Any, places: list[Any]) -> Any:
     """Return a vector of base[i]."""
-    vector: Any = ir.Constant(VECTOR, ir.Undefined)
+    vector: Any = ir.Constant(ir.VectorType(F32, len(places)), ir.Undefined)
     for lane, place in enumerate(places):
         value = builder.load(builder.gep(base, [place]))
         vector = builder.insert_element(vector, value, ir.Constant(I32, lane))
@@ -141,6 +176,11 @@ def mix(builder: Any, low: Any, high: Any, share: Any) -> Any:
 
 def add_pairs(builder: Any, base: Any, places: list[Any], left: Any, right: Any) -> None:
     """Add left to base[i] and right to base[i + 1], one lane after the other."""
+    if len(places) > LANES:
+        halves = (halves_of(builder, values) for values in (left, right))
+        for part, values in zip(_eights(places), zip(*halves, strict=True), strict=True):
+            add_pairs(builder, base, part, *values)
+        return
     for half, order in enumerate(_INTERLEAVED):
         pairs = builder.shuffle_vector(left, right, _mask(order))
         for n, lane in enumerate(_HALVES[half]):

@@ -1,0 +1,67 @@
+"""Arrays that are kept on disk for later processes, by the digest of all that they depend on."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.core.files.arrays import read_npz
+
+log = logging.getLogger(__name__)
+
+MOST_BYTES = 2**30
+"""Largest file that is read."""
+
+MOST_FILES = 6
+"""Number of files of a kind that are kept, the newest ones."""
+
+
+def made_once(
+    kind: str, inputs: Iterable[bytes], make: Callable[[], dict[str, NDArray[Any]]]
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays that ``make`` returns, from disk if they were made before.
+
+    They are in ``$XDG_CACHE_HOME/twinct``. A file that cannot be read is made again, and where none
+    can be written, only the log says so.
+
+    Args:
+        kind: first part of the file's name.
+        inputs: everything on which the arrays depend, sources included.
+        make: computes the arrays.
+    """
+    digest = hashlib.sha256(b"\0".join(inputs)).hexdigest()[:16]
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twinct"
+    path = folder / f"{kind}-{digest}.npz"
+    if path.is_file():
+        try:
+            return read_npz(path, str(path), MOST_BYTES)
+        except (InputError, OSError) as error:
+            log.info("made again, as it cannot be read: %s", error)
+    arrays = make()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{kind}-", dir=folder) as passing:
+            draft = Path(passing) / path.name
+            np.savez(draft, allow_pickle=False, **arrays)
+            draft.replace(path)
+        _remove_old(folder, kind)
+    except OSError as error:
+        log.info("%s: cannot be kept for later runs: %s", path, error)
+    return arrays
+
+
+def _remove_old(folder: Path, kind: str) -> None:
+    files = sorted(folder.glob(f"{kind}-*.npz"), key=lambda path: path.stat().st_mtime)
+    for path in files[:-MOST_FILES]:
+        with contextlib.suppress(OSError):
+            path.unlink()
