@@ -94,8 +94,8 @@ def test_strength_follows_from_photons_or_air_and_is_told(scan, caplog):
     assert of_air == (pytest.approx(found["strength"], rel=0.1), "air")
     assert _strength(A, p, np.full(8, 1e4), None)[0] == pytest.approx(2 * found["strength"])
     unknown = _strength(A, np.zeros_like(p), None, None)
-    assert unknown == (1e-4, None) and "noise is unknown" in caplog.text
-    told = {"strength": 1e-4, "from": None}
+    assert unknown == (0.0, None) and "no regularisation" in caplog.text
+    told = {"strength": 0.0, "from": None}
     assert "since the noise is unknown" in with_results("prior_tv", {"regularisation": told})
 
 

@@ -58,8 +58,11 @@ log = logging.getLogger(__name__)
 MANY_VIEWS = 2.0
 """Views per voxel along an axis from which one pass makes the details."""
 
-QUIET = 0.0035
+QUIET = 0.003
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
+
+SPARSE = 0.12
+"""Share of the grid below which the noise matters less: air, which cannot be negative, has none."""
 
 PER_STRENGTH = 0.15
 """Strength of the total variation, relative to that of ``strength_of_noise``, for one view."""
@@ -176,9 +179,9 @@ def fast(
 
     Returns:
         The volume. Its extras hold, with ``stop``, the number of ``passes`` at full resolution;
-        without a given strength, ``denoising``: its ``strength`` in the last pass, in the unit of
-        ``denoising``, and ``from``, the source of the noise: ``photons``, ``air``, ``volume`` or
-        None.
+        without a given strength, ``denoising``: its ``strength`` in a pass with a relaxation of 1,
+        in the unit of ``denoising``, and ``from``, the source of the noise: ``photons``, ``air``,
+        ``volume`` or None.
 
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
@@ -206,8 +209,7 @@ def fast(
         return Volume(x, A.grid, extras)
     voxel = float(A.grid.voxel.mean())
     if denoising is None and steps.source:
-        last = steps.shares(A, 1)[: len(A) * extras.get("passes", passes)][-len(A) :]
-        strength = float(last.sum()) * steps.strength / voxel
+        strength = steps.strength * len(A) / voxel
         return Volume(x, A.grid, extras | {"denoising": _of(strength, steps.source)})
     if denoising is None:
         denoising, source = _of_volume(x)
@@ -216,6 +218,11 @@ def fast(
     if denoising:
         lower_variation(x, A.grid, A.kernels, denoising * voxel, floor)
     return Volume(x, A.grid, extras)
+
+
+def _filled(x: Singles) -> float:
+    """Return the share of the voxels above a tenth of the densest ones, not 0."""
+    return max(float(np.mean(x > 0.1 * np.percentile(x, 99.9))), 1e-3)
 
 
 def _usual_passes(A: Projector) -> int:
@@ -232,7 +239,8 @@ class _Steps:
 
     Attributes:
         first: passes at full resolution over which the relaxation falls.
-        quiet: factor on the relaxation of the last update, 1 or less.
+        noise: deviation of the line integrals; 0 if it is unknown.
+        most: range of the line integrals.
         strength: of the total variation for one view, mm times the unit of the volume.
         source: source of the noise that it follows from; None: nothing is lowered in between.
     """
@@ -244,7 +252,8 @@ class _Steps:
     relaxation: float
     margin: float
     floor: float
-    quiet: float = 1.0
+    noise: float = 0.0
+    most: float = 0.0
     strength: float = 0.0
     source: str | None = None
 
@@ -252,11 +261,14 @@ class _Steps:
         """Return the number of passes of a level."""
         return self.passes if factor == 1 else self.coarse_passes * factor // 2
 
-    def shares(self, A: Projector, factor: int) -> NDArray[np.float64]:
-        """Return the relaxation of each update of a level."""
+    def shares(self, A: Projector, factor: int, start: Singles) -> NDArray[np.float64]:
+        """Return the relaxation of each update of a level, from its volume before."""
         number = self.number(factor)
         first = self.first if factor == 1 else number
-        last = self.relaxation * self.quiet * min(1.0, float(np.mean(A.domain_shape)) / len(A))
+        last = self.relaxation * min(1.0, float(np.mean(A.domain_shape)) / len(A))
+        if factor == 1 and self.noise > 0:
+            quiet = QUIET * self.most / self.noise
+            last *= min(1.0, quiet * max(1.0, SPARSE / _filled(start)) ** 2)
         falling = np.geomspace(self.relaxation, last, first * len(A))
         return np.concatenate([falling, np.full((number - first) * len(A), last)])
 
@@ -277,14 +289,14 @@ def _for_noise(
     if (seen := noise_in_air(p, pixels, photons)) is None:
         return steps
     deviation, most = deviation_and_range(p, seen, pixels)
-    quiet = min(1.0, QUIET * most / deviation) if deviation > 0 else 1.0
+    steps = replace(steps, noise=deviation, most=most)
     if not lowers:
-        return replace(steps, quiet=quiet)
+        return steps
     strength = PER_STRENGTH * strength_for(A, math.hypot(deviation, OF_MODEL * most))
     log.info(
         "noise of %.3g of line integrals, of their range of %.3g (%s)", deviation, most, seen.source
     )
-    return replace(steps, quiet=quiet, strength=strength, source=seen.source)
+    return replace(steps, strength=strength, source=seen.source)
 
 
 def _from_coarse_to_fine(
@@ -304,7 +316,7 @@ def _from_coarse_to_fine(
         level = _level(A, p, pixels, factor, steps.margin, outside)
         x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
         grid = level.A.grid
-        shares = steps.shares(level.A, factor)
+        shares = steps.shares(level.A, factor, x)
         views = np.tile(spread_order(len(A)), steps.number(factor))
         work, since = WorkingVolume(level.A.kernels, x), 0.0
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):

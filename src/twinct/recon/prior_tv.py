@@ -32,10 +32,6 @@ log = logging.getLogger(__name__)
 DENSEST = 20.0
 """Largest plausible attenuation, 1/mm, above which the unit is wrong; gold has 10 at 80 keV."""
 
-
-USUAL = 1e-4
-"""Regularisation where the noise is unknown."""
-
 ROUND, MOST_ROUNDS = 6, 4
 """Iterations per round and largest number of rounds, by default.
 
@@ -85,7 +81,7 @@ class PriorTv(Regularised):
         description="Strength of the total variation: a dimensionless number that does not depend "
         "on the number of views, pixels or voxels. By default it follows from the noise "
         "of the scenario's photons or of air in the projections; if it is unknown, the value is "
-        "0.0001, and log, metrics.json and report say so.",
+        "0, and log, metrics.json and report say so.",
     )
     prior: Prior = Field(description="The earlier volume.")
 
@@ -128,8 +124,8 @@ def prior_tv(
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         prior: the earlier volume, on any grid, in that unit.
         iterations: passes over all views, at least 1.
-        regularisation: 0 or more; by default from the noise of the photons or of air, and 0.0001 if
-            it is unknown.
+        regularisation: 0 or more; by default from the noise of the photons or of air, and 0 if it
+            is unknown: the prior is then only the start.
         photons: photons of a pixel in the free beam, one number or one for each view, (views,).
         share: share of the difference, 0 to 1.
         start: initial pose of the prior's world in the scan's world; by default the identity.
@@ -197,18 +193,17 @@ def prior_tv(
 def _strength(
     A: Projector, p: NDArray[Any], photons: NDArray[np.float64] | None, mask: Mask | None
 ) -> tuple[float, str | None]:
-    """Return the strength that the noise requires, and its source; the usual one and None."""
+    """Return the strength that the noise requires, and its source; 0 and None if it is unknown."""
     from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
     from twinct.recon.regularisation import strength_of_noise
 
     if (seen := known_noise(p, mask, photons)) is None:
         log.warning(
-            "the noise is unknown: the number of photons is not stated, and the projections show "
-            "no noise in air; regularisation is %g, which suits bone and 1e4 photons a pixel; "
-            "state another (reconstruction.regularisation)",
-            USUAL,
+            "no regularisation: the number of photons is not stated, and the projections show no "
+            "noise in air; the prior is only the start; state a strength "
+            "(reconstruction.regularisation), about 0.0001 for bone and 1e4 photons a pixel"
         )
-        return USUAL, None
+        return 0.0, None
     strength = strength_of_noise(A, p, seen, mask)
     log.info("regularisation of %.3g, from the noise of line integrals (%s)", strength, seen.source)
     return strength, seen.source

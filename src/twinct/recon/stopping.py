@@ -8,7 +8,9 @@ with its version of a few materials with sharp borders: this version has no ring
 its edges are the edges that passes still have to form.
 
 That version misleads where a volume is not made of two kinds of material, such as bone, tissue and
-air, or where one kind is cut off. So no pass is too many while the residual still falls much.
+air, or where one kind is cut off. So no pass is too many while the residual still falls much. The
+noise, as far as air in the projections shows it, is taken out of the residual first: no pass lowers
+it much.
 """
 
 from __future__ import annotations
@@ -52,12 +54,14 @@ The threads need 60 MB at most, whatever the volume, with the voxels around thei
 VOLUMES = 1.3
 """Peak memory of ``BestPass`` in volumes: the previous volume, and every eighth voxel."""
 
-MUCH_LESS = 0.93
+MUCH_LESS = 0.915
 """Ratio of the residuals after and before a pass below which the pass was not too many.
 
-From the zoo (benchmarks/zoo.py): the ratio was 0.93 to 0.97 at the best pass there, with few and
-many views, with and without noise.
+From the tuning half of the zoo (benchmarks/zoo.py).
 """
+
+LEAST_REST = 0.5
+"""Least ratio of the rest of the residual to the noise: a smaller one is uncertain."""
 
 MOST_VIEWS = 16
 """Number of views in which the residual is computed."""
@@ -141,14 +145,23 @@ class BestPass:
 
 
 def residual_in(A: Projector, p: NDArray[Any], mask: Mask | None) -> Residual:
-    """Return a function of a volume: the root mean square of p - A x in up to 16 spread views."""
+    """Return a function of a volume: the root mean square of p - A x in up to 16 spread views.
+
+    The noise that air shows is taken out, as far as ``LEAST_REST`` is left.
+    """
+    from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
+    from twinct.recon.regularisation import deviation_and_range
+
+    seen = known_noise(p, mask, None)
+    noise = deviation_and_range(p, seen, mask)[0] ** 2 if seen else 0.0
     views = [int(view) for view in spread_order(len(A))[:: -(-len(A) // MOST_VIEWS)]]
     part = A[views]
 
     def residual(x: Singles) -> float:
         rest = remainder(part, x, p, views, mask)
         counts = counting_rays(part, mask if mask is None or mask.ndim == 2 else mask[views])[0]
-        return math.sqrt(sum_of_squares(rest * counts) / max(int(counts.sum()), 1))
+        square = sum_of_squares(rest * counts) / max(int(counts.sum()), 1)
+        return math.sqrt(max(square - noise, noise * LEAST_REST**2))
 
     return residual
 
