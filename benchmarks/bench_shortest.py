@@ -12,6 +12,9 @@ through the knots of the plan's own law. Exit code 1 where the plan takes more t
 the larger one of the first two bounds.
 """
 
+# pyright: reportMissingImports=false
+# toppra is no dependency of the project.
+
 from __future__ import annotations
 
 import argparse
@@ -87,7 +90,7 @@ def optimal_s(
             torques, np.stack([-most, most], axis=1), np.zeros(len(speeds))
         ),
     ]
-    grid = np.linspace(*path.path_interval, 6 * len(knots))
+    grid = np.linspace(0.0, float(passed[-1]), 6 * len(knots))
     law = toppra.algorithm.TOPPRA(
         limits, path, gridpoints=grid, parametrizer="ParametrizeConstAccel"
     )

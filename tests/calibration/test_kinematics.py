@@ -22,8 +22,8 @@ from twinct.calibration.arm_calibration import arm_prior
 from twinct.calibration.kinematics import ArmPrior, minimal_from_full
 from twinct.core.errors import CalibrationError, InputError
 from twinct.geometry import Chain, Floats, Misfit, Panel, Pose, ScanGeometry
-from twinct.robots.cell import CellModel, chains_of
-from twinct.scenario import Uncertainty
+from twinct.robots.cell import CellModel, build_cell, chains_of
+from twinct.scenario import Cell, Detector, Uncertainty
 
 SIDES = ("source", "detector")
 PANEL = Panel(240, 320, 1.0, 1.0)
@@ -126,6 +126,24 @@ def test_the_minimal_set_moves_tools_as_all_twists_do(arms: Arms) -> None:
     few = chain.tools(joints, Misfit(np.zeros(6), links, minimal[24:]))
     moved = np.abs(everything - chain.tools(joints))[:, :3, 3].max()
     assert np.abs(everything - few)[:, :3, 3].max() < 1e-3 * moved
+    assert np.abs(everything - few)[:, :3, :3].max() < 1e-6
+
+
+def test_the_minimal_set_of_an_arm_on_a_rail_moves_tools_as_all_twists_do() -> None:
+    """Of the rail, the minimal set has two tilts."""
+    section = Cell.model_validate({"source_arm": {"rail": {"range_mm": [-900, 900]}}})
+    chain = chains_of(build_cell(section, None, Pose.identity(), Detector().panel))[0]
+    rng, count = np.random.default_rng(0), len(chain)
+    full = 1e-4 * np.array([300.0] * 3 + [1.0] * 3) * rng.normal(size=(count + 2, 6))
+    minimal = minimal_from_full(chain) @ full.ravel()
+    links = np.zeros((count, 6))
+    links[:, [0, 1, 3, 4]] = minimal[: 4 * count].reshape(count, 4)
+    assert np.abs(links[0, :3]).max() == 0 < np.abs(links[0, 3:5]).min()
+    joints = np.column_stack([rng.uniform(-0.9, 0.9, 20), rng.uniform(-2, 2, (20, 6))])
+    everything = chain.tools(joints, Misfit(full[0], full[1:-1], full[-1]))
+    few = chain.tools(joints, Misfit(np.zeros(6), links, minimal[4 * count :]))
+    moved = np.abs(everything - chain.tools(joints))[:, :3, 3].max()
+    assert np.abs(everything - few)[:, :3, 3].max() < 2e-3 * moved
     assert np.abs(everything - few)[:, :3, :3].max() < 1e-6
 
 

@@ -28,7 +28,16 @@ def room(**source_arm: object) -> CellModel:
     return build_cell(section, None, Pose.identity(), Detector().panel)
 
 
-@pytest.fixture(scope="module", params=[{}, {"model": "lbr_iiwa14"}, {"file": str(URDF)}])
+ARMS = (
+    {},
+    {"model": "lbr_iiwa14"},
+    {"file": str(URDF)},
+    {"rail": {"range_mm": [-900, 900], "axis": [0.3, 1, -0.4]}},
+    {"turntable": {"range_deg": [-90, 90], "centre_mm": [300, 0, 0], "axis": [0.3, 0, 1]}},
+)
+
+
+@pytest.fixture(scope="module", params=ARMS)
 def built(request: pytest.FixtureRequest) -> CellModel:
     return room(**request.param)
 
@@ -96,15 +105,14 @@ def test_a_misfit_moves_all_that_comes_after_its_frame(built: CellModel) -> None
     # Of the last joint, its frame before the turn: the same as about the turned frame's axes.
     last = len(chain) - 1
     frame = chain.frames(joints)[last]
-    back = np.linalg.inv(_turn(joints[last]))
+    back = np.linalg.inv(_turn(joints[last]))  # never a rail
     still = frame @ back
     expected = still @ exp @ np.linalg.inv(still) @ tool
     np.testing.assert_allclose(moved("links", last), expected, atol=1e-9)
-    # Its last number alone is an offset of the joint.
-    offsets = np.zeros((len(chain), 6))
-    offsets[:, 5] = rng.normal(size=len(chain)) * 0.01
-    misfit = Misfit(np.zeros(6), offsets, np.zeros(6))
-    expected = chain.tools(joints + offsets[:, 5])
+    # Its last number alone is an offset of the joint; of a rail, it is the third one.
+    shifts = rng.normal(size=len(chain)) * 0.01
+    misfit = Misfit(np.zeros(6), chain.moves(shifts), np.zeros(6))
+    expected = chain.tools(joints + shifts)
     np.testing.assert_allclose(chain.tools(joints, misfit), expected, atol=1e-9)
 
 

@@ -78,7 +78,7 @@ def test_links_without_inertia_are_refused_or_get_a_density(
     file.write_text(text.replace('effort="80"', 'effort="0"').replace('velocity="2"', ""))
     with pytest.raises(ScenarioError) as caught:
         loaded(file)
-    missing = "no inertia for", "no torque limit for roll", "no speed limit for turn"
+    missing = "no inertia for", "no torque limit above 0 for roll", "no speed limit for turn"
     for problem, one in zip(caught.value.problems, missing, strict=True):
         assert one in problem
     file.write_text(text)
@@ -253,7 +253,7 @@ def test_path_is_relative_to_the_scenario(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('effort="80"', 'effort="0"', "no torque limit for roll, bend .*effort"),
+        ('effort="80"', 'effort="0"', "no torque limit above 0 for roll, bend .*effort"),
         ('velocity="3"', 'velocity="0"', "no speed limit for elbow, roll, bend: set joint_speed"),
         ('velocity="4"', 'velocity="fast"', "joint spin: velocity 'fast' is not a speed"),
         ('"tool0"', '"tip"', "z of its flange 'flange' does not point along the last joint's axis"),

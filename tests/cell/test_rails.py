@@ -16,11 +16,11 @@ from twinct.robots.cell import (
     LinkFrames,
     build_cell,
     cell_urdf,
-    chains_of,
     overlaps,
 )
 from twinct.robots.motion.branches import Branches
 from twinct.scan import SimulationBuilder
+from twinct.scan.encoder_model import encoders_of, poses_of_joints
 from twinct.scenario import Cell, Detector, InverseKinematics, load_scenario
 
 RAIL = {"range_mm": [-1000, 1000]}
@@ -117,8 +117,6 @@ def test_bad_rails_are_named(head: trimesh.Trimesh) -> None:
     ]:
         with pytest.raises(ScenarioError, match=told):
             load_scenario({**BASE, "cell": {"source_arm": {"rail": rail}}})
-    with pytest.raises(ScenarioError, match=r"cell\.source_arm\.rail: errors of arms"):
-        chains_of(on_rails(head))
     low = Cell.model_validate({"source_arm": {"rail": RAIL}, "table": {"size_mm": [1700, 900, 50]}})
     crossed = build_cell(low, head, Pose.identity(), Detector().panel)
     assert ("the source arm's rail", "the table") in {
@@ -145,3 +143,20 @@ def test_a_path_along_the_patient_is_planned_and_run_with_rails_only() -> None:
     still = SimulationBuilder(load_scenario({**BASE, "cell": {"table": table}}))
     with pytest.raises(TrajectoryError):
         _ = still.plan
+
+
+def test_poses_of_joints_count_the_rail_whose_encoder_is_exact(head: trimesh.Trimesh) -> None:
+    """As for an import of real arms on rails, or for believed poses of coarse encoders."""
+    arms = {"source_arm": {"rail": RAIL}, "detector_arm": {"rail": RAIL}}
+    scenario = load_scenario({**BASE, "cell": arms, "uncertainty": {"encoder_step_deg": 5.0}})
+    cell = on_rails(head)
+    joints = np.random.default_rng(0).uniform(-0.9, 0.9, (3, 14))
+    read = encoders_of(scenario, joints)
+    assert (read[:, [0, 7]] == joints[:, [0, 7]]).all()
+    turns = np.delete(read, [0, 7], axis=1) / np.radians(5)
+    assert turns == pytest.approx(np.rint(turns), abs=1e-9)
+    data = mujoco.MjData(cell.model)
+    for own, pose in zip(joints, poses_of_joints(scenario, joints).detector, strict=True):
+        data.qpos[:] = own
+        mujoco.mj_kinematics(cell.model, data)
+        assert pose.position == pytest.approx(1000 * data.site_xpos[cell.site_ids[1]], abs=1e-6)

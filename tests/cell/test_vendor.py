@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from twinct.core.errors import ScenarioError
+from twinct.core.errors import MissingExtraError, ScenarioError
 from twinct.core.files.ros_packages import package_folder
 from twinct.robots.cell.arms import ArmModel, load_arm
 from twinct.robots.cell.vendor import write_arm
@@ -81,7 +81,9 @@ def test_what_the_file_lacks_is_supplied_and_told(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     text = URDF.read_text().replace('effort="80"', 'effort="0"')
     file.write_text(text.replace('"revolute"', '"continuous"'))
-    with pytest.raises(ScenarioError, match="no torque limit for roll, bend .*joint_torque_nm"):
+    with pytest.raises(
+        ScenarioError, match="no torque limit above 0 for roll, bend .*joint_torque_nm"
+    ):
         loaded(file)
     arm = loaded(file, joint_torque_nm=70)
     assert loaded(file, joint_torque_nm=(70.0,)).notes == arm.notes
@@ -142,7 +144,7 @@ def test_macros_need_xacro_and_find_packages(tmp_path: Path, monkeypatch) -> Non
     with pytest.raises(ScenarioError, match=r"contains macros: twinct arm arm\.urdf\.xacro --out"):
         loaded(file)
     monkeypatch.setitem(sys.modules, "xacro", None)
-    with pytest.raises(ScenarioError, match="pip install xacro"):
+    with pytest.raises(MissingExtraError, match=r"xacro is not installed: .*twinct\[xacro\]"):
         write_arm(file, {}, tmp_path / "own")
     stand_in, inner = types.ModuleType("xacro"), types.ModuleType("xacro.substitution_args")
 

@@ -5,9 +5,9 @@ its own frame: shifts across the hinge, and turns about the two axes across it. 
 detector's tool, three the source's, as a point source shows no more. A slide along a hinge and a
 turn about it, and so the joint's zero, are motions of all that follows; they are carried on to the
 tool. The base is part of the first axis (Yang, Wu, Li, Chen, Robot. Comput.-Integr. Manuf. 30
-(2014) 368: 4 r + 6 numbers for r hinges). Compliance and gear error of each joint are added. The
-priors on bases, links, zeros and tools are transformed to this set, and hold the numbers that the
-views do not determine.
+(2014) 368: 4 r + 6 numbers for r hinges). Of a rail, only the two tilts of its direction count.
+Compliance and gear error of each joint are added. The priors on bases, links, zeros and tools are
+transformed to this set, and hold the numbers that the views do not determine.
 """
 
 from __future__ import annotations
@@ -29,6 +29,9 @@ AXIS = (0, 1, 3, 4)
 
 SLIDE = (2, 5)
 """Components of a joint's twist that leave its axis in place."""
+
+SHIFT = (0, 1, 2, 5)
+"""Components of a rail's twist that leave its direction in place."""
 
 WORST_MISFIT = 10.0
 """Maximum misfit, residuals over their noise; above it, the views belong to other arms."""
@@ -149,7 +152,8 @@ class _Arm:
         # Drop terms that are known exactly, and merge terms that only act together.
         u, s, _ = np.linalg.svd(known, full_matrices=False)
         kept = s > 1e-9 * s.max(initial=0.0)
-        joints = np.concatenate([prior.compliance_sigma, np.full(2 * count, prior.gear)])
+        gears = np.repeat(prior.gear * chain.hinges, 2)
+        joints = np.concatenate([prior.compliance_sigma, gears])
         self.factor = scipy.linalg.block_diag(u[:, kept] * s[kept], np.diag(joints)[:, joints > 0])
         self.mean = np.zeros(len(self.factor))
         self.mean[4 * count + self._tool :][:count] = prior.compliance
@@ -197,13 +201,17 @@ def minimal_from_full(chain: Chain) -> Floats:
     frames = [chain.base, *chain.joints, chain.tool]
     found: list[Floats] = []
     carried = here = full[0]
-    for before, after, own in zip(frames[:-1], frames[1:], full[1:], strict=True):
+    for joint, (before, after, own) in enumerate(
+        zip(frames[:-1], frames[1:], full[1:], strict=True)
+    ):
         step = np.linalg.solve(after, before)
         here = Pose.from_matrix(step[:3, 3], step[:3, :3]).adjoint() @ carried + own
-        found.append(here[list(AXIS)])
-        carried = np.zeros_like(here)
-        # These components commute with the joint's turn and pass on to the next frame.
-        carried[list(SLIDE)] = here[list(SLIDE)]
+        # Some components commute with the joint's motion and pass on to the next frame.
+        passed = SHIFT if joint in chain.rails else SLIDE
+        carried, kept = np.zeros_like(here), here.copy()
+        carried[list(passed)] = here[list(passed)]
+        kept[list(passed)] = 0.0
+        found.append(kept[list(AXIS)])
     return np.concatenate([*found[:-1], here])
 
 

@@ -123,6 +123,8 @@ def _drive(
         except BaseException:
             if not run.sent:  # nothing moved, so the recording tells nothing
                 out.unlink(missing_ok=True)
+            else:
+                say(f"{out} holds what was heard until then", warning=True)
             raise
     for sentence in run.notes:
         say(sentence, warning=True)

@@ -14,6 +14,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
     "cuda": ("warp",),
     "record": ("mcap.writer", "mcap_ros2.writer"),
     "study": ("pandas", "pyarrow.parquet"),
+    "xacro": ("xacro", "xacro.substitution_args"),
     "ros": (
         *("rclpy", "rclpy.node", "geometry_msgs.msg", "sensor_msgs.msg", "std_msgs.msg"),
         *("trajectory_msgs.msg", "std_srvs.srv"),
@@ -53,6 +54,7 @@ WAY_OUT = {
     "ros": "or use the link local (--link local)",
     "rtk": "or use reconstruction.algorithm: sart",
     "xray": "or scan with the engine mesh (--set xray.engine=mesh)",
+    "xacro": "or expand the file with ROS's xacro",
 }
 """Alternatives to an extra."""
 

@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 
 from twinct.geometry.arrays import Floats, lock
+from twinct.geometry.pose import MM_PER_M
 
 GRAVITY_M_S2 = np.array([0.0, 0.0, -9.81])
 N_M_PER_N_MM = 1e-3
@@ -40,15 +41,19 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Serial arm of hinges; all frames are in the world, with the joints at zero.
+    """Serial arm; all frames are in the world, with the joints at zero.
+
+    Every joint is a hinge, except rails, which slide: the unit of these is m instead of rad, and N
+    instead of N m.
 
     Attributes:
         base: ``world_from_base``, (4, 4), mm.
-        joints: ``world_from_joint``, the z axis along the hinge, (joints, 4, 4), mm.
+        joints: ``world_from_joint``, the z axis along hinge or rail, (joints, 4, 4), mm.
         tool: ``world_from_tool``, (4, 4), mm.
         masses: mass between each joint and the next, with the tool at the end, kg, (joints,).
         centres: centres of these masses in the world, (joints, 3), mm.
         torque_limits: published limits, N m, (joints,).
+        rails: indices of the joints that slide.
     """
 
     base: Floats
@@ -57,6 +62,7 @@ class Chain:
     masses: Floats
     centres: Floats
     torque_limits: Floats
+    rails: tuple[int, ...] = ()
     _steps: Floats = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -69,6 +75,24 @@ class Chain:
     def __len__(self) -> int:
         """Return the number of joints."""
         return len(self.joints)
+
+    @property
+    def hinges(self) -> Floats:
+        """1 for each hinge, 0 for each rail, (joints,)."""
+        found = np.ones(len(self))
+        found[list(self.rails)] = 0.0
+        return found
+
+    def moves(self, joints: Floats) -> Floats:
+        """Return the twist of each joint in its own frame, (..., joints, 6), mm and rad.
+
+        Args:
+            joints: rad and m, (..., joints).
+        """
+        twists = np.zeros((*joints.shape, 6))
+        twists[..., 5] = self.hinges * joints
+        twists[..., 2] = (1 - self.hinges) * MM_PER_M * joints
+        return twists
 
     def tools(self, joints: Floats, misfit: Misfit | None = None) -> Floats:
         """Return ``world_from_tool`` of many joint configurations.
@@ -104,7 +128,8 @@ class Chain:
             here = here @ self._steps[joint]
             if links is not None:
                 here = here @ links[..., joint, :, :]
-            here = _turned(here, joints[..., joint])
+            moved = _slid if joint in self.rails else _turned
+            here = moved(here, joints[..., joint])
             found += [here] if keep else []
         here = here @ self._steps[-1]
         if misfit is not None:
@@ -112,7 +137,7 @@ class Chain:
         return [*found, here]
 
     def gravity_torques(self, joints: Floats) -> Floats:
-        """Return the torque of gravity about each joint's axis, N m.
+        """Return the torque of gravity about each joint's axis, N m; along a rail, its force, N.
 
         Args:
             joints: rad, (..., joints).
@@ -127,7 +152,10 @@ class Chain:
         carried = np.flip(np.cumsum(np.flip(self.masses)))[:, None]
         levers = moments - carried * frames[..., :3, 3]
         axes = frames[..., :3, 2]
-        return N_M_PER_N_MM * np.cross(axes, levers) @ GRAVITY_M_S2
+        torques = N_M_PER_N_MM * np.cross(axes, levers) @ GRAVITY_M_S2
+        for rail in self.rails:
+            torques[..., rail] = carried[rail] * axes[..., rail, :] @ GRAVITY_M_S2
+        return torques
 
 
 def _turned(frames: Floats, angles: Floats) -> Floats:
@@ -138,6 +166,15 @@ def _turned(frames: Floats, angles: Floats) -> Floats:
     cosine, sine = np.cos(angles)[..., None], np.sin(angles)[..., None]
     x, y = frames[..., :, 0], frames[..., :, 1]
     found[..., :, 0], found[..., :, 1] = cosine * x + sine * y, cosine * y - sine * x
+    return found
+
+
+def _slid(frames: Floats, ways: Floats) -> Floats:
+    """Move frames along their own z axes, by m; frames and ways broadcast."""
+    shape = np.broadcast_shapes(frames.shape[:-2], ways.shape)
+    found = np.empty((*shape, 4, 4))
+    found[...] = frames
+    found[..., :3, 3] += MM_PER_M * ways[..., None] * frames[..., :3, 2]
     return found
 
 

@@ -72,9 +72,21 @@ def poses_of_joints(scenario: Scenario, joints: Floats) -> PosePairs:
 
 
 def encoders_of(scenario: Scenario, joints: Floats) -> Floats:
-    """Return the encoder readings of joint positions, rad, in the shape of the input."""
+    """Return the encoder readings of joint positions, rad, in the shape of the input.
+
+    Rails are read exactly.
+    """
     step = math.radians(scenario.uncertainty.encoder_step_deg)
-    return step * np.round(joints / step) if step else joints
+    if not step:
+        return joints
+    read, cell = step * np.round(joints / step), scenario.cell
+    if isinstance(cell, Cell) and (cell.source_arm.rail or cell.detector_arm.rail):
+        from twinct.robots.cell import nominal_chains
+
+        chains = nominal_chains(cell, scenario.detector.panel)
+        hinges = np.concatenate([chain.hinges for chain in chains])
+        read = np.where(hinges, read, joints)
+    return read
 
 
 def relative_to_specimen(stands: Pose, objects: tuple[Pose, ...], executed: PosePairs) -> PosePairs:

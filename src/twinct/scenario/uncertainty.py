@@ -92,6 +92,11 @@ class ArmErrors(ErrorSettings):
         "Amplitude of each joint's gear error, a sine of the joint angle with a random phase."
     )
     gear_periods: int = setting(1, "Periods of that sine per turn of the joint.", ge=1)
+    rail_mm: Finite = size(
+        "Error of the position of a rail's carriage along each axis, in waves along the rail."
+    )
+    rail_deg: Finite = size("Tilt of the carriage about each axis, in such waves.")
+    rail_period_mm: Positive = setting(1000.0, "Length of these waves.")
     drift_mm: Finite = size(
         "Growth of each link along each axis once it is warm. The arms are calibrated warm; the "
         "growth that is still missing fades with warm_up_min.",

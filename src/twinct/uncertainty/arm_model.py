@@ -51,11 +51,12 @@ def derivatives(motion: ToolMotion) -> dict[Place, Floats]:
     if chain is None:
         return {"pose": own}
     frames = chain.frames(motion.joints)[:, :-1]
-    # A link's errors refer to the axes of its frame before the rotation of the joint.
-    still = frames @ np.linalg.inv(exp_matrices(_about_z(motion.joints)))
+    # A link's errors refer to the axes of its frame before the motion of the joint.
+    still = frames @ np.linalg.inv(exp_matrices(chain.moves(motion.joints)))
     links = carried(still, tools[:, None])
     base = carried(np.broadcast_to(chain.base, tools.shape), tools)[:, None]
-    return {"base": base, "links": links, "joints": links[..., 5], "tool": own, "pose": own}
+    joints = np.einsum("vjik,jk->vji", links, chain.moves(np.ones(len(chain))))
+    return {"base": base, "links": links, "joints": joints, "tool": own, "pose": own}
 
 
 def carried(frames: Floats, tools: Floats) -> Floats:
@@ -68,9 +69,3 @@ def carried(frames: Floats, tools: Floats) -> Floats:
     turned = np.cross(np.swapaxes(rotation, -1, -2), arms[..., None, :])
     found[..., :3, 3:] = np.swapaxes(turned, -1, -2)
     return found
-
-
-def _about_z(angles: Floats) -> Floats:
-    twists = np.zeros((*angles.shape, 6))
-    twists[..., 5] = angles
-    return twists

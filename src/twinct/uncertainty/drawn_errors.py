@@ -143,6 +143,7 @@ def _encoded(
     """Return the poses that a model computes from encoders with random errors within a step."""
     joints = scan.joints[side][part][None]
     if step := np.radians(section.encoder_step_deg):
+        step = step * scan.chains[side].hinges  # rails are read exactly
         joints = joints + step * rng.uniform(-0.5, 0.5, (draws, *joints.shape[1:]))
     elif tool_model is None:
         return scan.poses[side][None, part]

@@ -147,7 +147,8 @@ def _of_encoders(
     # Quantisation leaves an error that is uniform over one encoder step.
     step = np.radians(section.encoder_step_deg) / np.sqrt(12)
     for side, joints in enumerate(scan.joints):
-        spread = Spread("joints", np.broadcast_to(step, joints.shape), 0.0)
+        hinges = scan.chains[side].hinges  # rails are read exactly
+        spread = Spread("joints", np.broadcast_to(step * hinges, joints.shape), 0.0)
         yield Term("encoder", _of_side(side, _factor(slopes[side]["joints"], spread)), 0.0)
 
 

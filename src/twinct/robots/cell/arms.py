@@ -229,7 +229,9 @@ def _torques(
             " (MJCF: actuatorfrcrange, in N m; URDF: effort): write it into the file, or set the "
             "key joint_torque_nm"
         )
-        raise ScenarioError(f"{origin} states no torque limit for {bad}{cure if own else ''}")
+        raise ScenarioError(
+            f"{origin} states no torque limit above 0 for {bad}{cure if own else ''}"
+        )
     stated = np.atleast_1d(arm.joint_torque_nm)
     if len(stated) not in (1, len(names)):
         raise ScenarioError(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.core.errors import ScenarioError
 from twinct.geometry import MM_PER_M, Chain, Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.robots.cell.scene import ARMS, CellModel, build_cell
+from twinct.robots.cell.scene import CellModel, build_cell
 from twinct.scenario import Cell
 
 
@@ -27,19 +26,8 @@ def joint_names_of(cell: Cell, panel: Panel) -> tuple[str, ...]:
 
 
 def chains_of(built: CellModel) -> tuple[Chain, Chain]:
-    """Return the chains of source and detector arm of a compiled cell.
-
-    Raises:
-        ScenarioError: an arm stands on a rail.
-    """
+    """Return the chains of source and detector arm of a compiled cell."""
     mujoco, model = mujoco_module(), built.model
-    for side, arm in zip(ARMS, (built.cell.source_arm, built.cell.detector_arm), strict=True):
-        if arm.rail is not None:
-            raise ScenarioError(
-                f"cell.{side}_arm.rail: errors of arms, encoder steps, moving patients and "
-                "calibrated arms are modelled for arms without a rail only; leave out the rail, or "
-                "these keys of uncertainty"
-            )
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
@@ -52,6 +40,7 @@ def chains_of(built: CellModel) -> tuple[Chain, Chain]:
         bodies = [np.flatnonzero(carriers == joint) for joint in joints]
         masses = np.array([model.body_mass[own].sum() for own in bodies])
         moments = np.array([model.body_mass[own] @ data.xipos[own] for own in bodies])
+        slides = mujoco.mjtJoint.mjJNT_SLIDE
         base = Pose.from_euler(section.base_position_mm, section.base_rotation_deg)
         found.append(
             Chain(
@@ -61,13 +50,14 @@ def chains_of(built: CellModel) -> tuple[Chain, Chain]:
                 masses=masses,
                 centres=MM_PER_M * moments / np.maximum(masses, 1e-12)[:, None],
                 torque_limits=built.torque_limits[part] / section.torque_scale,
+                rails=tuple(k for k, j in enumerate(joints) if model.jnt_type[j] == slides),
             )
         )
     return found[0], found[1]
 
 
 def _frame(anchor_m: Floats, axis: Floats) -> Floats:
-    """Return a frame on a hinge, z along its axis, x the projection of the next world axis."""
+    """Return a frame on a joint, z along its axis, x the projection of the next world axis."""
     other = np.eye(3)[(np.argmax(np.abs(axis)) + 1) % 3]
     x = other - (other @ axis) * axis
     x /= np.linalg.norm(x)

@@ -21,7 +21,7 @@ from twinct.robots.cell.collision_pairs import (
     near_pairs,
     non_adjacent_pairs,
 )
-from twinct.robots.cell.rails import add_rail, on_rail
+from twinct.robots.cell.rails import add_rail, add_turntable, on_rail, on_turntable
 from twinct.robots.cell.standing import (
     COLLISION_GROUP,
     MM,
@@ -32,7 +32,6 @@ from twinct.robots.cell.standing import (
     add_zones,
     object_margins,
 )
-from twinct.robots.cell.turntables import add_turntable, on_turntable
 from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:

@@ -21,6 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from twinct.core.errors import ScenarioError
+from twinct.core.extras import require
 from twinct.core.files.arm_xml import LARGEST_BYTES, mesh_file
 from twinct.core.files.boundary import read_bytes
 from twinct.core.files.ros_packages import PATHS, package_folder
@@ -67,8 +68,8 @@ def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written
         folder: folder to write, which does not exist.
 
     Raises:
-        ScenarioError: xacro is needed and not installed; the file, a package or a mesh cannot be
-            read; the meshes are not in m.
+        MissingExtraError: xacro is needed and not installed.
+        ScenarioError: the file, a package or a mesh cannot be read; the meshes are not in m.
         StorageError: the folder cannot be written.
     """
     where, file = str(file), file.resolve()
@@ -110,16 +111,12 @@ def _expanded(file: Path, arguments: Mapping[str, str], where: str) -> str:
     """Return a description without macros.
 
     Raises:
-        ScenarioError: xacro is not installed, or refuses the file.
+        MissingExtraError: xacro is not installed.
+        ScenarioError: xacro refuses the file.
     """
-    try:
-        xacro: Any = import_module("xacro")
-        substitution_args: Any = import_module("xacro.substitution_args")
-    except ImportError as error:
-        raise ScenarioError(
-            f"{where} contains macros, and xacro is not installed: python -m pip install xacro, or "
-            "expand the file with ROS's xacro"
-        ) from error
+    require("xacro")
+    xacro: Any = import_module("xacro")
+    substitution_args: Any = import_module("xacro.substitution_args")
 
     def find(name: str) -> str:
         if (folder := package_folder(name, file)) is None:

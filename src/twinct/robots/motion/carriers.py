@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct.geometry import MM_PER_M, Floats
-from twinct.robots.cell.rails import direction
-from twinct.robots.cell.turntables import axis_of, turned_back
+from twinct.robots.cell.rails import axis_of, direction, turned_back
 from twinct.scenario import Arm, Rail, Turntable
 
 RAIL_STEP_M = 0.2
@@ -23,7 +22,7 @@ ASIDE = 4
 
 @dataclass(frozen=True, eq=False)
 class Carrier:
-    """What carries an arm of a cell.
+    """Rail or turntable that carries an arm of a cell.
 
     Attributes:
         arm: section of the arm.

@@ -25,16 +25,22 @@ def twist_sigmas(mm: float, deg: float) -> Floats:
     return np.array([mm] * 3 + [np.radians(deg)] * 3)
 
 
-def _term(name: str, sigmas: Callable[[ArmErrors], dict[Place, Floats]]) -> ErrorTerm:
+def _term(
+    name: str, sigmas: Callable[[ArmErrors], dict[Place, Floats]], *, of_hinges: bool = False
+) -> ErrorTerm:
+    def of(section: ArmErrors, chain: Chain) -> Iterator[tuple[Place, Floats]]:
+        for place, sigma in sigmas(section).items():
+            yield place, chain.hinges[:, None] * sigma if of_hinges and chain.rails else sigma
+
     def spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
         if motion.chain is not None:
-            for place, sigma in sigmas(section).items():
+            for place, sigma in of(section, motion.chain):
                 yield Spread(place, sigma)
 
     def drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
         """Draw once what the spreads say, as it stays the same at all views."""
         parts: Any = {}
-        for place, sigma in sigmas(section).items():
+        for place, sigma in of(section, chain):
             shape = (len(chain), 6) if place == "links" else (6,)
             normals = draws.rng(f"{name} {place}").normal(size=(draws.count, *shape))
             parts[place] = sigma * normals[:, None]
@@ -52,6 +58,7 @@ def _aged(section: ArmErrors) -> dict[Place, Floats]:
 JOINT_OFFSET = _term(
     "joint offset",
     lambda arms: {"links": twist_sigmas(0, arms.joint_offset_deg) * (0, 0, 0, 0, 0, 1)},
+    of_hinges=True,
 )
 LINK = _term(
     "link", lambda arms: {"links": twist_sigmas(arms.link_mm, arms.link_deg) * (1, 1, 1, 1, 1, 0)}

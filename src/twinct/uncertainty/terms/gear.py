@@ -26,7 +26,8 @@ def waves(amplitudes: Floats, periods: int, joints: Floats) -> tuple[Floats, Flo
 def amplitudes(section: ArmErrors, chain: Chain, draws: ScanDraws) -> Floats:
     """Draw the amplitudes of cosine and sine of each joint, (draws, joints, 2), rad."""
     phase = draws.rng("gear").uniform(0, 2 * np.pi, (draws.count, len(chain)))
-    return np.radians(section.gear_deg) * np.stack([np.sin(phase), np.cos(phase)], axis=-1)
+    size = np.radians(section.gear_deg) * chain.hinges[:, None]
+    return size * np.stack([np.sin(phase), np.cos(phase)], axis=-1)
 
 
 def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
@@ -34,7 +35,8 @@ def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
         # Cosine and sine of a random phase have independent amplitudes of this variance.
         turns = section.gear_periods * motion.joints
         for wave in (np.cos(turns), np.sin(turns)):
-            yield Spread("joints", np.radians(section.gear_deg) / np.sqrt(2) * wave)
+            size = np.radians(section.gear_deg) * motion.chain.hinges
+            yield Spread("joints", size / np.sqrt(2) * wave)
 
 
 def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:

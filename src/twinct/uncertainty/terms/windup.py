@@ -12,8 +12,11 @@ from twinct.scenario import ArmErrors
 
 
 def mean_compliance(section: ArmErrors, chain: Chain) -> Floats:
-    """Return the mean compliance of each joint behind its encoder, (joints,), rad/(N m)."""
-    return np.radians(section.windup_deg) / chain.torque_limits
+    """Return the mean compliance of each joint behind its encoder, (joints,), rad/(N m).
+
+    A rail has none.
+    """
+    return np.radians(section.windup_deg) * chain.hinges / chain.torque_limits
 
 
 def deflections(compliance: Floats, chain: Chain, joints: Floats) -> Floats:
