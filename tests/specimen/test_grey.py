@@ -286,3 +286,17 @@ def test_a_volume_of_a_program(file: Path) -> None:
     built = build_specimen(scenario.specimen)
     wanted = build(file, keep="all", centre=True)
     assert built.digest == wanted.digest
+
+
+def test_voxels_in_a_file_are_the_same_voxels(monkeypatch, tmp_path):
+    from twinct.specimen import grey
+
+    monkeypatch.setattr(grey, "SPILLED_BYTES", 1)
+    amounts = np.random.default_rng(5).random((3, 4, 5, 1), np.float32)
+    field = grey.GreyField((BUILT_IN["water"],), amounts, VolumeGrid((3, 4, 5), 1.0))
+    before = field.amounts
+    field.spill(tmp_path / "missing")
+    assert field.amounts is before
+    field.spill(tmp_path)
+    assert isinstance(field.amounts.base, np.memmap) and not list(tmp_path.iterdir())
+    assert np.array_equal(field.amounts, amounts) and not field.amounts.flags.writeable

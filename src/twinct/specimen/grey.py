@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +13,11 @@ from numpy.typing import NDArray
 from twinct.geometry import VolumeGrid
 from twinct.geometry.arrays import Floats, lock
 from twinct.specimen.materials import Material
+
+log = logging.getLogger(__name__)
+
+SPILLED_BYTES = 2**28
+"""Smallest size of amounts that are worth a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +56,24 @@ class GreyField:
             raise ValueError(f"the amounts lie between {low} and {high}; they must be finite")
         object.__setattr__(self, "amounts", np.ascontiguousarray(self.amounts))
         lock(self, "amounts")
+
+    def spill(self, folder: Path) -> None:
+        """Move large amounts from memory to a file without a name, read when they are needed.
+
+        Args:
+            folder: folder on the disk that takes them. If it has no room, they stay in memory.
+        """
+        if self.amounts.nbytes < SPILLED_BYTES or isinstance(self.amounts.base, np.memmap):
+            return
+        try:
+            with tempfile.TemporaryFile(dir=folder) as file:
+                self.amounts.tofile(file)
+                file.flush()
+                mapped = np.memmap(file, np.float32, "r", shape=self.amounts.shape)
+        except OSError as error:
+            log.info("%d voxels stay in memory: %s", self.amounts.size, error)
+            return
+        object.__setattr__(self, "amounts", np.asarray(mapped))
 
     def mu_per_mm(self, energy_kev: float) -> NDArray[np.float32]:
         """Return the attenuation of each voxel at a photon energy, (nz, ny, nx), 1/mm."""

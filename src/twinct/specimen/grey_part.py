@@ -136,13 +136,14 @@ class GreyPart:
 
     def mixture(self, label: str = "") -> Material:
         """Return the mean mixture in the voxels of a label, or in all that are not empty."""
-        amounts = self.field.amounts
-        if label:
-            assert self.labels is not None
-            there = self.labels.mask(label)
-        else:
-            there = amounts.any(axis=-1)
-        mean = amounts[there].mean(axis=0, dtype=np.float64)
+        amounts, count = self.field.amounts, 0
+        total = np.zeros(amounts.shape[-1])
+        number = self.label_names.index(label) + 1 if label else 0
+        for k, layer in enumerate(amounts):  # copies of all voxels at once would not fit
+            there = self.labels.values[k] == number if self.labels and label else layer.any(axis=-1)
+            total += layer[there].sum(axis=0, dtype=np.float64)
+            count += int(np.count_nonzero(there))
+        mean = total / count
         masses = [
             (a * m.density_g_cm3, m) for a, m in zip(mean, self.field.materials, strict=True) if a
         ]
