@@ -322,4 +322,5 @@ def test_a_thread_interrupted_at_its_start_ends_with_the_process(
     engine = GvxrEngine()
     with pytest.raises(KeyboardInterrupt):
         engine._call(int)
+    assert engine._thread._threads
     assert engine._thread._threads <= set(_threads_queues)
