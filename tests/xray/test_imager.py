@@ -15,7 +15,13 @@ import trimesh
 from waiting import HANG_S
 from xray_scenes import box, chords, front_view, specimen, sphere
 
-from twinct.core.errors import InputError, MissingExtraError, SpecimenError, TwinctError
+from twinct.core.errors import (
+    InputError,
+    MemoryShortageError,
+    MissingExtraError,
+    SpecimenError,
+    TwinctError,
+)
 from twinct.geometry import Panel, Pose
 from twinct.scenario import Detector, Source
 from twinct.xray import Imager
@@ -324,3 +330,11 @@ def test_a_thread_interrupted_at_its_start_ends_with_the_process(
         engine._call(int)
     assert engine._thread._threads
     assert engine._thread._threads <= set(_threads_queues)
+
+
+def test_gvxr_is_not_loaded_into_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its libraries would end the process without a message."""
+    limit = (2.0 * 2**30, "limit of this process (ulimit)")
+    monkeypatch.setattr("twinct.core.memory._limits", lambda: iter([limit]))
+    with pytest.raises(MemoryShortageError, match="at least 2500 MiB are needed by gVXR"):
+        GvxrEngine().prepare()

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError, MissingExtraError, TwinctError
 from twinct.core.extras import WAY_OUT
 from twinct.core.interruption import postponed
-from twinct.core.memory import if_little, lacks_memory
+from twinct.core.memory import if_little, lacks_memory, require_of_ulimit
 from twinct.geometry import Panel
 from twinct.xray.engine import EngineChoice, SceneBody, SceneView
 
@@ -164,6 +164,7 @@ class GvxrEngine:
         gvxr.computeXRayImage(image, False)  # False: photons, not energy
 
     def _start(self) -> Any:
+        require_of_ulimit(MEMORY_BYTES, " by gVXR")
         if self._log < 0:
             self._log = os.memfd_create("gvxr-log")
         with self._quiet():
