@@ -10,7 +10,8 @@ import pytest
 import tifffile
 import trimesh
 
-from twinct.core.errors import ScanExistsError, SpecimenError
+from twinct.core.errors import FolderInUseError, ScanExistsError, SpecimenError
+from twinct.core.files.lock import sole_owner
 from twinct.ctsimu import Options, load_ctsimu, render
 from twinct.ctsimu.camera import Camera
 from twinct.ctsimu.scene import Sample
@@ -56,6 +57,14 @@ def test_row_0_is_the_top_and_column_0_the_left(data, write, tmp_path):
     image = tifffile.imread(tmp_path / "out" / "small_0000.tif").astype(float)
     rows, columns = np.nonzero(image < 50000)
     assert rows.mean() < 7.5 - 4 and columns.mean() < 11.5 - 6
+
+
+def test_two_do_not_render_into_one_folder(data, write, tmp_path):
+    scenario, out = load_ctsimu(write(data)), tmp_path / "out"
+    out.mkdir()
+    with sole_owner(out / "twinct.lock"), pytest.raises(FolderInUseError, match="is using this"):
+        render(scenario, out, QUICK, resume=True)
+    assert list(out.iterdir()) == []
 
 
 def test_interrupted_rendering_goes_on_to_the_same_bytes(data, write, tmp_path):

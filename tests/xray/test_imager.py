@@ -1,10 +1,12 @@
 """Ownership, refusals, silence and company of the imager."""
 
 import os
+import signal
 import subprocess
 import sys
 import textwrap
 import threading
+from concurrent.futures.thread import _threads_queues
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,13 @@ import trimesh
 from waiting import HANG_S
 from xray_scenes import box, chords, front_view, specimen, sphere
 
-from twinct.core.errors import InputError, MissingExtraError, SpecimenError, TwinctError
+from twinct.core.errors import (
+    InputError,
+    MemoryShortageError,
+    MissingExtraError,
+    SpecimenError,
+    TwinctError,
+)
 from twinct.geometry import Panel, Pose
 from twinct.scenario import Detector, Source
 from twinct.xray import Imager
@@ -285,3 +293,48 @@ def test_errors_of_gvxr_are_raised_as_ours(monkeypatch):
             with pytest.raises(TwinctError, match="gVXR failed"):
                 imager.render(VIEW, Pose.identity())
         assert imager.render(VIEW, Pose.identity()).min() < 0.5
+
+
+def test_an_interrupt_waits_for_the_call_that_it_meets() -> None:
+    """Meanwhile stderr is gVXR's log, which would take the message."""
+    heard, done = threading.Event(), []
+
+    def interrupted(number: int, frame: object) -> None:
+        heard.set()
+        raise KeyboardInterrupt
+
+    def drawn() -> None:
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        heard.wait(HANG_S)
+        done.append(True)
+
+    before = signal.signal(signal.SIGINT, interrupted)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            GvxrEngine()._call(drawn)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert done
+
+
+def test_a_thread_interrupted_at_its_start_ends_with_the_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def started(thread: threading.Thread, start=threading.Thread.start) -> None:
+        start(thread)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(threading.Thread, "start", started)
+    engine = GvxrEngine()
+    with pytest.raises(KeyboardInterrupt):
+        engine._call(int)
+    assert engine._thread._threads
+    assert engine._thread._threads <= set(_threads_queues)
+
+
+def test_gvxr_is_not_loaded_into_too_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its libraries would end the process without a message."""
+    limit = (2.0 * 2**30, "limit of this process (ulimit)")
+    monkeypatch.setattr("twinct.core.memory._limits", lambda: iter([limit]))
+    with pytest.raises(MemoryShortageError, match="at least 2500 MiB are needed by gVXR"):
+        GvxrEngine().prepare()

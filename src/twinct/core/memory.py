@@ -60,19 +60,28 @@ def load_blas_if_limited() -> None:
     Raises:
         MemoryShortageError: the limit leaves less than ``LEAST_BYTES``.
     """
-    limits = [left for left, cause in _limits() if cause == _ULIMIT]
-    if not limits:
+    if not require_of_ulimit(LEAST_BYTES):
         return
-    if min(limits) < LEAST_BYTES:
-        raise MemoryShortageError(
-            f"too little memory: {min(limits) / 2**20:.0f} MiB are left by the {_ULIMIT}; at least "
-            f"{LEAST_BYTES / 2**20:.0f} MiB are needed"
-        )
     import numpy as np
     from scipy.linalg import blas
 
     square = np.ones((_SQUARE, _SQUARE))
     _ = square @ square, blas.dgemm(1.0, square, square)  # each library has buffers of its own
+
+
+def require_of_ulimit(least_bytes: int, needed_by: str = "") -> bool:
+    """Return True if a limit of this process leaves so much memory, False if there is no limit.
+
+    Raises:
+        MemoryShortageError: it leaves less, and C code would end the process without a message.
+    """
+    limits = [left for left, cause in _limits() if cause == _ULIMIT]
+    if limits and min(limits) < least_bytes:
+        raise MemoryShortageError(
+            f"too little memory: {min(limits) / 2**20:.0f} MiB are left by the {_ULIMIT}; at least "
+            f"{least_bytes / 2**20:.0f} MiB are needed{needed_by}"
+        )
+    return bool(limits)
 
 
 def available_bytes() -> tuple[float, str]:

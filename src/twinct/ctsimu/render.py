@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from twinct.core.draws import view_rng
 from twinct.core.errors import ScanExistsError, ScenarioError
 from twinct.core.files.images import RawImage, write_tiff
+from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.ctsimu.camera import Camera
@@ -53,12 +54,14 @@ def render(
         step: called after each projection, including existing ones.
 
     Raises:
+        FolderInUseError: another process works in the folder.
         ScanExistsError: the folder already holds a rendering, or images of something else.
         InputError: a file does not hold the data that the scenario states; names it.
         StorageError: the images cannot be written.
     """
     options, files = options or Options(), Files(folder, scenario.name)
-    with storage_errors(folder):
+    make_folder(folder)
+    with storage_errors(folder), sole_owner(folder / "twinct.lock"):
         _claim(files, _identity(scenario, options), resume)
         with Camera(options.samples, options.spot_points) as camera:
             _Run(scenario, files, options, camera).all(step)
@@ -169,7 +172,6 @@ class _Run:
 
 def _claim(files: Files, identity: str, resume: bool) -> None:
     """Check that the folder is free or holds this very rendering, and write the key file."""
-    make_folder(files.folder)
     # NAME_* would also match the images of NAME_2.
     own = re.compile(re.escape(files.name) + r"_([0-9]{4,}|(dark|flat)(_[0-9]{4,})?)\.tif")
     images = any(own.fullmatch(path.name) for path in files.folder.iterdir())

@@ -59,6 +59,11 @@ class Rows:
         if row.message:
             self.problems[row.key] = row.message
 
+    @property
+    def first_problem(self) -> str:
+        """Message of the first failed trial, if any."""
+        return next(iter(self.problems.values()), "")
+
     def done(self, one: Checked, event: Done, seconds: Mapping[str, float], report: str) -> Row:
         """Store the row of a finished trial, and its cross-sections if it is among the best."""
         row = _row(

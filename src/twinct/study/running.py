@@ -138,8 +138,7 @@ def run_study(
             else:
                 driver.run(trials, retry=retry)
         status = list(rows.status.values())
-        problem = next(iter(rows.problems.values()), "")
-    return StudyRun(folder, status.count("done"), status.count("failed"), problem)
+    return StudyRun(folder, status.count("done"), status.count("failed"), rows.first_problem)
 
 
 def _remove_pickles(folder: StudyFolder, observers: Observers) -> None:

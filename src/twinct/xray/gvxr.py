@@ -25,7 +25,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -34,7 +34,8 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, MissingExtraError, TwinctError
 from twinct.core.extras import WAY_OUT
-from twinct.core.memory import if_little, lacks_memory
+from twinct.core.interruption import postponed
+from twinct.core.memory import if_little, lacks_memory, require_of_ulimit
 from twinct.geometry import Panel
 from twinct.xray.engine import EngineChoice, SceneBody, SceneView
 
@@ -113,8 +114,14 @@ class GvxrEngine:
     def _call(self, function: Callable[..., Result], *args: object) -> Result:
         if self._thread is None:
             self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="gvxr")
+        called: list[Future[Result]] = []
         try:
-            return self._thread.submit(function, *args).result()
+            with postponed():  # a thread interrupted at its start would never be told to end
+                called.append(self._thread.submit(function, *args))
+            return called[0].result()
+        except KeyboardInterrupt:
+            wait(called)  # a message would go to gVXR's log meanwhile
+            raise
         except (RuntimeError, ValueError, TypeError, OverflowError) as error:
             # SWIG's translations of C++ exceptions.
             raise TwinctError(f"gVXR failed: {str(error).strip()}{self._complaints()}") from error
@@ -157,6 +164,7 @@ class GvxrEngine:
         gvxr.computeXRayImage(image, False)  # False: photons, not energy
 
     def _start(self) -> Any:
+        require_of_ulimit(MEMORY_BYTES, " by gVXR")
         if self._log < 0:
             self._log = os.memfd_create("gvxr-log")
         with self._quiet():
