@@ -62,7 +62,7 @@ def test_every_problem_is_one_message() -> None:
     text = problems("detector.pixel_pitch_mm=-1", "trajectory.views=0", "sourse=1")
     assert len(text.splitlines()) == 3
     assert "detector.pixel_pitch_mm: must be greater than 0, but is -1" in text
-    assert "trajectory.views: must be greater than or equal to 1, but is 0" in text
+    assert "trajectory.views: must be at least 1 and at most 100000, but is 0" in text
     assert "did you mean 'source'" in text
 
 
@@ -381,7 +381,10 @@ TUBE = "source.spectrum={kind: tube, kvp: 90}"
             ["reconstruction.beam_hardening={kind: one_material}"],
             "reconstruction.beam_hardening needs a source.spectrum",
         ),
-        (["source.exposure_ms=60001"], "source.exposure_ms: must be less than or equal to 60000"),
+        (
+            ["source.exposure_ms=60001"],
+            "source.exposure_ms: must be above 0 and at most 60000, but is 60001",
+        ),
         (
             ["source.spectrum={kind: tube, kvp: 51, target: Mo}"],
             "source.spectrum: kvp (51) must be at most 50 with target Mo",
@@ -392,6 +395,30 @@ def test_keys_that_contradict_each_other_are_refused(overrides: list[str], reaso
     text = problems(*overrides)
     assert text.startswith(f"--set {overrides[-1]}: ") and reason in text
     assert len(text.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("specimen.position_mm", "[0, 0]", "must have 3 entries, but has 2: [0, 0]"),
+        (
+            "detector.pixel_pitch_mm",
+            "0,5",
+            "must be a number or a list of 2 entries, but is '0,5'; "
+            "numbers have a decimal point: 0.5",
+        ),
+        (
+            "source.spectrum",
+            "200kV",
+            "must be a mapping of names to values such as {kind: tube} (kinds: tube, file), "
+            "but is '200kV'",
+        ),
+        ("trajectory.views", "0", "must be at least 1 and at most 100000, but is 0"),
+    ],
+)
+def test_a_message_says_what_would_be_allowed(key: str, value: str, said: str) -> None:
+    option = f"{key}={value}"
+    assert problems(option) == f"--set {option}: {key}: {said}"
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from waiting import HANG_S
 from twinct.cli import main, run_command
 from twinct.core.interruption import keeping
 
-NOTHING = "before its results were complete; earlier ones stay"
+NOTHING = "before anything new was complete; earlier results stay"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -58,7 +58,7 @@ def test_an_interrupt_that_a_library_swallows_is_no_bug(
 
     monkeypatch.setattr("twinct.cli.commands.app.cli", imported)
     assert run_command(["check"]) == code
-    said = "before its results were complete; earlier ones stay"
+    said = "before anything new was complete; earlier results stay"
     assert capfd.readouterr().err == f"twinct: interrupted: {said}\n"
     monkeypatch.setattr("twinct.cli.commands.app.cli", lambda **_: 1 / 0)
     assert run_command(["check"]) == 1  # a bug of the next command stays one

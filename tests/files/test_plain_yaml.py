@@ -43,6 +43,7 @@ REFUSED = [
     *(("a: 1\na: 2\n", ":2: the key 'a' appears twice"), ("a:\n  <<: b\n", ":2: a: merge keys")),
     *(('a: !!null "x"\n', ":1: a: tag:yaml.org,2002:null: tags"), ("a: !x y\n", ":1: a: !x: tags")),
     *(("[1]: 2\n", ":1: a key must be text"), ("a: 010\n", ":1: a: 010 begins with a zero")),
+    ("a:\n\tb: 2\n", ":2: not valid YAML: a line begins with a tab; indent it with spaces"),
     *(("a: 1\n---\nb: 2\n", ":2: not valid YAML: a second document"), ("a: [\n", ":1: not valid")),
     *(('a: "\\0"\n', r":1: a: the character '\x00'"), ("a: 1\nb: \x07\n", r":2: the character")),
     *(("a: " + "9" * 5000, ":1: a: the number has 5000 digits"), ('a: "\\ud800"\n', ":1:")),

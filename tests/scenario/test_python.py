@@ -32,7 +32,7 @@ def test_overrides_are_values_by_dotted_key() -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"trajectory.views": 0}, r"^trajectory\.views: .*greater than or equal to 1.*0"),
+        ({"trajectory.views": 0}, r"^trajectory\.views: .*at least 1.*0"),
         ({"detector.colums": 3}, r"^detector\.colums: .*did you mean 'columns'"),
         ({"specimen.parts.7.material": "water"}, r"^specimen\.parts\.7\.material: .* a list of"),
         ({"name.first": "x"}, r"^name\.first: name is a value"),

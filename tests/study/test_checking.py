@@ -96,7 +96,7 @@ def test_trials_of_one_kind_take_alike(small) -> None:
         ("axes:\n  - {key: source.current_ma.x, values: [1]}", ":3: .*source.current_ma"),
         (
             "axes:\n  - {key: reconstruction.relaxation, values: [0.5, -3, 0.2]}",
-            r":3: .*must be greater than 0, but is -3; in trial 1 \(.*relaxation = -3\)",
+            r":3: .*must be above 0 and below 2, but is -3; in trial 1 \(.*relaxation = -3\)",
         ),
         (
             "axes:\n  - {key: uncertainty.seed, values: [1, 1.5]}",
@@ -116,7 +116,7 @@ def test_trials_of_one_kind_take_alike(small) -> None:
             ":2: axis specimen.parts.0.material: .*unknown material 'unobtainium'.*; in trial 1",
         ),
         ("repetitions: {number: 2, key: uncertainty.sead}", ":2: repetitions: uncertainty.sead: "),
-        ("set: {detector.columns: -1}", ":2: detector.columns: must be greater than or equal to 1"),
+        ("set: {detector.columns: -1}", ":2: detector.columns: must be at least 1"),
         ("figures: [image.rmse]", "figure 'image.rmse': no trial has it; did you mean"),
         (
             "search: {figure: image.rms, trials: 1, keys: [{key: seed, choices: [1], label: s}]}",

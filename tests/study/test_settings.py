@@ -112,7 +112,10 @@ def test_a_problem_is_one_message_with_its_line(written, text: str, said: str) -
         ("a: [", ":1: not valid YAML"),
         ("axes: []", ":1: scenario: this required key is missing"),
         ("name: x\nscenario: none.yaml", ":2: scenario: no file at .*none.yaml"),
-        ("name: x\nscenario: 3", ":2: scenario: must be text, but is 3"),
+        (
+            "name: x\nscenario: 3",
+            ":2: scenario: must be text or a mapping of .*, but is 3",
+        ),
     ],
 )
 def test_no_study_is_one_message(tmp_path, text: str, said: str) -> None:

@@ -74,7 +74,7 @@ def run_command(argv: Sequence[str] | None = None) -> int:
 def _code_of_interruption(stop: KeyboardInterrupt) -> int:
     """Say what an interrupted command keeps."""
     number = stop.number if isinstance(stop, EndedBySignal) else signal.SIGINT
-    kept = "; ".join(notes_of(stop)) or "before its results were complete; earlier ones stay"
+    kept = "; ".join(notes_of(stop)) or "before anything new was complete; earlier results stay"
     try:
         _say(f"twinct: interrupted: {kept}")
     except BrokenPipeError:

@@ -188,7 +188,7 @@ def circular(geometry: ScanGeometry) -> tuple[Circle, ShiftedPanel | None]:
     if circle.span < needed - 1e-9:
         raise InputError(
             f"the arc covers {math.degrees(circle.span):.1f} deg; fdk needs 180 deg plus the fan "
-            f"angle, {math.degrees(needed):.1f} deg, or a full turn"
+            f"angle, {math.degrees(needed):.1f} deg, or a full turn; sart and fast take any arc"
         )
     return circle, None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import reprlib
 import typing
 from typing import Any, NamedTuple
@@ -49,6 +50,8 @@ def refusal(
     details = error.errors(include_url=False)
     for detail in details[:MOST_PROBLEMS]:
         key, model, others = _plain_key(detail["loc"], draft.data, root)
+        if detail["type"] == "missing" and isinstance(key[-1], int):  # a list that is too short
+            key = key[:-1]
         cause = detail.get("ctx", {}).get("error")
         if isinstance(cause, ConflictError):
             conflicts += (_blamed(draft, key, conflict) for conflict in cause.conflicts)
@@ -67,8 +70,18 @@ def refusal(
         if not meant and not deeper:
             meant = [text for _, text in parts]
         if meant:
-            sentences.append(place(draft, key) + " or ".join(dict.fromkeys(meant)))
+            sentences.append(place(draft, key) + _either(list(dict.fromkeys(meant))))
     return ScenarioError([*sentences, *conflicts], max(len(details) - MOST_PROBLEMS, 0))
+
+
+def _either(texts: list[str]) -> str:
+    """Return one text for several, joined if they differ only in the type that they ask for."""
+    parts = [text.partition(", but is ") for text in texts]
+    alike = len({given for _, _, given in parts}) == 1
+    if len(texts) == 1 or not alike or not all(text.startswith("must be ") for text in texts):
+        return " or ".join(texts)
+    asked = " or ".join(text.removeprefix("must be ") for text, _, _ in parts)
+    return f"must be {asked}, but is {parts[0][2]}"
 
 
 def _blamed(draft: Draft, section: Key, conflict: Conflict) -> str:
@@ -136,6 +149,9 @@ def _sentence(
     if kind == "extra_forbidden":
         broken = _BROKEN.get(key[:-1], {}).get(str(key[-1]))
         return advice(key, given) or broken or _unknown_key(key, model, others)
+    if kind == "missing" and is_list(given):
+        length = _length(model, key) or detail["loc"][-1] + 1
+        return f"must have {length} entries, but has {len(given)}: {shown(given)}"
     if kind == "missing":
         return "this required key is missing"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -146,9 +162,60 @@ def _sentence(
         has = len(given) if is_list(given) else detail["ctx"]["actual_length"]
         return f"must have {side} {limit} {'entry' if limit == 1 else 'entries'}, but has {has}"
     if words := PATTERNS.get(detail.get("ctx", {}).get("pattern")) or _PLAIN.get(kind):
-        return f"{words}, but is {'empty' if given is None else shown(given)}"
+        if kind == "tuple_type" and (length := _length(model, key)):
+            words += f" of {length} entries"
+        if kind in _SECTIONS:
+            words += _example(model, key)
+        return f"{words}, but is {'empty' if given is None else shown(given) + _point(given)}"
+    if kind in _BOUNDS and (bounds := _both_bounds(model, key)):
+        return f"must be {bounds}, but is {shown(given)}"
     message = detail["msg"].removeprefix("Value error, ").replace("Input should be", "must be")
     return message if kind == "value_error" else f"{message}, but is {shown(given)}"
+
+
+_SECTIONS = ("dict_type", "model_type", "model_attributes_type")
+"""Pydantic's types of error for a value in place of a section."""
+
+_BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
+"""Pydantic's types of error for a number beyond a bound."""
+
+
+def _both_bounds(model: type[BaseModel] | None, key: Key) -> str:
+    """Return both bounds of a key in words; nothing if it has one."""
+    info = model.model_fields.get(str(key[-1])) if model else None
+    found = {
+        of: getattr(bound, name)
+        for bound in (info.metadata if info else ())
+        for name, of in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
+        if getattr(bound, name, None) is not None
+    }
+    lower = next((f"{of} {found[of]}" for of in ("above", "at least") if of in found), "")
+    upper = next((f"{of} {found[of]}" for of in ("below", "at most") if of in found), "")
+    return f"{lower} and {upper}" if lower and upper else ""
+
+
+def _length(model: type[BaseModel] | None, key: Key) -> int | None:
+    """Return the number of entries of a key that is a list of fixed length; None for others."""
+    info = model.model_fields.get(str(key[-1])) if model else None
+    if info is None:
+        return None
+    found = [info.annotation, *typing.get_args(info.annotation)]
+    lists = (typing.get_args(one) for one in found if typing.get_origin(one) is tuple)
+    return next((len(one) for one in lists if one and Ellipsis not in one), None)
+
+
+def _example(model: type[BaseModel] | None, key: Key) -> str:
+    """Return the beginning of such a section, or nothing."""
+    info = model.model_fields.get(str(key[-1])) if model else None
+    tags = [tag for tag in map(_tag, _models(info.annotation) if info else ()) if tag]
+    return f" such as {{kind: {tags[0]}}} (kinds: {', '.join(tags)})" if tags else ""
+
+
+def _point(given: Any) -> str:
+    """Return a hint for a number that is written with a decimal comma."""
+    if not isinstance(given, str) or not re.fullmatch(r"[-+]?\d+,\d+", given[:40], re.ASCII):
+        return ""
+    return f"; numbers have a decimal point: {given.replace(',', '.')}"
 
 
 def _unknown_key(key: Key, model: type[BaseModel] | None, others: list[type[BaseModel]]) -> str:

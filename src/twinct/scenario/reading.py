@@ -289,7 +289,8 @@ def _index(here: Any, step: str, place: str) -> Any:
     number = whole_number(step)
     if number is None or number >= len(here):
         what = f"{place} is a list of length {len(here)}"
-        raise ScenarioError(f"{what}; {quoted(step)} is not a valid index")
+        allowed = f" (0 to {len(here) - 1})" if len(here) else ""
+        raise ScenarioError(f"{what}; {quoted(step)} is not a valid index{allowed}")
     return number
 
 

@@ -130,6 +130,8 @@ class _Reader:
             problem = getattr(error, "problem", None) or getattr(error, "reason", None) or "?"
             last = max(len(self._text.splitlines()), 1)  # the end is no separate line
             line = min(mark.line + 1, last) if mark else None
+            if line and re.match(r" *\t", self._text.splitlines()[line - 1]):
+                problem = "a line begins with a tab; indent it with spaces"
             self._refuse(line, (), f"not valid YAML: {problem}")
 
     def _value(self, event: Any, key: Key) -> Any:
