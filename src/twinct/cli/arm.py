@@ -48,7 +48,7 @@ def arm(
         say(f"{link}: collides as {parts} convex parts")
     for key, names in written.lacking.items():
         say(f"{_SUPPLY[key]}: {', '.join(names)}: set {key} in the scenario")
-    say(f"in the scenario: cell: {{source_arm: {{model: null, file: {written.file}}}}}")
+    say(f"in the scenario: cell: {{source_arm: {{model: null, file: {written.file.resolve()}}}}}")
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -388,9 +389,11 @@ def reconstruct(
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_run(folder, set_, geometry=geometry, name=as_, observers=audience)
     rmse, near = (percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
+    figures = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    material = figures.get("reference_material", "bone")
     say(
-        f"{made.name}: {made.told}, {made.geometry} geometry; RMSE {rmse}, {near} near "
-        f"the reference material\n{made.path}; report: {folder / 'report.html'}"
+        f"{made.name}: {made.told}, {made.geometry} geometry; RMSE {rmse} of mu({material}), "
+        f"{near} near {material}\n{made.path}; report: {folder / 'report.html'}"
     )
 
 

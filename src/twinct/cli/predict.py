@@ -39,6 +39,7 @@ def predict(
     """
     from twinct.core.threads import limit_threads
     from twinct.measured.prediction import predict
+    from twinct.scan.named_geometries import named_geometries
     from twinct.scenario import named_places
 
     limit_threads(threads)
@@ -47,4 +48,6 @@ def predict(
         made = predict(folder, set_, **how, observers=audience)
     for sentence in made.told:
         say(sentence)
+    if geometry is None and (others := ", ".join(named_geometries(folder / "geometries"))):
+        say(f"geometries that calibrations made, for --geometry: {others}")
     say(f"{made.path}; picture: {made.path / 'prediction.png'}")

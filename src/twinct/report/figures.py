@@ -219,10 +219,15 @@ def pose_errors_over_views(
         position, rotation, clearance = figure.subplots(3, 1, sharex=True)
         views = np.arange(len(errors.source.position_mm))
         style = {"lw": 1.1, "marker": "o", "ms": 2.2 if len(views) <= 150 else 0}
-        for label, colour in (("source", SOURCE_COLOUR), ("detector", DETECTOR_COLOUR)):
+        # The source's line is wide, so that it shows below an equal one of the detector.
+        wide = style | {"lw": 2.6, "marker": ""}
+        for label, colour, how in (
+            ("source", SOURCE_COLOUR, wide),
+            ("detector", DETECTOR_COLOUR, style),
+        ):
             arm = getattr(errors, label)
-            position.plot(views, arm.position_mm, color=colour, label=label, **style)
-            rotation.plot(views, arm.rotation_deg, color=colour, label=label, **style)
+            position.plot(views, arm.position_mm, color=colour, label=label, **how)
+            rotation.plot(views, arm.rotation_deg, color=colour, label=label, **how)
         clearance.plot(np.arange(len(clearance_mm)), clearance_mm, color="#3d7a4d", **style)
         _limit(position, tolerance_mm, f"tolerance {tolerance_mm:g} mm")
         _limit(clearance, clearance_limit_mm, f"planned at least {clearance_limit_mm:g} mm")

@@ -152,7 +152,8 @@ class TimeLaw:
             name = self._cell.joint_names[int(holding.argmax())]
             raise TrajectoryError(
                 f"{name} needs {100 * holding.max():.0f} % of its torque limit to hold still; at "
-                f"most {100 * TORQUE_SHARE:.0f} % may be used"
+                f"most {100 * TORQUE_SHARE:.0f} % may be used: check the arm's joint_torque_nm and "
+                "tool_mass_kg, or place it nearer"
             )
         spans = np.maximum((np.abs(np.diff(knots, axis=0)) / self._speed).max(axis=1), 1e-9)
         passed = np.concatenate([[0.0], np.cumsum(spans)])
