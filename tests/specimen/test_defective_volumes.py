@@ -142,6 +142,11 @@ def padding_inside(image: Any, draw: Draw) -> None:
     image.add_new("PixelPaddingRangeLimit", "US", int(numbers.max()))
 
 
+def padding_range(image: Any, draw: Draw) -> None:
+    """Air and the body in it count as padding."""
+    image.PixelPaddingValue, image.PixelPaddingRangeLimit = 0, 3000
+
+
 def bright_corner(image: Any, draw: Draw) -> None:
     """Padding that reads as metal, in a corner; it must become air, as the truth has it."""
     numbers = np.frombuffer(image.PixelData, "<u2").copy()
@@ -195,6 +200,8 @@ IMAGE_DEFECTS: dict[str, Callable[[Images, Draw], None]] = {
     "another modality": every(put("Modality", "MR", "PT", "OT")),
     "no modality": every(drop("Modality")),
     "empty modality": one(put("Modality", "")),
+    "slope with an underscore": every(raw("RescaleSlope", b"1_0 ")),
+    "a range of padding over the body": every(padding_range),
     "inverted grey": every(put("PhotometricInterpretation", "MONOCHROME1")),
     "palette": every(put("PhotometricInterpretation", "PALETTE COLOR")),
     "colours": one(put("SamplesPerPixel", 3)),
@@ -220,6 +227,7 @@ IMAGE_DEFECTS: dict[str, Callable[[Images, Draw], None]] = {
     "spacing of 0": every(put("PixelSpacing", [0.0, 0.8])),
     "spacing of one": one(put("PixelSpacing", [0.5, 0.4])),
     "spacing of letters": one(raw("PixelSpacing", b"a\\b ", b"1.0 ", b"1\\nan")),
+    "spacing of a kilometre": every(put("PixelSpacing", [1e6, 1e6])),
     "no spacing": every(drop("PixelSpacing")),
     "one moved sideways": moved(
         lambda im, k, d: along_row(im) * (15.0 * (k == d.k)) * (1 if d.k % 2 else -1)

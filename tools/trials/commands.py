@@ -195,8 +195,9 @@ def contents(out, patterns):
 
 
 def content(file):
-    """Return the bytes of a file; of a journal, the rows without their seconds."""
+    """Return the bytes of a file; of a journal, the rows of done trials without their seconds."""
     if file.suffix != ".jsonl":
         return file.read_bytes()
     rows = [json.loads(row) for row in file.read_text().splitlines(True) if row.endswith("\n")]
-    return sorted(json.dumps(row | {"seconds": {}}) for row in rows)
+    done = [row for row in rows if row["status"] == "done"]  # failed ones are tried again
+    return sorted(json.dumps(row | {"seconds": {}}) for row in done)

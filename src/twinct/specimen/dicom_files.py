@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import no_file, open_regular, read_bytes, require_memory
-from twinct.core.foreign_text import whole_number
+from twinct.core.foreign_text import number, whole_number
 
 DICOM_SUFFIXES = (".dcm", ".ima", ".dicom")
 """Suffixes of DICOM files; such a file without DICOM content is damaged."""
@@ -83,7 +83,7 @@ class DicomImage:
         if value is None or value == "":
             raise SpecimenError(f"{self.where} lacks {name}")
         try:
-            found = np.array([float(n) for n in (value if count > 1 else [value])])
+            found = np.array([number(str(n)) for n in (value if count > 1 else [value])])
         except (TypeError, ValueError):
             found = np.array([])
         if len(found) != count or not np.isfinite(found).all():

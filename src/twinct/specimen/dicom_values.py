@@ -185,13 +185,14 @@ def _padded(image: DicomImage, numbers: NDArray[np.integer]) -> NDArray[np.bool_
 
 def _require_outside(padded: NDArray[np.bool_], values: NDArray[np.float32], where: str) -> None:
     """Check that padding that would count as tissue reaches the border of the image."""
-    if not (padded & (values > BRIGHT_HU)).any():
+    bright = padded & (values > BRIGHT_HU)  # a range of padding may hold air as well
+    if not bright.any():
         return
     labels = np.empty(padded.shape, dtype=np.int32)
-    scipy.ndimage.label(padded, output=labels)
+    scipy.ndimage.label(bright, output=labels)
     outside = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    if (padded & (values > BRIGHT_HU) & ~np.isin(labels, outside)).any():
+    if (bright & ~np.isin(labels, outside)).any():
         raise SpecimenError(
-            f"{where}: pixels inside its picture hold the PixelPaddingValue, which marks those "
-            "outside"
+            f"{where}: pixels inside its picture hold the PixelPaddingValue or lie in its range, "
+            "which marks those outside"
         )

@@ -21,6 +21,8 @@ from twinct.specimen.surface import isosurface, simplified, surface
 if TYPE_CHECKING:
     import trimesh
 
+LARGEST_VOXEL_MM = 1000.0
+"""Longest edge of a voxel; a longer one is an error of units."""
 FARTHEST_MM = 1e6
 """Limit of the numbers in an affine."""
 
@@ -97,6 +99,15 @@ def read_ct(
             "file (.mha, .mhd), an InVesalius project (.inv3) or the folder of one DICOM series; "
             "convert others, such as NRRD, to NIfTI"
         )
+    _require_sense(image, where)
+    if not np.isfinite(image.values).all():
+        raise SpecimenError(f"{where} holds values that are not finite")
+    if abs(np.linalg.det(image.affine[:3, :3])) < 1e-9:
+        raise SpecimenError(f"{where}: its voxels have no volume (affine {image.affine.tolist()})")
+    return image
+
+
+def _require_sense(image: CtImage, where: str) -> None:
     if min(image.values.shape) < 2:
         raise SpecimenError(
             f"{where} has {image.values.shape} voxels; a volume needs at least 2 along each axis"
@@ -105,11 +116,11 @@ def read_ct(
         raise SpecimenError(
             f"{where}: its affine matrix is not finite or too large: {image.affine.tolist()}"
         )
-    if not np.isfinite(image.values).all():
-        raise SpecimenError(f"{where} holds values that are not finite")
-    if abs(np.linalg.det(image.affine[:3, :3])) < 1e-9:
-        raise SpecimenError(f"{where}: its voxels have no volume (affine {image.affine.tolist()})")
-    return image
+    if image.voxel_mm.max() > LARGEST_VOXEL_MM:
+        raise SpecimenError(
+            f"{where}: its voxels have edges of {image.voxel_mm.tolist()} mm; expected at most "
+            f"{LARGEST_VOXEL_MM:g} mm"
+        )
 
 
 def _without_small_parts(
