@@ -1,6 +1,6 @@
 """Engines: the kernels behind a projector, vector, plain or cuda.
 
-``vector`` is written for speed, eight samples at a time; ``plain`` computes the same in readable
+``vector`` is written for speed, sixteen samples at a time; ``plain`` computes the same in readable
 loops; ``cuda`` computes it on a card. They agree to float32 rounding. The argument of ``Projector``
 selects the engine, otherwise the environment variable ``TWINCT_ENGINE``. The default is ``vector``,
 or ``plain`` where ``vector`` does not compile.

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +20,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.core.disk_cache import made_once
 from twinct.geometry import Floats
 from twinct.specimen.implicit import (
     Body,
@@ -53,6 +51,10 @@ SOURCES = ("skull.py", "implicit.py", "surface.py")
 
 @lru_cache(maxsize=2)
 def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
+    from importlib.metadata import version  # only here: imports of twinct load few modules
+
+    from twinct.core.disk_cache import made_once
+
     texts = [Path(__file__).with_name(name).read_bytes() for name in SOURCES]
     libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy", "scikit-image")]
     numbers = repr((scale, resolution_mm, *libraries, version("manifold3d")))

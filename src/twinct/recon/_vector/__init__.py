@@ -1,8 +1,8 @@
-"""Vector engine: kernels written eight samples at a time, in LLVM instructions.
+"""Vector engine: kernels written sixteen samples at a time, in LLVM instructions.
 
-It is fast because one piece of vector code reads and blends eight samples (``march``, ``sample``),
-and because tiles of rays go through the volume slab by slab, in copies of only the voxels that they
-cross (``brick``). No result depends on the number of threads.
+It is fast because one piece of vector code reads and blends sixteen samples (``march``,
+``sample``), and because tiles of rays go through the volume slab by slab, in copies of only the
+voxels that they cross (``brick``). No result depends on the number of threads.
 """
 
 from numba import get_num_threads

@@ -27,7 +27,7 @@ LANES = vec.WIDE
 """Rays of a block."""
 
 B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE = (n * LANES for n in range(7))
-"""Offsets of the eight numbers of each kind in a block; FIRST and LAST are planes."""
+"""Offsets of the numbers of each kind in a block; FIRST and LAST are planes."""
 
 BLOCK = 7 * LANES
 """Length of a block."""
@@ -68,7 +68,7 @@ def _cell(
 
 
 def _pointer(builder: Any, rays: Any, block: Any, place: int) -> Any:
-    """Return a pointer to the eight numbers of one kind in a block."""
+    """Return a pointer to the numbers of one kind in a block."""
     return vec.vector_at(builder, rays, builder.add(block, ir.Constant(vec.I64, place)), LANES)
 
 
@@ -104,9 +104,8 @@ def _emit(word: int, guarded: bool, adds_up: bool, body: _Body) -> Any:
         middle, b_from, c_from, offset, b_cells, c_cells, near, far, stride, up = (
             builder.extract_value(lattice, n) for n in range(10)
         )
-        if word == FOURS:  # they are counted in pairs
-            far = builder.ashr(far, ir.Constant(vec.I64, 1))
-
+        # Fours are counted in pairs.
+        far = builder.ashr(far, ir.Constant(vec.I64, int(word == FOURS)))
         b_middle, b_slope, c_middle, c_slope, firsts, lasts, values = _loaded(builder, rays, block)
         near_lanes, far_lanes = (vec.splat(builder, builder.trunc(n, vec.I32)) for n in (near, far))
         middles = vec.splat(builder, middle)
