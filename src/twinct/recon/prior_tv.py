@@ -39,13 +39,19 @@ New structures in ``bench_prior`` have 70 % of their contrast after the first ro
 the fourth.
 """
 
+ROUNDS = 2
+"""Rounds where the strength follows from the noise; best on the zoo (bench_prior_zoo.py)."""
+
+DARKEST = 8.0
+"""Line integral up to which the weight of a ray falls: beyond, other noise is larger."""
+
 
 class Prior(Section):
     """An earlier volume of the same object."""
 
     path: Path = Field(description="NIfTI file in 1/mm, such as volume.nii of a run.")
     share: float = setting(
-        0.5,
+        0.3,
         "Share of the total variation that applies to the difference from the prior instead of the "
         "volume itself.",
         source="alpha of PICCS: Chen, Tang and Leng, Med. Phys. 35 (2008)",
@@ -83,6 +89,12 @@ class PriorTv(Regularised):
         "of the scenario's photons or of air in the projections; if it is unknown, the value is "
         "0, and log, metrics.json and report say so.",
     )
+    weighting: Literal["uniform", "counts"] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        default=None,
+        description="Weight of each pixel; counts: its transmission times the view's mAs, relative "
+        "to the source's mAs, for Poisson noise. By default counts if the regularisation follows "
+        "from the noise, else uniform.",
+    )
     prior: Prior = Field(description="The earlier volume.")
 
 
@@ -94,7 +106,7 @@ def prior_tv(
     iterations: int = 24,
     regularisation: float | None = None,
     photons: ArrayLike | None = None,
-    share: float = 0.5,
+    share: float = 0.3,
     start: Pose | None = None,
     rounds: int | None = None,
     subsets: int | None = None,
@@ -117,7 +129,7 @@ def prior_tv(
     to the volume itself.
 
     Peak memory: 16 volumes, the given prior included (13 if the grid is large: the registration
-    stays coarse), and three times the projections, besides the projections and weights.
+    stays coarse), and four times the projections, besides the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
@@ -129,10 +141,12 @@ def prior_tv(
         photons: photons of a pixel in the free beam, one number or one for each view, (views,).
         share: share of the difference, 0 to 1.
         start: initial pose of the prior's world in the scan's world; by default the identity.
-        rounds: as in ``fista_tv``; by default one for each 6 iterations, at most 4.
+        rounds: as in ``fista_tv``; by default one for each 6 iterations, at most 4, or at most 2 if
+            the regularisation follows from the noise.
         subsets: as in ``fista_tv``.
         tv_steps: dual steps after each update, at least 1.
-        weights: as in ``fista_tv``.
+        weights: as in ``fista_tv``; by default exp(-p) if the regularisation follows from the
+            noise.
         huber: as in ``fista_tv``.
         x0: initial volume, (z, y, x); by default the registered prior.
         nonnegative: x >= 0.
@@ -154,7 +168,8 @@ def prior_tv(
     if regularisation is not None:
         regularisation = checks.not_negative("regularisation", regularisation)
     if rounds is None:
-        rounds = max(min(iterations // ROUND, MOST_ROUNDS), 1)
+        most = MOST_ROUNDS if regularisation is not None else ROUNDS
+        rounds = max(min(iterations // ROUND, most), 1)
     rounds = checks.count("rounds", rounds, at_most=iterations)
     subsets = checks.count("subsets", subset_number(subsets, len(A)), at_most=len(A))
     tv_steps = checks.count("tv_steps", tv_steps)
@@ -170,6 +185,8 @@ def prior_tv(
     if radius is None:
         radius, source = _strength(A, p, known_photons, pixels)
         told["regularisation"] = {"strength": radius, "from": source}
+        if source and given is None:
+            given = np.exp(-np.clip(p, 0.0, DARKEST))
     pose = registered(A, p, prior, start=start, mask=pixels)
     known, inside = _in_place(prior, pose, A.grid)
     before = KnownBefore(known, _seams(inside), share)
@@ -260,13 +277,20 @@ def _expected(
     return _in_place(prior, pose, A.grid)[0]
 
 
+def _weights(problem: Problem, settings: PriorTv) -> NDArray[np.float32] | None:
+    if settings.weighting is None:
+        return None
+    counts = problem.counts
+    return counts if settings.weighting == "counts" else np.ones_like(counts)
+
+
 def _solve(problem: Problem, settings: PriorTv) -> Volume:
     prior = settings.prior
     others = {
         "prior": Volume.read(prior.path),
         "share": prior.share,
         "start": prior.start,
-        "weights": problem.counts if settings.weighting == "counts" else None,
+        "weights": _weights(problem, settings),
     }
     volume = solve_by(prior_tv, problem, settings, **others)
     pose: Pose = volume.extras["world_from_prior"]
@@ -293,7 +317,7 @@ PRIOR_TV = Algorithm(
     PriorTv,
     _solve,
     volumes=16,
-    projections=3,
+    projections=4,
     expects=_expected,
     updates=lambda own, n: subset_number(own.subsets, n),
     check=_check,
