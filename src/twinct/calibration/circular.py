@@ -214,20 +214,8 @@ def circular_consistent(
     pairs = _Pairs(p[some], pixels, believed[some], circle)
     deviations = (prior or CircularPrior()).deviations(believed)
     precision = np.diag(deviations**-2.0)
-    change, information, across = np.zeros(6), np.zeros((6, 6)), FINEST
-    drift = np.zeros(6)
-    first = pairs.seen(change, FINEST).spread
-    with progress.stage("circle", len(ROUNDS)) as step:
-        for number, (pixels_across, steps) in enumerate(ROUNDS):
-            if number == 0 or pairs.factor(pixels_across) < pairs.factor(ROUNDS[number - 1][0]):
-                found, normal = pairs.agreed(change, pixels_across, steps, deviations)
-                # Finer pixels of noisy views may tell less.
-                if pixels_across <= SURE or _knowledge(normal, precision) > _knowledge(
-                    information, precision
-                ):
-                    drift = found - change if number else drift
-                    change, information, across = found, normal, pixels_across
-            step()
+    first = pairs.seen(np.zeros(6), FINEST).spread
+    change, information, across, drift = _found(pairs, deviations, progress)
     told = _covariance(information, pairs.scatter(change, across), drift)
     covariance: Floats = np.asarray(np.linalg.inv(np.linalg.inv(told) + precision), np.float64)
     # What the views alone tell, then with the prior: it counts more than in the steps.
@@ -244,6 +232,27 @@ def circular_consistent(
         _undetermined(covariance, deviations),
         (first, last),
     )
+
+
+def _found(
+    pairs: _Pairs, deviations: Floats, progress: Progress
+) -> tuple[Floats, Floats, int, Floats]:
+    """Return numbers, normal matrix and pixels of the last round that counts, and its change."""
+    precision = np.diag(deviations**-2.0)
+    change, information, across = np.zeros(6), np.zeros((6, 6)), FINEST
+    drift = np.zeros(6)
+    with progress.stage("circle", len(ROUNDS)) as step:
+        for number, (pixels_across, steps) in enumerate(ROUNDS):
+            if number == 0 or pairs.factor(pixels_across) < pairs.factor(ROUNDS[number - 1][0]):
+                found, normal = pairs.agreed(change, pixels_across, steps, deviations)
+                # Finer pixels of noisy views may tell less.
+                if pixels_across <= SURE or _knowledge(normal, precision) > _knowledge(
+                    information, precision
+                ):
+                    drift = found - change if number else drift
+                    change, information, across = found, normal, pixels_across
+            step()
+    return change, information, across, drift
 
 
 def _knowledge(normal: Floats, precision: Floats) -> float:
