@@ -129,6 +129,7 @@ def simulated(number: int, photons: float) -> dict:
         "after": aligned(found.geometry, executed, POINTS).after_px,
         "pulls": off / found.deviation,
         "undetermined": found.undetermined,
+        "uncertain": found.uncertain,
         "seconds": seconds,
     }
 
@@ -140,6 +141,7 @@ def scans(first: int, number: int, photons: float) -> None:
         told.append(simulated(one, photons))
         line = told[-1]
         named = "; ".join(f"{100 * u.left:.0f} %: {u}" for u in line["undetermined"])
+        named = "; ".join([named, *line["uncertain"]])
         print(
             f"{one} {line['name']}: axis {line['axis']:.3f} px, roll {line['roll']:.4f} deg, "
             f"points {line['before']:.2f} -> {line['after']:.3f} px, errors / sigma "

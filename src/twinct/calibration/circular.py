@@ -78,6 +78,9 @@ Where the views tell little, differences of steps are mostly noise, and mixing a
 HARDLY = 0.5
 """Share of the prior's standard deviation above which a combination counts as undetermined."""
 
+FINE_PX, FINE_DEG = 0.1, 0.03
+"""Spreads of axis and roll up to which a volume hardly suffers."""
+
 NAMED = 0.35
 """Smallest weight of a number that is named in a combination, relative to the largest."""
 
@@ -170,6 +173,14 @@ class CircularCalibration:
     undetermined: tuple[Undetermined, ...]
     residuals: tuple[float, float]
 
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Axis and roll, in words, where their spread exceeds ``FINE_PX`` and ``FINE_DEG``."""
+        axis_px = float(self.deviation[0]) / self.geometry.panel.pitch_u
+        roll_deg = float(np.degrees(self.deviation[5]))
+        told = (("axis", axis_px, FINE_PX, "px"), ("roll", roll_deg, FINE_DEG, "deg"))
+        return tuple(f"{name} +- {of:.2g} {unit}" for name, of, fine, unit in told if of > fine)
+
 
 def circular_consistent(
     line_integrals: NDArray[np.float32],
@@ -203,22 +214,14 @@ def circular_consistent(
     pairs = _Pairs(p[some], pixels, believed[some], circle)
     deviations = (prior or CircularPrior()).deviations(believed)
     precision = np.diag(deviations**-2.0)
-    change, information, across = np.zeros(6), np.zeros((6, 6)), FINEST
-    drift = np.zeros(6)
-    first = pairs.seen(change, FINEST).spread
-    with progress.stage("circle", len(ROUNDS)) as step:
-        for number, (pixels_across, steps) in enumerate(ROUNDS):
-            if number == 0 or pairs.factor(pixels_across) < pairs.factor(ROUNDS[number - 1][0]):
-                found, normal = pairs.agreed(change, pixels_across, steps, deviations)
-                # Finer pixels of noisy views may tell less.
-                if pixels_across <= SURE or _knowledge(normal, precision) > _knowledge(
-                    information, precision
-                ):
-                    drift = found - change if number else drift
-                    change, information, across = found, normal, pixels_across
-            step()
+    first = pairs.seen(np.zeros(6), FINEST).spread
+    change, information, across, drift = _found(pairs, deviations, progress)
+    told = _covariance(information, pairs.scatter(change, across), drift)
+    covariance: Floats = np.asarray(np.linalg.inv(np.linalg.inv(told) + precision), np.float64)
+    # What the views alone tell, then with the prior: it counts more than in the steps.
+    alone = change + np.linalg.solve(information, precision @ change)
+    change = covariance @ np.linalg.solve(told, alone)
     last = pairs.seen(change, FINEST).spread
-    covariance = _covariance(information + precision, pairs.scatter(change, across), drift)
     geometry = _moved(believed, change)
     return CircularCalibration(
         geometry,
@@ -231,18 +234,39 @@ def circular_consistent(
     )
 
 
+def _found(
+    pairs: _Pairs, deviations: Floats, progress: Progress
+) -> tuple[Floats, Floats, int, Floats]:
+    """Return numbers, normal matrix and pixels of the last round that counts, and its change."""
+    precision = np.diag(deviations**-2.0)
+    change, information, across = np.zeros(6), np.zeros((6, 6)), FINEST
+    drift = np.zeros(6)
+    with progress.stage("circle", len(ROUNDS)) as step:
+        for number, (pixels_across, steps) in enumerate(ROUNDS):
+            if number == 0 or pairs.factor(pixels_across) < pairs.factor(ROUNDS[number - 1][0]):
+                found, normal = pairs.agreed(change, pixels_across, steps, deviations)
+                # Finer pixels of noisy views may tell less.
+                if pixels_across <= SURE or _knowledge(normal, precision) > _knowledge(
+                    information, precision
+                ):
+                    drift = found - change if number else drift
+                    change, information, across = found, normal, pixels_across
+            step()
+    return change, information, across, drift
+
+
 def _knowledge(normal: Floats, precision: Floats) -> float:
     return float(np.linalg.slogdet(normal + precision)[1])
 
 
 def _covariance(normal: Floats, scatter: Floats, drift: Floats) -> Floats:
-    """Return the covariance of the six numbers.
+    """Return the covariance of the six numbers as the views alone tell them.
 
     Residuals tell what noise and a badly modelled view do. What pixels do is alike in all views:
     it shows in the change that finer pixels made.
 
     Args:
-        normal: normal matrix with the prior, (6, 6).
+        normal: normal matrix without the prior, (6, 6).
         scatter: covariance of the right side of the equations, (6, 6).
         drift: change by the last, finer pixels, (6,).
     """

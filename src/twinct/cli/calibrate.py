@@ -282,9 +282,10 @@ def _say_circle(name: str, found: CircularCalibration) -> None:
     spread = dict(zip(("u", "v", "sdd", "tilt", "slant", "roll"), found.deviation, strict=True))
     degrees = {key: np.degrees(spread[key]) for key in ("roll", "tilt", "slant")}
     say(
-        f"{name}: the axis projects {after.axis_px:+.2f} +- {spread['u'] / pitch_u:.2f} px from "
-        f"the middle column (was {before.axis_px:+.2f}); roll {after.panel_roll_deg:+.3f} +- "
-        f"{degrees['roll']:.3f} deg (was {before.panel_roll_deg:+.3f}); spread of the "
+        f"{name}: the axis projects {_signed(after.axis_px, 2)} +- {spread['u'] / pitch_u:.2f} px "
+        f"from the middle column (was {_signed(before.axis_px, 2)}); roll "
+        f"{_signed(after.panel_roll_deg, 3)} +- {degrees['roll']:.3f} deg (was "
+        f"{_signed(before.panel_roll_deg, 3)}); spread of the "
         f"differences {found.residuals[0]:.4g} before, {found.residuals[1]:.4g} after"
     )
     right, up = after.panel_offset_mm
@@ -294,16 +295,23 @@ def _say_circle(name: str, found: CircularCalibration) -> None:
         f"panel_tilt_deg: {after.panel_tilt_deg:.4f}, panel_slant_deg: {after.panel_slant_deg:.4f}"
     )
     say(
-        f"noise alone leaves {spread['sdd']:.2g} mm of the SDD, {spread['u']:.2g} and "
-        f"{spread['v']:.2g} mm of the offsets, {degrees['tilt']:.2g} deg of the tilt and "
-        f"{degrees['slant']:.2g} deg of the slant"
+        f"standard deviations, pixels and prior included: {spread['sdd']:.2g} mm of the SDD, "
+        f"{spread['u']:.2g} and {spread['v']:.2g} mm of the offsets, {degrees['tilt']:.2g} deg of "
+        f"the tilt and {degrees['slant']:.2g} deg of the slant"
     )
     for one in found.undetermined:
         say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
+    if found.uncertain:
+        say(f"not found precisely: {', '.join(found.uncertain)}")
     say(
         f"not determined by any image: sod_mm ({after.sod_mm:g}), which scales the volume; the "
         "height of the volume and its turn about the axis"
     )
+
+
+def _signed(value: float, digits: int) -> str:
+    """Return a number with its sign; what rounds to 0 is not negative."""
+    return f"{round(value, digits) + 0.0:+.{digits}f}"
 
 
 def _say_against_executed(believed: Aligned, found: Aligned, folder: Path) -> None:

@@ -34,6 +34,9 @@ MAP = "bad_pixels.npy"
 
 NO_TRUTH = "A measured scan: there is no truth."
 
+MOST_DOTS = 72
+"""Largest number of views whose places a picture shows: more dots would run together."""
+
 _RESERVED = ("name", "description", "trajectory", "specimen", "cell", "uncertainty")
 
 
@@ -243,7 +246,8 @@ def _draw(scan: Scan, figure: Any) -> None:
         (geometry.source, "source", "#b3452c"),
         (geometry.detector, "panel", "#2c6fb3"),
     ):
-        axes.plot(points[:, 0], points[:, 1], ".", markersize=2, color=colour, label=name)
+        some = points[:: -(-len(points) // MOST_DOTS)]
+        axes.plot(some[:, 0], some[:, 1], ".", markersize=2, color=colour, label=name)
         axes.plot(*points[0, :2], "o", color=colour, label=f"{name}, view 0")
     axes.plot(0, 0, "k+", label="origin")
     axes.set(title="from above", xlabel="x / mm", ylabel="y / mm", aspect="equal")

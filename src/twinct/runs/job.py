@@ -357,8 +357,6 @@ def _make_volumes(
         scan.reported.write(folder.geometries)
         truth = truth_of(scan, builder, audience, file=folder.truth)
         truth.write(folder.truth)
-    for part in builder.specimen.greys:  # the truth is made; little else reads the voxels
-        part.field.spill(folder.path)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
     kept: Volume | None = None

@@ -129,6 +129,9 @@ def truth_of(
             region = region_of_interest(executed, grid)
             step()
         mu = specimen.reference_mu(energy)
+        if file:  # little else reads the voxels
+            for part in (*specimen.greys, *builder.specimen.greys):
+                part.field.spill(file.parent)
         body = grey_body(specimen, volume, mu, grid, scan.stands)
         water = material("water").mu_per_mm(energy)
         return Truth(volume, region, mu, grid, executed, note, water, body)

@@ -6,6 +6,7 @@ import hashlib
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -136,6 +137,8 @@ class GreyPart:
 
     def mixture(self, label: str = "") -> Material:
         """Return the mean mixture in the voxels of a label, or in all that are not empty."""
+        if label in self._mixtures:
+            return self._mixtures[label]
         amounts, count = self.field.amounts, 0
         total = np.zeros(amounts.shape[-1])
         number = self.label_names.index(label) + 1 if label else 0
@@ -152,7 +155,13 @@ class GreyPart:
         for mass, substance in masses:
             for symbol, share in substance.mass_fractions.items():
                 shares[symbol] = shares.get(symbol, 0.0) + mass / density * share
-        return Material(label or self.name, float(density), shares)
+        self._mixtures[label] = Material(label or self.name, float(density), shares)
+        return self._mixtures[label]
+
+    @cached_property
+    def _mixtures(self) -> dict[str, Material]:
+        """Mixtures that are known, by label."""
+        return {}
 
     def points(self, label: str, most: int, rng: np.random.Generator) -> Floats:
         """Return centres of voxels of a label in the specimen's frame, (points, 3), mm."""
