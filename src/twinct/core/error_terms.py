@@ -37,7 +37,8 @@ def size(description: str, *, signed: bool = False) -> Any:
 
     It takes no number below 0 unless it is ``signed``.
     """
-    field: FieldInfo = setting(0.0, description, **({} if signed else {"ge": 0}))
+    bounds: dict[str, Any] = {} if signed else {"ge": 0}
+    field: FieldInfo = setting(0.0, description, **bounds)
     field.metadata.append(_SIZE)
     return field
 
