@@ -56,7 +56,8 @@ from twinct.recon.working import WorkingVolume
 log = logging.getLogger(__name__)
 
 MANY_VIEWS = 2.0
-"""Views per voxel along an axis from which one pass makes the details."""
+"""Views per voxel along an axis from which one pass makes the details. Each view counts as often as
+there are pixels in a voxel's shadow."""
 
 QUIET = 0.003
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
@@ -92,7 +93,8 @@ class Fast(AlgorithmSettings):
         ge=1,
         le=1000,
         description="Passes over all views at full resolution. By default 2, or 1 if there are "
-        "twice as many views as voxels along an axis.",
+        "twice as many views as voxels along an axis, each view counted as often as there are "
+        "pixels in a voxel's shadow.",
     )
     coarse_passes: int = Field(
         default=2,
@@ -226,7 +228,12 @@ def _filled(x: Singles) -> float:
 
 
 def _usual_passes(A: Projector) -> int:
-    return 1 if len(A) >= MANY_VIEWS * float(np.mean(A.domain_shape)) else 2
+    """Return 1 if there are many rays for each voxel, else 2."""
+    geometry, grid = A.geometry, A.grid
+    magnification = geometry.sdd / geometry.depth(grid.world_from_grid.position)
+    shadow = float(np.median(magnification)) * float(np.mean(grid.voxel))
+    pixels = max(1.0, shadow**2 / (geometry.panel.pitch_u * geometry.panel.pitch_v))
+    return 1 if len(A) * pixels >= MANY_VIEWS * float(np.mean(A.domain_shape)) else 2
 
 
 def _of(strength: float, source: str | None) -> dict[str, float | str | None]:
