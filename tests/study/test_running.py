@@ -296,7 +296,7 @@ def test_a_search_goes_on_past_what_is_no_scenario(warm, no_page, tmp_path) -> N
     finished = run_study({"scenario": SCENARIO, "search": search}, tmp_path / "out")
     table = finished.results
     assert len(table) == 8 and finished.failed == (table["r"] >= 2).sum() > 0
-    assert all("must be less than 2" in text for text in table["message"][table["r"] >= 2])
+    assert all("must be above 0 and below 2" in text for text in table["message"][table["r"] >= 2])
     again = run_study({"scenario": SCENARIO, "search": search}, tmp_path / "out", resume=True)
     assert (again.done, again.failed) == (finished.done, finished.failed)
     pd.testing.assert_frame_equal(again.results, table)

@@ -118,7 +118,7 @@ class Variation:
         kernels, inverse, known = self.A.kernels, 1.0 / self.A.grid.voxel, self.known
         if known is None:
             z, curvature, dual, lowered = map(kernels.hold, (z, curvature, self.dual, x))
-            for _ in range(self.steps):
+            for _ in range(self.steps if self.strength > 0 else 0):
                 kernels.primal(z, curvature, dual, inverse, self.floor, lowered)
                 kernels.ascend(lowered, curvature, inverse, self.strength, DUAL_STEP, dual)
             kernels.primal(z, curvature, dual, inverse, self.floor, lowered)
@@ -134,9 +134,10 @@ class Variation:
                 return
             if own > 0:  # avoids a division by zero
                 kernels.ascend(x, curvature, inverse, own, DUAL_STEP / 2, self.dual)
-            np.subtract(x, known.array, out=room)
-            kernels.ascend(room, curvature, inverse, share, DUAL_STEP / 2, self.other)
-            others[:, known.seams] = 0.0
+            if share > 0:
+                np.subtract(x, known.array, out=room)
+                kernels.ascend(room, curvature, inverse, share, DUAL_STEP / 2, self.other)
+                others[:, known.seams] = 0.0
 
 
 def minimised(

@@ -211,21 +211,17 @@ def pose_errors_over_views(
 ) -> Picture:
     """Plot position error, rotation error and clearance over the views, one below the other.
 
-    The tolerance is the distance at which a target counts as reached. The limit is the smallest gap
-    that a plan may have.
+    A target counts as reached at the tolerance. The limit is the smallest gap that a plan may have.
     """
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 5.6), layout="constrained")
         position, rotation, clearance = figure.subplots(3, 1, sharex=True)
         views = np.arange(len(errors.source.position_mm))
         style = {"lw": 1.1, "marker": "o", "ms": 2.2 if len(views) <= 150 else 0}
-        # The source's line is wide, so that it shows below an equal one of the detector.
-        wide = style | {"lw": 2.6, "marker": ""}
-        for label, colour, how in (
-            ("source", SOURCE_COLOUR, wide),
-            ("detector", DETECTOR_COLOUR, style),
-        ):
-            arm = getattr(errors, label)
+        # Wide below narrow: equal lines both show.
+        wide = ("source", SOURCE_COLOUR, 2.6), ("detector", DETECTOR_COLOUR, 1.1)
+        for label, colour, width in wide:
+            arm, how = getattr(errors, label), style | {"lw": width}
             position.plot(views, arm.position_mm, color=colour, label=label, **how)
             rotation.plot(views, arm.rotation_deg, color=colour, label=label, **how)
         clearance.plot(np.arange(len(clearance_mm)), clearance_mm, color="#3d7a4d", **style)
@@ -239,8 +235,8 @@ def pose_errors_over_views(
             axes.grid(axis="y", color="#e4e7eb", lw=0.7)
             axes.set_axisbelow(True)
         # The legend lies above the plots, clear of data and limit.
-        named = position.get_legend_handles_labels()
-        figure.legend(*named, loc="outside upper right", ncols=2, borderpad=0)
+        named, place = position.get_legend_handles_labels(), "outside upper right"
+        figure.legend(*named, loc=place, ncols=2, borderpad=0)
         clearance.set_xlabel("view")
         clearance.xaxis.set_major_locator(MaxNLocator(10, integer=True))
         figure.align_ylabels()
