@@ -2,8 +2,9 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 PYTHON ?= python3
-# Test processes. Each file stays in one process, and gVXR allows one context a process.
-JOBS ?= 2
+# Test processes. Each file stays in one process, and gVXR allows one context a process. The third
+# works while others wait for nodes.
+JOBS ?= 3
 PYTEST_ARGS ?=
 LOCK_ARGS ?=
 # Of each kind of broken input.

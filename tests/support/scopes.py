@@ -24,8 +24,8 @@ LAST = "test_rtk.py"
 class Scopes(LoadFileScheduling):
     """Give each file to one worker, and all files that start pools, or Ray, to one of them.
 
-    So two crowds of processes at most run at once with two workers: a pool or Ray, and a scan over
-    ROS 2 or a command.
+    So three crowds of processes at most run at once with three workers: a pool or Ray, and scans
+    over ROS 2 or commands.
     """
 
     def _split_scope(self, nodeid: str) -> str:
