@@ -59,3 +59,15 @@ def test_old_files_go(folder):
     for n in range(MOST_FILES + 3):
         made_once("thing", [bytes([n])], Maker())
     assert len(list(folder.iterdir())) == MOST_FILES
+
+
+def test_a_user_without_a_home_gets_the_arrays(monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    maker = Maker()
+    for _ in range(2):
+        assert np.array_equal(made_once("thing", [b"input"], maker)["one"], np.arange(5.0))
+    assert maker.made == 2

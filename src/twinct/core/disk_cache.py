@@ -32,7 +32,7 @@ def made_once(
     """Return the arrays that ``make`` returns, from disk if they were made before.
 
     They are in ``$XDG_CACHE_HOME/twinct``. A file that cannot be read is made again, and where none
-    can be written, only the log says so.
+    can be written, or the user has no home, only the log says so.
 
     Args:
         kind: first part of the file's name.
@@ -40,7 +40,11 @@ def made_once(
         make: computes the arrays.
     """
     digest = hashlib.sha256(b"\0".join(inputs)).hexdigest()[:16]
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twinct"
+    try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twinct"
+    except RuntimeError as error:  # a user without an entry, as in some containers
+        log.info("%s is not kept for later runs: %s", kind, error)
+        return make()
     path = folder / f"{kind}-{digest}.npz"
     if path.is_file():
         try:

@@ -1,4 +1,4 @@
-"""Convex bodies that together hold a solid: what collides with a patient's skin.
+"""Convex bodies that together hold a solid, for collisions with a patient's skin.
 
 A solid is cut in two by the plane, across one of the axes, that takes most volume off the convex
 hulls, then the piece that gains most from the next cut, and so on. All cuts are chosen on a coarse
