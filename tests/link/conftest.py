@@ -16,7 +16,7 @@ import pytest
 from waiting import HANG_S, Patience, until
 
 from twinct.geometry.wire import Target
-from twinct.link.environment import Domain
+from twinct.link.environment import Domain, middleware_settings
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
 
@@ -151,11 +151,12 @@ class Foreign:
 
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         self.context = rclpy.Context()
-        rclpy.init(
-            context=self.context,
-            domain_id=domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        with middleware_settings():  # read once in a process, which may hold twinct's nodes too
+            rclpy.init(
+                context=self.context,
+                domain_id=domain_id,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
         self.node = rclpy.create_node("somebody_else", context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)

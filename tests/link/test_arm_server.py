@@ -209,3 +209,14 @@ def test_the_joints_are_told_before_anything_moves(planner: Planner) -> None:
     assert planner.station.wait(lambda: bool(heard), HANG_S)
     np.testing.assert_array_equal(heard[0].position, planner.robots.joints)
     assert tuple(heard[0].name) == planner.robots.joint_names
+
+
+def test_a_closed_node_leaves_the_graph_although_somebody_holds_its_action(
+    domain: int, builder: SimulationBuilder, foreign: Any
+) -> None:
+    watcher = foreign(domain)
+    planner = Planner(domain, builder)
+    watcher.until(lambda: "robots" in watcher.node.get_node_names(), "the node joins")
+    planner.close()
+    watcher.until(lambda: "robots" not in watcher.node.get_node_names(), "the node leaves")
+    assert planner.node is not None  # held until here

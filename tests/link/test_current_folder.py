@@ -1,4 +1,4 @@
-"""Fast DDS is given no settings by the folder in which a scan is started."""
+"""Fast DDS takes its settings from twinct, or from a file that the user names."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ Station("here", int(sys.argv[1])).close()
 """
 
 
-def said(folder: Path, domain: int, skip: str) -> str:
+def said(folder: Path, domain: int, skip: str, **settings: str) -> str:
     """What a process says that joins a graph from a folder."""
     result = subprocess.run(
         [sys.executable, "-P", "-c", JOINS, str(domain), skip],
         cwd=folder,
-        env={k: v for k, v in os.environ.items() if k != "SKIP_DEFAULT_XML_FILE"},
+        env={k: v for k, v in os.environ.items() if k != "SKIP_DEFAULT_XML_FILE"} | settings,
         capture_output=True,
         text=True,
         check=True,
@@ -43,3 +43,13 @@ def test_profiles_in_the_current_folder_are_not_read(tmp_path: Path, domain: int
     (tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml").write_text(PROFILES)
     assert "planted" not in said(tmp_path, domain, "")
     assert "planted" in said(tmp_path, domain, "0")  # it would be read
+
+
+def test_twincts_own_settings_are_understood(tmp_path: Path, domain: int) -> None:
+    assert said(tmp_path, domain, "") == ""
+
+
+def test_settings_of_the_user_take_precedence(tmp_path: Path, domain: int) -> None:
+    own = tmp_path / "own.xml"
+    own.write_text(PROFILES)
+    assert "planted" in said(tmp_path, domain, "", FASTRTPS_DEFAULT_PROFILES_FILE=str(own))

@@ -81,8 +81,12 @@ def settle(environment: MutableMapping[str, str]) -> None:
     environment.setdefault("SKIP_DEFAULT_XML_FILE", "1")
 
 
-_PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
-<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"><profiles>
+_SETTINGS = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">{profiles}
+<library_settings><intraprocess_delivery>OFF</intraprocess_delivery></library_settings>
+</dds>
+"""
+_ROOMY = """<profiles>
 <transport_descriptors>
 <transport_descriptor><transport_id>memory</transport_id><type>SHM</type>
 <segment_size>{size}</segment_size></transport_descriptor>
@@ -92,36 +96,43 @@ _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <userTransports><transport_id>memory</transport_id><transport_id>network</transport_id></userTransports>
 <useBuiltinTransports>false</useBuiltinTransports>
 </rtps></participant>
-</profiles></dds>
-"""
-_PROFILE_KEYS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+</profiles>"""
+_FILE_KEYS = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _USUAL_SEGMENT, _LARGEST_SEGMENT = 512 * 2**10, 256 * 2**20
 
 
 @contextmanager
-def roomy_shared_memory(size: int) -> Iterator[None]:
-    """Give participants created in this context up to ``size`` bytes of shared memory each.
+def middleware_settings(size: int = 0) -> Iterator[None]:
+    """Set up Fast DDS for participants created in this context.
 
-    Fast DDS uses 0.5 MB by default. Data that do not fit are lost and sent again after a pause,
-    which makes an image of 1.2 MB three times as slow. Profiles set in the environment take
-    precedence.
+    A process reads these settings once, with its first participant. Files of settings named in the
+    environment take precedence.
+
+    Participants in one process exchange messages like any others. Fast DDS would otherwise call one
+    participant from the threads of another, whose locks it then takes in any order: a scan and its
+    tap, or two cells in one process, can wait for each other forever (Fast DDS, issue 6193).
+
+    Args:
+        size: bytes of shared memory for sending. Fast DDS uses 0.5 MB by default. Data that do not
+            fit are lost and sent again after a pause, which makes an image of 1.2 MB three times as
+            slow.
     """
     size = min(size, _LARGEST_SEGMENT)
     with suppress(OSError):
         memory = os.statvfs("/dev/shm")
         size = min(size, memory.f_bavail * memory.f_frsize // 4)
-    chosen = any(os.environ.get(key) for key in (*_PROFILE_KEYS, "FASTDDS_BUILTIN_TRANSPORTS"))
-    if chosen or size <= _USUAL_SEGMENT:
+    if any(os.environ.get(key) for key in _FILE_KEYS):
         yield
         return
-    with tempfile.NamedTemporaryFile("w", suffix=".xml", prefix="twinct-") as profile:
-        profile.write(_PROFILE.format(size=size))
-        profile.flush()
-        os.environ[_PROFILE_KEYS[0]] = profile.name
+    roomy = size > _USUAL_SEGMENT and not os.environ.get("FASTDDS_BUILTIN_TRANSPORTS")
+    with tempfile.NamedTemporaryFile("w", suffix=".xml", prefix="twinct-") as file:
+        file.write(_SETTINGS.format(profiles=_ROOMY.format(size=size) if roomy else ""))
+        file.flush()
+        os.environ[_FILE_KEYS[0]] = file.name
         try:
             yield
         finally:
-            del os.environ[_PROFILE_KEYS[0]]
+            del os.environ[_FILE_KEYS[0]]
 
 
 class Domain:

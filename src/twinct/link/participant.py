@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import shortened
-from twinct.link.environment import roomy_shared_memory, settle
+from twinct.link.environment import middleware_settings, settle
 from twinct.link.senders import Sender, SenderExecutor, participant, participant_of
 from twinct.link.topics import Topic
 
@@ -87,7 +87,7 @@ class Station:
         settle(os.environ)
         self.name = name
         self._context = Context()
-        with roomy_shared_memory(4 * largest_message):
+        with middleware_settings(4 * largest_message):
             try:
                 rclpy.init(
                     args=["--ros-args", "--disable-external-lib-logs", *ros_arguments],
@@ -114,6 +114,7 @@ class Station:
         self.participant = participant_of(next(iter(self._node.publishers)))
         self._executor = SenderExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._actions: list[ActionClient | ActionServer] = []
         self._closed, self._closing = False, Lock()
 
     def publisher(self, topic: Topic, *, depth: int | None = None) -> Publisher:
@@ -174,7 +175,9 @@ class Station:
 
     def action_client(self, action: Any, name: str) -> ActionClient:
         """Return a client of an action, whose callbacks run inside ``wait``."""
-        return ActionClient(self._node, action, name)
+        client = ActionClient(self._node, action, name)
+        self._actions.append(client)
+        return client
 
     def action_server(
         self,
@@ -191,7 +194,7 @@ class Station:
             execute: coroutine function that gets a goal's handle, and returns its result.
             take: returns True if a goal is accepted; every cancelling is.
         """
-        return ActionServer(
+        server = ActionServer(
             self._node,
             action,
             _relative(name),
@@ -199,6 +202,8 @@ class Station:
             goal_callback=lambda goal: GoalResponse.ACCEPT if take(goal) else GoalResponse.REJECT,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
         )
+        self._actions.append(server)
+        return server
 
     def listen_to_all(
         self, topic: Topic, callback: Callable[[Any, Sender], None], *, depth: int = 100
@@ -278,5 +283,7 @@ class Station:
                 return
             self._closed = True
         self._executor.shutdown()
+        for action in self._actions:  # a node does not destroy them, and stays while they live
+            action.destroy()
         self._node.destroy_node()
         self._context.try_shutdown()
