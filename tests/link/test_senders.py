@@ -62,7 +62,7 @@ def test_bytes_that_are_no_message_are_told_once_and_end_nothing(domain):
         listener.listen(STATE, lambda m, s: heard.append(m.data[0]))
         out = stranger.publisher(STATE)
         assert stranger.wait(out.get_subscription_count, HANG_S)
-        for data in (b"", b"\0\1\0\0\xff\xff\xff\xff", b"\0\1\0\0"):
+        for data in (b"\0\1\0", b"\0\1\0\0\xff\xff\xff\xff", b"\0\1\0\0"):
             out.publish(data)
         out.publish(Float64MultiArray(data=[3.0]))
         assert listener.wait(lambda: heard, HANG_S)
