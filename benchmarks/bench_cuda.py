@@ -120,7 +120,6 @@ def with_pixels(geometry: ScanGeometry, pixels: int) -> ScanGeometry:
 
 def views(geometry: ScanGeometry, bodies: list[SceneBody], compared: int) -> NDArray[np.float32]:
     """Time the card's engine, and ``mesh`` in some views; return the card's transmissions."""
-    from twinct.xray.engine import SceneView
     from twinct.xray.engines import engine_named
 
     few = min(compared, len(geometry))
@@ -132,9 +131,8 @@ def views(geometry: ScanGeometry, bodies: list[SceneBody], compared: int) -> NDA
         start, _ = timed(partial(engine.acquire, bodies, geometry.panel))
         seconds = []
         for i in range(len(own)):
-            one = geometry[i]
-            view = SceneView(one.source[0], one.detector[0], one.u[0], one.v[0])
-            seconds.append(timed(partial(engine.expose, view, own[i]))[0])
+            view = geometry[i]
+            seconds.append(timed(partial(engine.render, view, own[i]))[0])
         print(f"{name}: start {start:.1f} s, first view {seconds[0]:.2f} s", end=", ")
         print(f"then {1e3 * np.median(seconds[1:]):.2f} ms a view")
         medians.append(np.median(seconds[1:]))

@@ -33,7 +33,6 @@ def main() -> None:
     parser.add_argument("--voxels", type=int, default=512, help="along each edge")
     options = parser.parse_args()
     limit_threads(options.threads)  # before anything loads a library
-    from twinct.xray.engine import SceneView
     from twinct.xray.engines import engine_named
     from twinct.xray.grey import GreyCaster
 
@@ -46,15 +45,14 @@ def main() -> None:
     seconds = np.empty((2, len(geometry)))
     crossed = []
     for turn, i in enumerate([0, *range(len(geometry))]):  # the first turn does not count
-        one = geometry[i]
-        view = SceneView(one.source[0], one.detector[0], one.u[0], one.v[0])
+        view = geometry[i]
         for which in (0, 1) if turn % 2 else (1, 0):
             time.sleep(SETTLE_S)
             start = time.process_time()
             if which:
                 crossed.append(caster.cast(view)[0].mean())
             else:
-                engine.expose(view, image)
+                engine.render(view, image)
             seconds[which, i] = time.process_time() - start
     gvxr, grey = np.median(seconds, axis=1)
     ratios = seconds[1] / seconds[0]

@@ -21,8 +21,10 @@ from pathlib import Path
 
 import numpy as np
 from bench_xray import bare_loop
+from numpy.typing import NDArray
 
-from twinct.scan import LocalRig, Rig, ScanStore, SimulationBuilder, Stopwatch, View, acquire
+from twinct.geometry.wire import Reached
+from twinct.scan import LocalRig, Rig, ScanStore, SimulationBuilder, Stopwatch, acquire
 from twinct.scenario import load_scenario
 
 LOOPS = ("bare", "local", "ros")
@@ -45,17 +47,17 @@ def scan(builder: SimulationBuilder, views: int, rig: Rig) -> tuple[list[float],
     with tempfile.TemporaryDirectory() as folder, closing(rig):
         store: ScanStore | None = None
 
-        def keep(index: int, view: View) -> None:
+        def keep(index: int, image: NDArray[np.float32], reached: Reached) -> None:
             nonlocal store
             if store is None:
                 store = ScanStore.create(
                     Path(folder) / "scan.zarr",
                     builder.scenario,
                     builder.commanded_poses,
-                    view.reached.joint_names,
-                    len(view.reached.state),
+                    reached.joint_names,
+                    len(reached.state),
                 )
-            store.write(index, view)
+            store.write(index, image, reached)
             ends.append(time.perf_counter())
 
         start = time.perf_counter()

@@ -89,7 +89,6 @@ def compared(
     geometry: ScanGeometry, bodies: Sequence[SceneBody]
 ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Return processor seconds (engines, views), and the transmissions."""
-    from twinct.xray.engine import SceneView
     from twinct.xray.engines import engine_named
 
     engines = [engine_named(name).engine for name in ("gvxr", "mesh")]
@@ -98,12 +97,11 @@ def compared(
     seconds = np.empty((2, len(geometry)))
     images = np.empty((2, len(geometry), *geometry.panel.shape), np.float32)
     for turn, i in enumerate([0, *range(len(geometry))]):  # the first turn does not count
-        one = geometry[i]
-        view = SceneView(one.source[0], one.detector[0], one.u[0], one.v[0])
+        view = geometry[i]
         for which in (0, 1) if turn % 2 else (1, 0):
             time.sleep(SETTLE_S)
             start = time.process_time()
-            engines[which].expose(view, images[which, i])
+            engines[which].render(view, images[which, i])
             seconds[which, i] = time.process_time() - start
     return seconds, images
 

@@ -12,11 +12,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.runs import verify
-from twinct.scan import ScanStore, View
+from twinct.scan import ScanStore
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
 
@@ -25,7 +26,7 @@ NAMES = tuple(f"joint_{number}" for number in range(12))
 STATE = 200
 
 
-def view(index: int) -> View:
+def view(index: int) -> tuple[NDArray[np.float32], Reached]:
     """A noisy image with a shadow in it, as large as the paper's."""
     rng = np.random.default_rng(index)
     pose = to_seven(Pose.from_euler(rng.normal(size=3), rng.uniform(-180, 180, 3)))
@@ -34,7 +35,7 @@ def view(index: int) -> View:
     image = shadow * (1 + 0.01 * rng.standard_normal(shadow.shape, dtype=np.float32))
     executed, (position, velocity, effort) = Instant(pose, pose, pose), rng.random((3, len(NAMES)))
     joints = NAMES, position, velocity, effort
-    return View(image, Reached(executed, *joints, rng.random(STATE), float(index), 10.0))
+    return image, Reached(executed, *joints, rng.random(STATE), float(index), 10.0)
 
 
 def main() -> None:
@@ -63,7 +64,7 @@ def main() -> None:
         for index in range(options.views):
             for vouched, store in stores.items():
                 start = time.perf_counter()
-                store.write(index, views[index % len(views)])
+                store.write(index, *views[index % len(views)])
                 writing[vouched].append(time.perf_counter() - start)
         for _ in range(options.rounds):
             for vouched, store in stores.items():

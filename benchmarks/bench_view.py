@@ -28,7 +28,7 @@ from twinct.recon.volume import Volume
 from twinct.runs import Folder, acquire_to_store
 from twinct.runs.acquisition import rig_factory
 from twinct.runs.folder import as_yaml
-from twinct.scan import ScanStore, SimulationBuilder, View
+from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.viewer.following import LivePage
 from twinct.viewer.live_page import Page
@@ -121,7 +121,7 @@ def write_paper_size(out: Path) -> None:
         reached = Reached(
             instant, names, plan.joints[index], still, still, state, float(index), 20.0
         )
-        store.write(index, View(image, reached))
+        store.write(index, image, reached)
     grid = scenario.reconstruction.volume_grid
     for file in (folder.volume, folder.truth):
         slabs = rng.uniform(0, 0.05, grid.shape[1:]).astype(np.float32)

@@ -160,31 +160,31 @@ def _cast_shadows() -> None:
 
 
 def _cross() -> None:
-    from twinct.geometry import Panel, VolumeGrid
+    from twinct.geometry import Panel, ScanGeometry, VolumeGrid
     from twinct.specimen import GreyField
     from twinct.specimen.materials import material
-    from twinct.xray.engine import SceneView
     from twinct.xray.grey import GreyCaster
     from twinct.xray.mesh import MeshEngine
 
-    panel, (x, y, z) = Panel(8, 9, 10.0, 10.0), np.eye(3)
+    panel, (x, y, z) = Panel(8, 9, 10.0, 10.0), np.eye(3)[:, None]
     _expose_mesh(MeshEngine())
     grid, substance = VolumeGrid((4, 5, 6), 10.0), material("water")
     field = GreyField((substance,), np.ones((*grid.shape, 1), np.float32), grid)
-    GreyCaster(field, panel).cast(SceneView(200 * x, -200 * x, y, z))
+    GreyCaster(field, panel).cast(ScanGeometry(200 * x, -200 * x, y, z, panel))
 
 
 def _expose_mesh(engine) -> None:
     """Render a ball in front of the source, and one around it."""
-    from twinct.geometry import Panel
-    from twinct.xray.engine import SceneBody, SceneView
+    from twinct.geometry import Panel, ScanGeometry
+    from twinct.xray.engine import SceneBody
 
-    mesh, panel, (x, y, z) = _specimen().parts[0].mesh, Panel(8, 9, 10.0, 10.0), np.eye(3)
+    mesh, panel = _specimen().parts[0].mesh, Panel(8, 9, 10.0, 10.0)
+    x, y, z = np.eye(3)[:, None]
     image = np.empty(panel.shape, np.float32)
     engine.acquire([SceneBody(np.asarray(mesh.vertices), np.asarray(mesh.faces), 0.05)], panel)
     for distance in (200.0, 10.0):
-        view = SceneView(distance * x, -200 * x, y, z)
-        engine.expose(view, image)
+        view = ScanGeometry(distance * x, -200 * x, y, z, panel)
+        engine.render(view, image)
         engine.path_lengths(view, 0, image)
     engine.release()
 

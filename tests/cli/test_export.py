@@ -22,7 +22,7 @@ from twinct.geometry import Pose, VolumeGrid
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.recon.volume import Volume
 from twinct.runs import line_integrals
-from twinct.scan import ScanStore, View
+from twinct.scan import ScanStore
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
 
@@ -64,7 +64,7 @@ def scan_in(folder: Path, scenario: Scenario, commanded: PosePairs, views: int) 
             time_s=index,
             clearance_mm=20.0,
         )
-        store.write(index, View(image, reached))
+        store.write(index, image, reached)
     return store
 
 

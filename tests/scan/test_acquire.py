@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twinct.geometry.wire import Instant, PosePairs, Reached, Target
-from twinct.scan import Scan, View, acquire
+from twinct.scan import Scan, acquire
 from twinct.scenario import parse_scenario
 
 
@@ -39,10 +39,10 @@ def believed(seed: int, of_noise: int | None) -> list[tuple[float, ...]]:
         }
     )
     target = Target((0.3, 0, 0, 0, 0, 0, 1), (-0.3, 0, 0, 0, 0, 0, 1))
-    views: list[View] = []
-    acquire(Still(), [target] * 2, lambda _, view: views.append(view))
+    views: list[tuple[np.ndarray, Reached]] = []
+    acquire(Still(), [target] * 2, lambda _, *view: views.append(view))
     poses = PosePairs((target.source,) * 2, (target.detector,) * 2)
-    scan = Scan.from_views(scenario, poses, views)
+    scan = Scan.from_views(scenario, poses, *zip(*views, strict=True))
     return [tuple(pose.position) for view in range(2) for pose in scan.believed[view]]
 
 

@@ -19,7 +19,7 @@ import zarr
 from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
 from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
-from twinct.scan import ScanStore, View, check_space, view_damage
+from twinct.scan import ScanStore, check_space, view_damage
 from twinct.scan.checked import CheckedStore
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
@@ -42,7 +42,7 @@ def commanded(scenario: Scenario) -> PosePairs:
     return PosePairs.from_geometry(commanded_views(scenario.trajectory, scenario.detector.panel))
 
 
-def view(index: int, *, instants: bool = False) -> View:
+def view(index: int, *, instants: bool = False) -> tuple[np.ndarray, Reached]:
     rng = np.random.default_rng(index)
 
     def pose(z_mm: float = 0.0) -> Pose:
@@ -62,7 +62,7 @@ def view(index: int, *, instants: bool = False) -> View:
         clearance_mm=1.5,
         exposure=(instant(), instant()) if instants else (),
     )
-    return View(rng.random((5, 7), dtype=np.float32), reached)
+    return rng.random((5, 7), dtype=np.float32), reached
 
 
 def harder(scenario: Scenario) -> Scenario:
@@ -78,7 +78,7 @@ def fill(path: Path, scenario: Scenario, commanded: PosePairs, views: range) -> 
         else ScanStore.create(path, scenario, commanded, NAMES, 9)
     )
     for index in views:
-        store.write(index, view(index))
+        store.write(index, *view(index))
     return store
 
 
@@ -93,16 +93,16 @@ def contents(path: Path) -> dict[str, str]:
 def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> None:
     scan = fill(tmp_path / "s.zarr", scenario, commanded, range(VIEWS)).read()
     for index in range(VIEWS):
-        written = view(index)
-        np.testing.assert_array_equal(scan.transmission[index], written.transmission)
-        executed = written.reached.executed
+        image, reached = view(index)
+        np.testing.assert_array_equal(scan.transmission[index], image)
+        executed = reached.executed
         assert scan.executed[index] == (executed.source, executed.detector)
         uncertainty, seed = scenario.uncertainty, scenario.believed_seed
         drawn = believed_poses(executed.source, executed.detector, uncertainty, seed, index)
         assert scan.believed[index] == drawn
         assert scan.executed_object[index] == executed.object
         assert scan.commanded[index] == commanded[index]
-        np.testing.assert_array_equal(scan.joints[index], written.reached.position)
+        np.testing.assert_array_equal(scan.joints[index], reached.position)
     assert scan.scenario == scenario
     assert scan.joint_names == NAMES
     assert scan.poses("believed") is scan.believed
@@ -128,8 +128,8 @@ def test_instants_of_an_exposure_read_back_to_the_last_bit(tmp_path, scenario, c
     )
     store = ScanStore.create(tmp_path / "s.zarr", blurred, commanded, NAMES, 9)
     for index in range(VIEWS):
-        store.write(index, view(index, instants=True))
-    written = [view(index, instants=True).reached.exposure for index in range(VIEWS)]
+        store.write(index, *view(index, instants=True))
+    written = [view(index, instants=True)[1].exposure for index in range(VIEWS)]
     assert store.read().exposure == tuple(written)
     unblurred = fill(tmp_path / "u.zarr", scenario, commanded, range(VIEWS)).read()
     assert unblurred.exposure == ()
@@ -147,7 +147,7 @@ def test_foreign_readers_find_the_contract(tmp_path, scenario, commanded) -> Non
         axes = np.cross(group[f"{which}/u"][:], group[f"{which}/v"][:])
         np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1)
     for name, index in (("source", 2), ("object", 1)):
-        written = getattr(view(index).reached.executed, name)
+        written = getattr(view(index)[1].executed, name)
         np.testing.assert_array_equal(group[f"executed/{name}"][index], written.position)
     assert group.attrs["pixel_pitch_mm"] == [2.0, 2.0]
 
@@ -159,7 +159,7 @@ def test_resume_after_a_killed_write_gives_the_same_bytes(
     whole, broken = tmp_path / "whole.zarr", tmp_path / "broken.zarr"
     fill(whole, scenario, commanded, range(VIEWS))
     store = fill(broken, scenario, commanded, range(2))
-    store.write(2, view(4))  # another view's numbers: none of them may survive
+    store.write(2, *view(4))  # another view's numbers: none of them may survive
     (broken / "status" / "c.2").unlink()
     if killed_at == "image":
         for file in broken.rglob("c.2*"):
@@ -200,11 +200,11 @@ def test_a_store_that_cannot_be_made_leaves_no_draft(
     assert not list(tmp_path.iterdir())
 
 
-def spoilt(good: View, name: str, values: np.ndarray) -> View:
+def spoilt(index: int, name: str, values: np.ndarray) -> tuple[np.ndarray, Reached]:
+    image, reached = view(index)
     if name == "transmission":
-        return replace(good, transmission=values)
-    field = {"joints": "position"}.get(name, name)
-    return replace(good, reached=replace(good.reached, **{field: values}))
+        return values, reached
+    return image, replace(reached, **{{"joints": "position"}.get(name, name): values})
 
 
 @pytest.mark.parametrize(
@@ -223,7 +223,7 @@ def test_a_view_of_another_shape_is_refused_and_leaves_nothing(
     store = fill(tmp_path / "scan.zarr", scenario, commanded, range(1))
     before = contents(tmp_path)
     with pytest.raises(InputError, match=f"{name} of view 1 has .* metadata are damaged"):
-        store.write(1, spoilt(view(1), name, values))
+        store.write(1, *spoilt(1, name, values))
     assert contents(tmp_path) == before and store.acquired == 1
 
 
@@ -236,7 +236,7 @@ def test_a_full_disk_loses_nothing(tmp_path, scenario, commanded, monkeypatch) -
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(StorageError, match="disk is full"):
-            store.write(2, view(2))
+            store.write(2, *view(2))
     assert ScanStore.resume(tmp_path / "s.zarr", scenario).acquired == 2
 
 
@@ -346,7 +346,7 @@ def test_an_interruption_waits_until_a_view_is_written(
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(ScanStore, "_put", interrupted)
-        store.write(2, view(2))
+        store.write(2, *view(2))
     signal.signal(signal.SIGINT, before)
     assert store.acquired == 3
     whole = fill(tmp_path / "whole.zarr", scenario, commanded, range(3))

@@ -11,7 +11,7 @@ from xray_scenes import random_pose, random_view, specimen
 
 from twinct.core.errors import InputError, TwinctError
 from twinct.core.extensions import Offers
-from twinct.geometry import Panel, Pose
+from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.runs import require_extras
 from twinct.scenario import Detector, Source, Specimen, Xray, load_scenario
 from twinct.specimen import build_specimen
@@ -108,8 +108,8 @@ class Idle:
 
     def prepare(self) -> None: ...
     def acquire(self, bodies: list[SceneBody], panel: Panel) -> None: ...
-    def expose(self, view: SceneView, image: np.ndarray) -> None: ...
-    def path_lengths(self, view: SceneView, body: int, lengths: np.ndarray) -> None: ...
+    def render(self, view: ScanGeometry, image: np.ndarray) -> None: ...
+    def path_lengths(self, view: ScanGeometry, body: int, lengths: np.ndarray) -> None: ...
     def release(self) -> None: ...
 
 
@@ -146,6 +146,25 @@ def test_another_engine_needs_no_gvxr(monkeypatch) -> None:
         require_extras(load_scenario(DEMO))
     for other in ("idle", "mesh"):
         require_extras(load_scenario(DEMO, {"xray.engine": other}))
+
+
+def test_an_engine_of_an_older_package_gets_the_views_that_it_knows(monkeypatch) -> None:
+    class Old(Idle):
+        render = property()
+
+        def expose(self, view: SceneView, image: np.ndarray) -> None:
+            image[:] = view.centre
+
+        def path_lengths(self, view: SceneView, body: int, lengths: np.ndarray) -> None:
+            lengths[:] = view.source
+
+    offering(monkeypatch, EngineChoice("old", Old()))  # type: ignore[arg-type]
+    with pytest.warns(DeprecationWarning, match=r"Old\.expose is now Old\.render"):
+        engine = engines.engine_named("old").engine
+    view, image = random_view(np.random.default_rng(1), PANEL, np.zeros(3)), np.zeros((2, 3))
+    engine.render(view, image[0])
+    engine.path_lengths(view, 0, image[1])
+    assert np.array_equal(image, [view.detector[0], view.source[0]])
 
 
 def test_a_detector_takes_the_path_lengths_of_any_engine_alike(figure) -> None:

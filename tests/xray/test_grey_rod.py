@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.scenario import Specimen
 from twinct.specimen import BuiltPart, GreyField, GreyPart, build_specimen, volume_fractions
-from twinct.xray.engine import SceneBody, SceneView
+from twinct.xray.engine import SceneBody
 from twinct.xray.grey import GreyCaster
 from twinct.xray.mesh import MeshEngine
 
@@ -50,13 +50,13 @@ def voxels(edge: float) -> GreyPart:
     return body.displaced([parts(rod=True)[2].mesh])
 
 
-def lengths(seen: SceneView) -> np.ndarray:
+def lengths(view: ScanGeometry) -> np.ndarray:
     """Path lengths in body, core and rod by their meshes."""
     engine, images = MeshEngine(), np.empty((3, *PANEL.shape), np.float32)
     bodies = [(np.asarray(p.mesh.vertices), np.asarray(p.mesh.faces)) for p in parts(rod=True)]
     engine.acquire([SceneBody(*body, 1.0) for body in bodies], PANEL)
     for k, image in enumerate(images):
-        engine.path_lengths(seen, k, image)
+        engine.path_lengths(view, k, image)
     engine.release()
     return images
 
@@ -74,9 +74,8 @@ def test_a_rod_in_voxels_is_that_in_meshes(
         turn = Pose(np.zeros(3), Rotation.random(random_state=rng).as_quat())
         front = ScanGeometry([[600, 0, 0]], [[-300, 0, 0]], [[0, 1, 0]], [[0, 0, 1]], PANEL)
         view = turn @ front
-        seen = SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
-        through = lengths(seen)
-        grey = np.tensordot(mu[:2], caster.cast(seen), 1) + mu[2] * through[2]
+        through = lengths(view)
+        grey = np.tensordot(mu[:2], caster.cast(view), 1) + mu[2] * through[2]
         error = grey - np.tensordot(mu, through, 1)
         squares.append(np.square(error[through[2] > 0]))
         largest = max(largest, float(mu[2] * through[2].max()))

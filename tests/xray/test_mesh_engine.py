@@ -23,7 +23,7 @@ from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.scenario import Detector, Source, Specimen
 from twinct.specimen import build_specimen
 from twinct.xray import Imager, _crossings
-from twinct.xray.engine import SceneBody, SceneView
+from twinct.xray.engine import SceneBody
 from twinct.xray.engines import engine_named
 from twinct.xray.mesh import MeshEngine, frame_of
 
@@ -45,11 +45,7 @@ class Solid(NamedTuple):
     faces: NDArray[np.int64]
 
 
-def seen(view: ScanGeometry) -> SceneView:
-    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
-
-
-Lengths = Callable[[SceneView, Panel, Solid], NDArray[np.float32]]
+Lengths = Callable[[ScanGeometry, Panel, Solid], NDArray[np.float32]]
 
 
 @pytest.fixture(params=["mesh", "cuda_mesh"])
@@ -65,7 +61,7 @@ def lengths_of(name: str) -> Lengths:
     return partial(_lengths_of, name)
 
 
-def _lengths_of(name: str, view: SceneView, panel: Panel, solid: Solid) -> NDArray[np.float32]:
+def _lengths_of(name: str, view: ScanGeometry, panel: Panel, solid: Solid) -> NDArray[np.float32]:
     engine = engine_named(name).engine
     engine.acquire([SceneBody(*solid)], panel)
     lengths = np.full(panel.shape, np.nan, np.float32)
@@ -73,28 +69,29 @@ def _lengths_of(name: str, view: SceneView, panel: Panel, solid: Solid) -> NDArr
     return lengths
 
 
-def whole_view(rng: np.random.Generator, panel: Panel) -> SceneView:
+def whole_view(rng: np.random.Generator, panel: Panel) -> ScanGeometry:
     """An oblique view whose numbers, and those of all its lattice points, are exact doubles."""
     axes = np.eye(3)[rng.permutation(3)] * rng.choice([-1.0, 1.0], (3, 1))
     u, v = axes[0], axes[1]
     normal = np.cross(u, v)
     aside = rng.integers(-60, 60, 3).astype(float)
     source = aside + 300 * normal + rng.integers(-90, 90) * u + rng.integers(-90, 90) * v
-    return SceneView(source, aside - rng.integers(250, 350) * normal, u, v)
+    centre = aside - rng.integers(250, 350) * normal
+    return ScanGeometry(source[None], centre[None], u[None], v[None], panel)
 
 
-def rays_of(view: SceneView, panel: Panel) -> tuple[Floats, Floats, Floats]:
+def rays_of(view: ScanGeometry, panel: Panel) -> tuple[Floats, Floats, Floats]:
     """Vector from the source to pixel (0, 0), and the steps to the next column and row."""
-    across, up = panel.pitch_u * view.u, panel.pitch_v * view.v
+    across, up = panel.pitch_u * view.u[0], panel.pitch_v * view.v[0]
     middle = (panel.columns - 1) / 2 * across + (panel.rows - 1) / 2 * up
-    return view.centre - view.source - middle, across, up
+    return view.detector[0] - view.source[0] - middle, across, up
 
 
-def placed(solid: Solid, view: SceneView, panel: Panel) -> Solid:
+def placed(solid: Solid, view: ScanGeometry, panel: Panel) -> Solid:
     """The mesh in mm of one whose corners are (column, row, depth) of the view's lattice."""
     first, across, up = rays_of(view, panel)
     column, row, depth = solid.vertices.T[..., None]
-    corners = view.source + depth / STEPS * (first + column * across + row * up)
+    corners = view.source[0] + depth / STEPS * (first + column * across + row * up)
     return Solid(corners, solid.faces)
 
 
@@ -152,7 +149,8 @@ def test_rays_along_edges_and_faces_of_lattice_bodies_are_exact(
     assert touching.sum() > 8_500 and error.max() < EXACT_MM
     # Rounded by a rotation, such a ray passes cells on either side.
     turn = Rotation.random(random_state=rng).as_matrix()
-    turned = SceneView(*(turn @ vector for vector in view))
+    vectors = view.source, view.detector, view.u, view.v
+    turned = ScanGeometry(*(vector @ turn.T for vector in vectors), panel)
     lengths = lengths_of(turned, panel, Solid(solid.vertices @ turn.T, solid.faces))
     beside = [
         padded[(column - left) // CELL, (row - below) // CELL]
@@ -268,7 +266,7 @@ def test_convex_polyhedra_are_clipped_rays(lengths_of: Lengths, figure) -> None:
         solid, planes = stone(rng, rng.uniform(-20, 20, 3), rng.uniform(5, 40))
         truth = clipped(view, planes)
         assert (truth > 0).sum() > 20
-        errors.append(np.abs(lengths_of(seen(view), PANEL, solid) - truth).max())
+        errors.append(np.abs(lengths_of(view, PANEL, solid) - truth).max())
     figure(f"convex polyhedra: worst pixel {max(errors):.1e} mm")
     assert max(errors) < EXACT_MM
 
@@ -290,7 +288,7 @@ def test_bodies_beside_and_behind_the_source_are_clipped_rays(lengths_of: Length
         cut += bool(depth.min() < 0 < depth.max())
         truth = clipped(view, planes)
         hit += bool((truth > 0).any())
-        errors.append(np.abs(lengths_of(seen(view), panel, solid) - truth).max())
+        errors.append(np.abs(lengths_of(view, panel, solid) - truth).max())
     figure(f"beside the source: worst of {hit} bodies {max(errors):.1e} mm")
     assert hit > 10 and cut > 20 and max(errors) < EXACT_MM
 
@@ -309,16 +307,16 @@ def test_slivers_across_the_panel_are_clipped_rays(lengths_of: Lengths) -> None:
         solid, planes = convex(rod)
         truth = clipped(view, planes)
         assert (truth > 0).sum() > 30
-        assert np.abs(lengths_of(seen(view), PANEL, solid) - truth).max() < EXACT_MM
+        assert np.abs(lengths_of(view, PANEL, solid) - truth).max() < EXACT_MM
 
 
 def test_results_do_not_depend_on_the_bands_of_threads() -> None:
     rng = np.random.default_rng(4)
     ball = trimesh.creation.icosphere(subdivisions=4, radius=40.0)
-    view = seen(random_view(rng, PANEL, np.zeros(3)))
+    view = random_view(rng, PANEL, np.zeros(3))
     engine, found = MeshEngine(), []
     engine.acquire([SceneBody(ball.vertices, ball.faces)], PANEL)
-    frame, body = frame_of(view, PANEL), engine._bodies[0]
+    frame, body = frame_of(view), engine._bodies[0]
     places = np.empty((len(body.vertices), 3))
     _crossings.project(body.vertices, frame.seen, places)
     for limits in ([0, 120], [0, 1, 60, 60, 61, 120], list(range(121))):

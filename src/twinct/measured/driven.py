@@ -25,7 +25,7 @@ from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
 from twinct.runs import Folder
-from twinct.scan import ScanStore, SimulationBuilder, View, line_integrals
+from twinct.scan import ScanStore, SimulationBuilder, line_integrals
 from twinct.scan.encoder_model import poses_of_joints
 from twinct.scenario import Cell, Scenario, load_scenario, parse_scenario
 from twinct.trajectory import write_views
@@ -287,7 +287,7 @@ def _write(
             time_s=float(time_s),
             clearance_mm=float("nan"),
         )
-        store.write(view, View(image, reached))
+        store.write(view, image, reached)
 
 
 @dataclass(frozen=True, eq=False)

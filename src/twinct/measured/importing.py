@@ -26,7 +26,7 @@ from twinct.measured.orientation import Placement, turned_shape
 from twinct.measured.views import ImageFacts
 from twinct.observers import Audience, Observers, audience_of
 from twinct.runs import Folder
-from twinct.scan import Scan, ScanStore, View, check_space, line_integrals
+from twinct.scan import Scan, ScanStore, check_space, line_integrals
 from twinct.scenario import Scenario, parse_scenario
 from twinct.trajectory import write_views
 
@@ -182,7 +182,7 @@ def _write_views(
             source, detector = poses[view]
             executed = Instant(to_seven(source), still, to_seven(detector))
             reached = Reached(executed, (), none, none, none, none, float(view), float("nan"))
-            store.write(view, View(placement.image(image).astype(np.float32), reached))
+            store.write(view, placement.image(image).astype(np.float32), reached)
             step()
     return scales
 

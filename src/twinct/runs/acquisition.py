@@ -5,13 +5,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.extras import require
 from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.geometry.wire import Reached
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
 from twinct.scan import (
@@ -122,7 +125,8 @@ def simulate(
     scenario = scenario_with(scenario, keys, builder)
     builder = builder or SimulationBuilder(scenario)
     check_physics(builder)
-    views: list[View] = []
+    images: list[NDArray[np.float32]] = []
+    states: list[Reached] = []
     views_to_take = len(builder.targets)
     with (
         audience_of(observers) as audience,
@@ -133,13 +137,15 @@ def simulate(
             rig.listen(audience.tell)
         audience.tell(PlanMade(scenario, builder.commanded_poses, builder.followed))
 
-        def keep(index: int, view: View) -> None:
-            views.append(view)
-            audience.tell(ViewStored(index, views_to_take, view.frozen()))
+        def keep(index: int, image: NDArray[np.float32], reached: Reached) -> None:
+            images.append(image)
+            states.append(reached)
+            audience.tell(ViewStored(index, views_to_take, View(image, reached).frozen()))
             step()
 
         acquire(rig, builder.targets, keep)
-    return Scan.from_views(scenario, builder.commanded_poses, views, builder.mas, builder.followed)
+    commanded, plan = builder.commanded_poses, builder.followed
+    return Scan.from_views(scenario, commanded, images, states, builder.mas, plan)
 
 
 def acquire_to_store(
@@ -162,19 +168,20 @@ def acquire_to_store(
     store = ScanStore.resume(path, scenario) if resume and path.exists() else None
     missing = store.missing if store else [range(len(targets))]
 
-    def keep(index: int, view: View) -> None:
+    def keep(index: int, image: NDArray[np.float32], reached: Reached) -> None:
         nonlocal store
-        reached = view.reached
+        frames = None
         if imager is not None:
-            view = with_frames(view, index, imager, scenario.detector.panel)
+            frames = rendered_frames(reached, index, imager, scenario.detector.panel)
         if store is None:
             robots = reached.joint_names, len(reached.state), builder.followed
             store = ScanStore.create(
                 path, scenario, builder.commanded_poses, *robots, mas=builder.mas
             )
-        store.write(index, view)
+        store.write(index, image, reached, frames)
         log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
-        audience.tell(ViewStored(index, len(targets), view.frozen()))
+        view = View(image, reached, frames).frozen()
+        audience.tell(ViewStored(index, len(targets), view))
         step()
 
     with audience_of(observers) as audience:
@@ -197,12 +204,11 @@ def acquire_to_store(
     return store
 
 
-def with_frames(view: View, index: int, imager: Imager, panel: Panel) -> View:
-    """Return a view with raw, flat and dark images, rendered again as no link transmits them."""
-    path = [instant.placed(panel) for instant in view.reached.path]
-    before = view.reached.before
-    frames = imager.frame(path, index, before.placed(panel) if before else None)
-    return replace(view, frames=frames)
+def rendered_frames(reached: Reached, index: int, imager: Imager, panel: Panel) -> ViewImages:
+    """Return a view's raw, flat and dark images, rendered again as no link transmits them."""
+    path = [instant.placed(panel) for instant in reached.path]
+    before = reached.before
+    return imager.frame(path, index, before.placed(panel) if before else None)
 
 
 def machine_frames(

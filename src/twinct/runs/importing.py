@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING
 
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import draft_of, passing_folder, storage_errors
-from twinct.runs.acquisition import with_frames
+from twinct.runs.acquisition import rendered_frames
 from twinct.runs.folder import Folder
-from twinct.scan import SimulationBuilder, View
+from twinct.scan import SimulationBuilder
 
 if TYPE_CHECKING:
+    from twinct.geometry.wire import Reached
     from twinct.link.recording import Recorded
+    from twinct.xray.chain import ViewImages
 
 
 def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
@@ -49,13 +51,13 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
                     SimulationBuilder(recorded.scenario, recorded.plan).imager()
                 )
 
-            def whole(index: int, view: View) -> View:
+            def frames_of(index: int, reached: Reached) -> ViewImages | None:
                 panel = recorded.scenario.detector.panel
-                return view if imager is None else with_frames(view, index, imager, panel)
+                return None if imager is None else rendered_frames(reached, index, imager, panel)
 
             # The scan comes last: without it, an import that was cut short can be repeated.
             draft = draft_of(folder.scan)
             stack.enter_context(passing_folder(draft))
-            folder.write_scenario(recorded.rebuild(draft, whole).scenario)
+            folder.write_scenario(recorded.rebuild(draft, frames_of).scenario)
             draft.rename(folder.scan)
     return recorded

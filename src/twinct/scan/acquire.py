@@ -6,8 +6,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from twinct.geometry.wire import Target
-from twinct.scan.data import View
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.geometry.wire import Reached, Target
 from twinct.scan.rig import Rig
 
 
@@ -27,7 +29,7 @@ class Stopwatch:
 def acquire(
     rig: Rig,
     targets: Sequence[Target],
-    keep: Callable[[int, View], None],
+    keep: Callable[[int, NDArray[np.float32], Reached], None],
     *,
     first: int = 0,
     watch: Stopwatch | None = None,
@@ -37,7 +39,7 @@ def acquire(
     Args:
         rig: moves the robots and takes images.
         targets: targets of all views.
-        keep: called with the index and the view.
+        keep: called with the view's index, its transmission and the state of the robots.
         first: index of the first view to take.
         watch: sums the time of moves, exposures and storage.
     """
@@ -49,7 +51,7 @@ def acquire(
         moved = time.perf_counter()
         image = rig.expose(index)
         exposed = time.perf_counter()
-        keep(index, View(image, reached))
+        keep(index, image, reached)
         watch.xray_s += exposed - moved
         watch.storing_s += time.perf_counter() - exposed
         if before_s is not None:  # the start time of a resumed scan's first move is unknown

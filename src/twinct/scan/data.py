@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One acquired view.
+    """One stored view, as observers receive it.
 
     Attributes:
         transmission: I/I0, (rows, columns).
@@ -124,12 +124,12 @@ class Scan:
     @cached_property
     def believed(self) -> PosePairs:
         """Poses that the robots report, given the scenario's uncertainty."""
-        return self.reported.poses
+        return _with_noise(self.nominal, self.scenario)
 
     @cached_property
     def reported(self) -> NamedGeometry:
         """Believed poses, with their model and settings."""
-        return reported(self.scenario, self.joints, self.executed, self.commanded)
+        return NamedGeometry("believed", self.believed, _made_by(self.scenario, self.executed))
 
     @cached_property
     def nominal(self) -> PosePairs:
@@ -172,14 +172,14 @@ class Scan:
         cls,
         scenario: Scenario,
         commanded: PosePairs,
-        views: list[View],
+        images: Sequence[NDArray[np.float32]],
+        reached: Sequence[Reached],
         mas: NDArray[np.float64] | None = None,
         plan: MotionPlan | None = None,
     ) -> Scan:
-        """Build from views that were acquired one by one."""
-        reached = [view.reached for view in views]
+        """Build from the transmissions and states of views that were acquired one by one."""
         executed = [(r.executed.source, r.executed.detector) for r in reached]
-        transmission = np.stack([view.transmission for view in views])
+        transmission = np.stack(images)
         return cls(
             scenario=scenario,
             transmission=transmission,
@@ -395,12 +395,20 @@ def reported(
 ) -> NamedGeometry:
     """Return the poses that the robots report, given the scenario's uncertainty."""
     nominal = nominal_poses(scenario, commanded, executed, joints)
-    uncertainty, seed = scenario.uncertainty, scenario.believed_seed
+    return NamedGeometry(name, _with_noise(nominal, scenario), _made_by(scenario, executed))
+
+
+def _with_noise(nominal: PosePairs, scenario: Scenario) -> PosePairs:
+    return reported_poses(nominal, scenario.uncertainty, scenario.believed_seed)
+
+
+def _made_by(scenario: Scenario, executed: PosePairs) -> dict[str, Any]:
+    """Return the model and the settings behind the believed poses of executed ones."""
+    uncertainty = scenario.uncertainty
     model = "nominal kinematics" if uncertainty.moves else "repeatability"
     model = "calibrated kinematics" if uncertainty.calibration else model
-    made_by = {"model": model, **_noise_settings(uncertainty), "seed": seed}
-    made_by["executed"] = poses_digest(executed)
-    return NamedGeometry(name, reported_poses(nominal, uncertainty, seed), made_by)
+    made_by = {"model": model, **_noise_settings(uncertainty), "seed": scenario.believed_seed}
+    return made_by | {"executed": poses_digest(executed)}
 
 
 def _noise_settings(uncertainty: Uncertainty) -> dict[str, Any]:

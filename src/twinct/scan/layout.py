@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from twinct.core.interruption import postponed
 from twinct.geometry import Pose
-from twinct.geometry.wire import PosePairs
-from twinct.scan.data import View, bad_pixels_of
+from twinct.geometry.wire import PosePairs, Reached
+from twinct.scan.data import bad_pixels_of
 from twinct.scan.manifest import BY_VIEW, chunk_name, write_frame_manifest
 from twinct.scan.metadata import BAD_PIXELS, EXPOSURE, MAS
 from twinct.scenario import Scenario, stage_digests
@@ -41,9 +41,9 @@ def pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
     }
 
 
-def columns_of(view: View) -> dict[str, Any]:
+def columns_of(reached: Reached) -> dict[str, Any]:
     """Return the stored values of a view, except its images."""
-    reached, executed = view.reached, view.reached.executed
+    executed = reached.executed
     columns = pose_columns("executed", executed.source, executed.detector)
     if reached.exposure:
         columns[EXPOSURE] = reached.exposure

@@ -10,7 +10,7 @@ import numpy as np
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.geometry.wire import PosePairs
-from twinct.scan.data import Acquired, Scan, View
+from twinct.scan.data import Acquired, Scan
 from twinct.scan.layout import write_frame
 from twinct.scan.named_geometries import poses_digest
 from twinct.scan.store import ScanStore, check_space
@@ -50,7 +50,7 @@ def save_scan(scan: Scan, path: Path) -> None:
             )
             store = ScanStore(draft)
             for index, reached in enumerate(acquired.reached):
-                store.write(index, View(scan.transmission[index], reached))
+                store.write(index, scan.transmission[index], reached)
             draft.rename(path)
         finally:
             remove_folder(drafts)

@@ -21,9 +21,9 @@ from twinct.core.files.writing import passing_folder, require_space, storage_err
 from twinct.core.foreign_text import quoted
 from twinct.core.interruption import postponed
 from twinct.geometry import Pose
-from twinct.geometry.wire import Instant, PosePairs
+from twinct.geometry.wire import Instant, PosePairs, Reached
 from twinct.scan.damage import clear_paths, frame_damage, view_damage
-from twinct.scan.data import Scan, View, bad_pixels_of, reported
+from twinct.scan.data import Scan, bad_pixels_of, reported
 from twinct.scan.layout import FORMAT, READABLE, columns_of, image_digests, write_frame
 from twinct.scan.manifest import (
     FOLDER,
@@ -48,6 +48,7 @@ from twinct.scenario import Scenario, parse_scenario
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
+    from twinct.xray.chain import ViewImages
 
 log = logging.getLogger(__name__)
 
@@ -359,19 +360,31 @@ class ScanStore:
             )
         return self._read(name, view)
 
-    def write(self, index: int, view: View) -> None:
+    def write(
+        self,
+        index: int,
+        transmission: NDArray[np.float32],
+        reached: Reached,
+        frames: ViewImages | None = None,
+    ) -> None:
         """Write one view to disk; it counts once its status is written.
+
+        Args:
+            index: index of the view.
+            transmission: I/I0, (rows, columns).
+            reached: state of the robots.
+            frames: images behind the transmission, if ``detector.keep`` requests them.
 
         Raises:
             StorageError: the disk is full. Views written before stay intact.
             InputError: data of the view do not fit the shape of the store's arrays, whose metadata
                 must be damaged; nothing is written.
         """
-        columns = columns_of(view)
+        columns = columns_of(reached)
         if self._format < 3:  # begun by an older twinct, which did not store them
             del columns["joint_velocity"], columns["joint_torque"]
-        kept = {name: getattr(view.frames, name) for name in self.stored_frames}
-        images = {"transmission": view.transmission, **kept}
+        kept = {name: getattr(frames, name) for name in self.stored_frames}
+        images = {"transmission": transmission, **kept}
         for name, values in {**images, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
                 raise InputError(

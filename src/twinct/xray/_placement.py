@@ -10,7 +10,6 @@ import numpy as np
 from twinct.core.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
 from twinct.specimen.surface import refined
-from twinct.xray.engine import SceneView
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -74,11 +73,6 @@ class Placement:
 def corners(mesh: Trimesh) -> Floats:
     """Return the corners of the box around a mesh, (8, 3)."""
     return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
-
-
-def scene_view(view: ScanGeometry) -> SceneView:
-    """Return exactly one view in the form of engines."""
-    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
 
 
 def misses(view: ScanGeometry, box: Floats) -> bool:

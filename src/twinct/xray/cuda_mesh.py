@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core import card
-from twinct.geometry import Panel
-from twinct.xray.engine import EngineChoice, SceneBody, SceneView
+from twinct.geometry import Panel, ScanGeometry
+from twinct.xray.engine import EngineChoice, SceneBody
 from twinct.xray.mesh import Frame, Upload, frame_of, uploaded
 
 MEMORY_BYTES = 600 * 2**20
@@ -75,18 +75,18 @@ class CudaMeshEngine:
         self._bodies, self._there, self._panel = [], [], None
         self._sums = self._image = self._lists = None
 
-    def expose(self, view: SceneView, image: NDArray[np.float32]) -> None:
+    def render(self, view: ScanGeometry, image: NDArray[np.float32]) -> None:
         """Write the transmission behind all bodies, (rows, columns)."""
         weights = [body.mu_per_mm for body in self._bodies]
         self._render(view, dict(enumerate(weights)), True, image)
 
-    def path_lengths(self, view: SceneView, body: int, lengths: NDArray[np.float32]) -> None:
+    def path_lengths(self, view: ScanGeometry, body: int, lengths: NDArray[np.float32]) -> None:
         """Write the length of each ray inside one body, (rows, columns), mm."""
         self._render(view, {body: 1.0}, False, lengths)
 
     def _render(
         self,
-        view: SceneView,
+        view: ScanGeometry,
         weights: dict[int, float],
         exponential: bool,
         image: NDArray[np.float32],
@@ -96,7 +96,7 @@ class CudaMeshEngine:
 
         assert self._panel is not None
         warp, device = card.warp(), card.device()
-        frame = frame_of(view, self._panel)
+        frame = frame_of(view)
         found = self._covered(frame, weights)
         self._settle(frame, weights, *found)
         steps = warp.mat33d(frame.steps)

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, Panel
+from twinct.geometry import Floats, Panel, ScanGeometry
 
 
 class SceneBody(NamedTuple):
@@ -31,7 +31,7 @@ class SceneBody(NamedTuple):
 
 
 class SceneView(NamedTuple):
-    """Source and panel of one view, in the frame of the rendered bodies.
+    """One view as engines with a method ``expose`` took it; they still work (``SceneViewEngine``).
 
     Attributes:
         source: focal spot, (3,), mm.
@@ -50,10 +50,12 @@ class XrayEngine(Protocol):
     """Renderer with one scene per process.
 
     The scene has one owner at a time, which calls ``acquire``, renders views, and calls
-    ``release``. Calls come from any thread, one at a time. A view states source and panel
-    completely, so nothing of the previous view may affect it. The owner has checked that meshes are
-    closed and wound outwards, that no body encloses the source, and that none reaches through the
-    panel. Pixel (0, 0) is at the panel's lowest u and v; each ray ends at the centre of its pixel.
+    ``release``. Calls come from any thread, one at a time. A view is a geometry of exactly one
+    view, in the frame of the bodies: source ``view.source[0]``, panel centre ``view.detector[0]``,
+    axes ``view.u[0]`` and ``view.v[0]``. Nothing of the previous view may affect it. The owner has
+    checked that meshes are closed and wound outwards, that no body encloses the source, and that
+    none reaches through the panel. Pixel (0, 0) is at the panel's lowest u and v; each ray ends at
+    the centre of its pixel.
     """
 
     def prepare(self) -> None:
@@ -74,20 +76,20 @@ class XrayEngine(Protocol):
         """
         ...
 
-    def expose(self, view: SceneView, image: NDArray[np.float32]) -> None:
+    def render(self, view: ScanGeometry, image: NDArray[np.float32]) -> None:
         """Write the transmission I/I0 behind all bodies, in one frame.
 
         Args:
-            view: source and panel.
+            view: exactly one view.
             image: receives exp(-sum of mu times path), (rows, columns), C-contiguous.
         """
         ...
 
-    def path_lengths(self, view: SceneView, body: int, lengths: NDArray[np.float32]) -> None:
+    def path_lengths(self, view: ScanGeometry, body: int, lengths: NDArray[np.float32]) -> None:
         """Write the length of each ray inside one body.
 
         Args:
-            view: source and panel, in the frame of this body.
+            view: exactly one view, in the frame of this body.
             body: index of the body.
             lengths: receives path lengths, (rows, columns), mm, C-contiguous.
         """
@@ -117,3 +119,24 @@ class EngineChoice:
     modules: tuple[str, ...] = ()
     memory_bytes: int = 0
     check: Callable[[], object] = field(default=lambda: None)
+
+
+class SceneViewEngine:
+    """Engine of another package with a method ``expose`` and views as ``SceneView``."""
+
+    def __init__(self, old: Any) -> None:
+        """Take the engine."""
+        self._old = old
+        self.prepare, self.acquire, self.release = old.prepare, old.acquire, old.release
+
+    def render(self, view: ScanGeometry, image: NDArray[np.float32]) -> None:
+        """See ``XrayEngine.render``."""
+        self._old.expose(_scene_view(view), image)
+
+    def path_lengths(self, view: ScanGeometry, body: int, lengths: NDArray[np.float32]) -> None:
+        """See ``XrayEngine.path_lengths``."""
+        self._old.path_lengths(_scene_view(view), body, lengths)
+
+
+def _scene_view(view: ScanGeometry) -> SceneView:
+    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Panel
+from twinct.geometry import Panel, ScanGeometry
 from twinct.specimen import GreyField
-from twinct.xray.engine import SceneView
 
 
 class GreyCaster:
@@ -28,21 +27,21 @@ class GreyCaster:
         """Take other amounts of the same shape, such as those of a moved body."""
         self._flat = amounts.reshape(-1)
 
-    def cast(self, view: SceneView) -> NDArray[np.float32]:
+    def cast(self, view: ScanGeometry) -> NDArray[np.float32]:
         """Return the integral of each amount along each ray, (materials, rows, columns), mm.
 
         Args:
-            view: source and panel, in the specimen's frame.
+            view: exactly one view, in the specimen's frame; the pixels are those of ``panel``.
         """
         out = np.zeros((len(self.field.materials), *self.panel.shape), np.float32)
         self.add(view, range(len(out)), out)
         return out
 
-    def add(self, view: SceneView, into: Sequence[int], out: NDArray[np.float32]) -> None:
+    def add(self, view: ScanGeometry, into: Sequence[int], out: NDArray[np.float32]) -> None:
         """Add the integral of each amount along each ray.
 
         Args:
-            view: source and panel, in the specimen's frame.
+            view: exactly one view, in the specimen's frame; the pixels are those of ``panel``.
             into: image of each basis material.
             out: receives the integrals, (images, rows, columns), mm.
         """
@@ -51,9 +50,10 @@ class GreyCaster:
         grid, panel = self.field.grid, self.panel
         local = grid.world_from_grid.inverse()
         column, row = panel.first_pixel_mm
-        first = view.centre + column * view.u + row * view.v
-        points = local.apply(np.stack([view.source, first])) - grid.first_voxel_mm
-        steps = local.rotate(np.stack([panel.pitch_u * view.u, panel.pitch_v * view.v]))
+        u, v = view.u[0], view.v[0]
+        first = view.detector[0] + column * u + row * v
+        points = local.apply(np.stack([view.source[0], first])) - grid.first_voxel_mm
+        steps = local.rotate(np.stack([panel.pitch_u * u, panel.pitch_v * v]))
         rays = np.vstack([np.vstack([points, steps]) / grid.voxel, grid.voxel])
         count, images = len(self.field.materials), np.array(into, np.int64)
         add_amounts(self._flat, grid.shape, count, rays, images, out)

@@ -36,8 +36,8 @@ from twinct.core.errors import InputError, MissingExtraError, TwinctError
 from twinct.core.extras import WAY_OUT
 from twinct.core.interruption import postponed
 from twinct.core.memory import if_little, lacks_memory, require_of_ulimit
-from twinct.geometry import Panel
-from twinct.xray.engine import EngineChoice, SceneBody, SceneView
+from twinct.geometry import Panel, ScanGeometry
+from twinct.xray.engine import EngineChoice, SceneBody
 
 Result = TypeVar("Result")
 
@@ -97,14 +97,14 @@ class GvxrEngine:
         if self._gvxr is not None:
             self._call(self._gvxr.removePolygonMeshesFromSceneGraph)
 
-    def expose(self, view: SceneView, image: NDArray[np.float32]) -> None:
+    def render(self, view: ScanGeometry, image: NDArray[np.float32]) -> None:
         """Write the photons per emitted photon behind all bodies, (rows, columns).
 
         gVXR writes as many pixels as its panel has, whatever the size of the array.
         """
         self._call(self._shoot, view, image)
 
-    def path_lengths(self, view: SceneView, body: int, lengths: NDArray[np.float32]) -> None:
+    def path_lengths(self, view: ScanGeometry, body: int, lengths: NDArray[np.float32]) -> None:
         """Write the length of each ray inside one body, (rows, columns), mm."""
         self._call(self._shoot, view, lengths, body)
         np.clip(lengths, _LEAST_FLOAT, 1.0, out=lengths)
@@ -137,8 +137,8 @@ class GvxrEngine:
             # With one photon per pixel, the photon count of a pixel is its transmission.
             gvxr.setMonoChromaticPerPixelAtSDD(_ANY_KEV, "keV", 1)
             self._add("primer", _PRIMER)
-            x, y, z = np.eye(3)
-            view = SceneView(-_BEAM_MM * x, _BEAM_MM * x, z, y)
+            x, y, z = np.eye(3)[:, None]
+            view = ScanGeometry(-_BEAM_MM * x, _BEAM_MM * x, z, y, panel)
             self._shoot(view, np.empty(panel.shape, np.float32))
             gvxr.removePolygonMeshesFromSceneGraph()
             # The first view on a new panel enables the filter, whatever was set before.
@@ -148,7 +148,9 @@ class GvxrEngine:
         self._bodies = len(bodies)
         self._shown = None
 
-    def _shoot(self, view: SceneView, image: NDArray[np.float32], body: int | None = None) -> None:
+    def _shoot(
+        self, view: ScanGeometry, image: NDArray[np.float32], body: int | None = None
+    ) -> None:
         gvxr = self._gvxr
         if body != self._shown:
             # The meshes stay uploaded, so this takes less than a microsecond.
@@ -156,11 +158,10 @@ class GvxrEngine:
             for index in range(self._bodies) if body is None else (body,):
                 gvxr.addPolygonMeshAsInnerSurface(f"part-{index}")
             self._shown = body
-        source, detector, u, v = (vector.tolist() for vector in view)
-        gvxr.setSourcePosition(*source, "mm")
-        gvxr.setDetectorPosition(*detector, "mm")
-        gvxr.setDetectorRightVector(*u)
-        gvxr.setDetectorUpVector(*v)
+        gvxr.setSourcePosition(*view.source[0].tolist(), "mm")
+        gvxr.setDetectorPosition(*view.detector[0].tolist(), "mm")
+        gvxr.setDetectorRightVector(*view.u[0].tolist())
+        gvxr.setDetectorUpVector(*view.v[0].tolist())
         gvxr.computeXRayImage(image, False)  # False: photons, not energy
 
     def _start(self) -> Any:

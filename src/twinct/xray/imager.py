@@ -13,7 +13,7 @@ from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.xray._owner import SceneOwner
-from twinct.xray._placement import Placement, longest_edge, mesh_fault, scene_view, split
+from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import physical_panel
 from twinct.xray.chain import Chain, ViewImages
 from twinct.xray.engine import SceneBody
@@ -236,12 +236,12 @@ class Imager(SceneOwner):
     def _ideal(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
         view = world_from_object.inverse() @ geometry
         self._placement.check(view)
-        image, seen = np.ones(self.panel.shape, dtype=np.float32), scene_view(view)
+        image = np.ones(self.panel.shape, dtype=np.float32)
         if self._engine is not None:
-            self._engine.expose(seen, image)
+            self._engine.render(view, image)
         for caster, mu_per_mm in self._casters:
             depth = np.zeros_like(image)
-            for mu, paths in zip(mu_per_mm, caster.cast(seen), strict=True):
+            for mu, paths in zip(mu_per_mm, caster.cast(view), strict=True):
                 depth += mu * paths
             image *= np.exp(-depth)
         if self._room_mu:

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, Panel
-from twinct.xray.engine import EngineChoice, SceneBody, SceneView
+from twinct.geometry import Floats, Panel, ScanGeometry
+from twinct.xray.engine import EngineChoice, SceneBody
 
 MEMORY_BYTES = 200 * 2**20
 """Memory of 700,000 triangles, the largest tile, and the compiled kernels."""
@@ -64,15 +64,16 @@ def uploaded(bodies: Sequence[SceneBody]) -> list[Upload]:
     ]
 
 
-def frame_of(view: SceneView, panel: Panel) -> Frame:
-    """Return a view as the kernels take it."""
+def frame_of(view: ScanGeometry) -> Frame:
+    """Return one view as the kernels take it."""
+    panel, source = view.panel, view.source[0]
     column, row = panel.middle
-    across, up = panel.pitch_u * view.u, panel.pitch_v * view.v
-    first = view.centre - view.source - column * across - row * up
+    across, up = panel.pitch_u * view.u[0], panel.pitch_v * view.v[0]
+    first = view.detector[0] - source - column * across - row * up
     # A point at t (first + c across + r up) has the products t d (c, r, 1): without divisions, so
     # that simple numbers stay exact.
     ahead = np.cross(up, across)
-    seen = [np.cross(first, up), np.cross(across, first), ahead, view.source]
+    seen = [np.cross(first, up), np.cross(across, first), ahead, source]
     return Frame(np.array(seen), np.array([first, across, up]) / (first @ ahead))
 
 
@@ -82,7 +83,6 @@ class MeshEngine:
     def __init__(self) -> None:
         """Create an idle engine."""
         self._bodies: list[Upload] = []
-        self._panel: Panel | None = None
         self._total = np.empty((0, 0))
         self._places = np.empty((0, 3))
 
@@ -93,33 +93,30 @@ class MeshEngine:
     def acquire(self, bodies: Sequence[SceneBody], panel: Panel) -> None:
         """Copy the bodies."""
         self._bodies = uploaded(bodies)
-        self._panel = panel
         self._total = np.empty(panel.shape)
         self._places = np.empty((max((len(body.vertices) for body in bodies), default=0), 3))
 
     def release(self) -> None:
         """Forget the bodies."""
-        self._bodies, self._panel = [], None
+        self._bodies = []
         self._total, self._places = np.empty((0, 0)), np.empty((0, 3))
 
-    def expose(self, view: SceneView, image: NDArray[np.float32]) -> None:
+    def render(self, view: ScanGeometry, image: NDArray[np.float32]) -> None:
         """Write the transmission behind all bodies, (rows, columns)."""
         from twinct.xray._crossings import write_lengths
 
-        assert self._panel is not None
-        frame = frame_of(view, self._panel)
+        frame = frame_of(view)
         self._total[:] = 0
         with _threads(sum(len(body.faces) for body in self._bodies)) as threads:
             for body in self._bodies:
                 self._add(body, frame, body.mu_per_mm, threads)
             write_lengths(frame.steps, True, self._total, image)
 
-    def path_lengths(self, view: SceneView, body: int, lengths: NDArray[np.float32]) -> None:
+    def path_lengths(self, view: ScanGeometry, body: int, lengths: NDArray[np.float32]) -> None:
         """Write the length of each ray inside one body, (rows, columns), mm."""
         from twinct.xray._crossings import write_lengths
 
-        assert self._panel is not None
-        frame = frame_of(view, self._panel)
+        frame = frame_of(view)
         self._total[:] = 0
         with _threads(len(self._bodies[body].faces)) as threads:
             self._add(self._bodies[body], frame, 1.0, threads)

@@ -14,7 +14,7 @@ from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import BuiltPart, GreyPart
 from twinct.specimen.materials import Material
 from twinct.xray._owner import SceneOwner
-from twinct.xray._placement import Placement, corners, mesh_fault, misses, scene_view, split
+from twinct.xray._placement import Placement, corners, mesh_fault, misses, split
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.grey import GreyCaster
@@ -104,6 +104,7 @@ class PathRenderer(SceneOwner):
         self._room = RoomRays(objects, fine)
         self._room_into = [self.materials.index(m) for m in self._room.materials]
         tile = Panel(_even(fine.rows), _even(fine.columns), fine.pitch_u, fine.pitch_v)
+        self._tile_panel = tile
         self._tile = np.empty(tile.shape if bodies else (0, 0), dtype=np.float32)
         meshes = [split(body.mesh, longest_edge_mm) for body in bodies]
         uploads = [SceneBody(np.asarray(m.vertices), np.asarray(m.faces)) for m in meshes]
@@ -148,7 +149,7 @@ class PathRenderer(SceneOwner):
                     self._add(body, views[body], (row, column), paths[material], filled[material])
             filled[material] = True
         for seen, (caster, into) in zip(views[len(self._material) :], self.casters, strict=True):
-            caster.add(scene_view(seen), into, paths)
+            caster.add(seen, into, paths)
         self._room.add(view, self._room_into, paths)
         return paths
 
@@ -176,7 +177,7 @@ class PathRenderer(SceneOwner):
         down = (row + (tile.shape[0] - fine.rows) / 2) * fine.pitch_v
         right = (column + (tile.shape[1] - fine.columns) / 2) * fine.pitch_u
         centre = view.detector[0] + right * view.u[0] + down * view.v[0]
-        seen = scene_view(view)._replace(centre=centre)
+        seen = ScanGeometry(view.source, centre[None], view.u, view.v, self._tile_panel)
         self._scene.path_lengths(seen, body, tile)
         part = out[row : row + tile.shape[0], column : column + tile.shape[1]]
         lengths = tile[: part.shape[0], : part.shape[1]]

@@ -8,6 +8,7 @@ body is cut at the panel's plane if it reaches behind it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ from twinct.geometry import Panel, ScanGeometry
 from twinct.specimen import BuiltPart
 from twinct.specimen.materials import Material
 from twinct.specimen.surface import from_manifold, to_manifold
-from twinct.xray._placement import corners, mesh_fault, misses, scene_view
+from twinct.xray._placement import corners, mesh_fault, misses
 from twinct.xray.engine import SceneBody
 from twinct.xray.mesh import MeshEngine
 
@@ -75,7 +76,7 @@ class RoomRays:
                 vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
                 self._engine.acquire([SceneBody(vertices, faces)], self._panel)
                 self._loaded = mesh
-            self._engine.path_lengths(scene_view(view), 0, lengths)
+            self._engine.path_lengths(replace(view, panel=self._panel), 0, lengths)
             paths[image] += lengths
 
     def _before_panel(self, body: int, view: ScanGeometry) -> Trimesh | None:

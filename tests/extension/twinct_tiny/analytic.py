@@ -6,7 +6,7 @@ import numpy as np
 
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.recon.shadow import Body, Rays
-from twinct.xray.engine import EngineChoice, SceneBody, SceneView
+from twinct.xray.engine import EngineChoice, SceneBody
 
 
 class Analytic:
@@ -18,9 +18,8 @@ class Analytic:
     def acquire(self, bodies: Sequence[SceneBody], panel: Panel) -> None:
         self._bodies = [Body(body.vertices, body.faces) for body in bodies]
         self._mu = [body.mu_per_mm for body in bodies]
-        self._panel = panel
 
-    def expose(self, view: SceneView, image: np.ndarray) -> None:
+    def render(self, view: ScanGeometry, image: np.ndarray) -> None:
         lengths = np.empty_like(image)
         image[:] = 0
         for body, mu in enumerate(self._mu):
@@ -28,9 +27,8 @@ class Analytic:
             image -= np.float32(mu) * lengths
         np.exp(image, out=image)
 
-    def path_lengths(self, view: SceneView, body: int, lengths: np.ndarray) -> None:
-        geometry = ScanGeometry(*(vector[None] for vector in view), self._panel)
-        shadow = Rays(geometry).shadow(self._bodies[body], Pose.identity(), 0)
+    def path_lengths(self, view: ScanGeometry, body: int, lengths: np.ndarray) -> None:
+        shadow = Rays(view).shadow(self._bodies[body], Pose.identity(), 0)
         lengths[:] = 0
         lengths[shadow.box.rows, shadow.box.columns] = shadow.lengths
 

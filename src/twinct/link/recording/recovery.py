@@ -16,12 +16,13 @@ from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.contents import Contents
 from twinct.link.recording.foreign import foreign_scan
 from twinct.link.recording.recorder import COMMANDED, PLAN, SCENARIO
-from twinct.scan import NamedGeometry, ScanStore, SimulationBuilder, View
+from twinct.scan import NamedGeometry, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario
 from twinct.trajectory import write_views
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
+    from twinct.xray.chain import ViewImages
 
 VIEWS_FILE = "views.csv"
 """List of views beside the store, for a scan that twinct did not record."""
@@ -60,13 +61,15 @@ class Recorded:
         words = ", ".join(f"{r[0]} to {r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
         return f"view {words}" if len(self.missing) == 1 else f"views {words}"
 
-    def rebuild(self, path: Path, whole: Callable[[int, View], View]) -> ScanStore:
+    def rebuild(
+        self, path: Path, frames_of: Callable[[int, Reached], ViewImages | None]
+    ) -> ScanStore:
         """Create the scan store; after an error, it is not complete.
 
         Args:
             path: path of the store.
-            whole: completes a view, given its index, with the frames that ``detector.keep``
-                requests, which no recording contains.
+            frames_of: returns the images of a view that ``detector.keep`` requests, given its
+                index and the state of the robots; no recording contains them.
 
         Raises:
             InputError: an image is invalid.
@@ -87,7 +90,8 @@ class Recorded:
         try:
             for stamp, pixels in self.contents.images(self.reached):
                 index = self.views[stamp]
-                store.write(index, whole(index, View(pixels, self.reached[stamp])))
+                reached = self.reached[stamp]
+                store.write(index, pixels, reached, frames_of(index, reached))
         except (InputError, ValueError) as error:
             raise InputError(f"{self.contents.names}: {error}") from None
         return store
