@@ -76,6 +76,9 @@ class SimulationBuilder:
                 "specimen.unknown: of a measured scan nothing can be simulated, and there is no "
                 "truth to judge by; 'twinct reconstruct' makes and judges its volumes"
             )
+        from twinct.specimen.known_names import require_known_names
+
+        require_known_names(self.scenario)
         section = self.scenario.specimen
         names = [part.label for part in section.parts]
         digest = json.dumps([specimen_digest(self.scenario), names])
