@@ -1,5 +1,7 @@
 """Recordings of drives, by what does not depend on the time."""
 
+from typing import Any
+
 
 def told_by(file):
     """Return plan, scenario, names and end of a recording, each if it is there.
@@ -7,23 +9,26 @@ def told_by(file):
     A part of a file is read up to its cut. ``topics`` are those of messages; ``sent`` is True if
     the plan was sent. What no reader takes for a recording is returned as its error.
     """
+    from mcap.records import Attachment
+
     from twinct.core.errors import InputError
     from twinct.link.recording.drive_file import NOTE, OUTCOME
-    from twinct.link.recording.reader import Recording
+    from twinct.link.recording.reader import Recording, Said
 
-    told = {"topics": []}
+    told: dict[str, Any] = {"topics": []}
     if not file.stat().st_size:  # killed before the first byte
         return told
     try:
         for record in Recording(file).records():
-            if topic := getattr(record, "topic", None):
-                told["topics"] = sorted({*told["topics"], topic})
-                continue
-            data = getattr(record, "metadata", None) or getattr(record, "data", None)
-            if record.name == OUTCOME:
-                told |= {"ended": data["ended"], "sent": "start_ns" in data}
-            else:
-                told["names" if record.name == NOTE else record.name] = data
+            if isinstance(record, Said):
+                told["topics"] = sorted({*told["topics"], record.topic})
+            elif isinstance(record, Attachment):
+                told[record.name] = record.data
+            elif record.name == NOTE:
+                told["names"] = record.metadata
+            elif record.name == OUTCOME:
+                told["ended"] = record.metadata["ended"]
+                told["sent"] = "start_ns" in record.metadata
     except InputError as error:
         told["error"] = str(error)
     return told

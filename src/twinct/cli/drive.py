@@ -115,7 +115,7 @@ def _drive(
     names = names_of(parts, program.plan.joint_names)
     run: Drive | None = None
     with (
-        storage_errors(out, "it holds what was heard until then"),
+        storage_errors(out, "the drive has ended"),
         closing(DriveFile(out, loaded, program.plan, names, choices[0])) as file,
     ):
         try:
