@@ -38,6 +38,8 @@ LONGEST_NAME = 60
 SHOWN_GROUPS = (1, 1, 1, 0, 0, 0)
 AZIMUTHS_DEG = (125, 95, 155, 65, 185, 35, 215, 5, 245)
 """Where the camera may stand, the usual place first."""
+CENTRINGS = 5
+"""Steps in which the camera is centred; each halves what is left, at least."""
 MARGIN = 0.95
 """Share of the picture that the farthest body may reach."""
 AS_CLEAR = 0.75
@@ -243,22 +245,26 @@ def whole_camera(cell_model: CellModel | GantryModel, joints: Floats | None, asp
 
 
 def _step_back(camera: Any, model: Any, data: Any, aspect: float) -> None:
-    """Move a camera up or down and back until all arms, tools, the table and the specimen fit."""
+    """Centre arms, tools, table and specimen, from as far away as they need, unless they fit."""
     corners = _corners(model, data)
     a, e = np.radians([camera.azimuth, camera.elevation])
     forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     right = np.array([np.sin(a), -np.cos(a), 0.0])
-    high = MARGIN * np.tan(np.radians(model.vis.global_.fovy) / 2)
+    plane = np.stack([right, np.cross(right, forward)], axis=1)
+    limits = MARGIN * np.tan(np.radians(model.vis.global_.fovy) / 2) * np.array([aspect, 1.0])
 
     def needed() -> float:
         """Return the least distance from the point that the camera looks at."""
         offset = corners - camera.lookat
-        across, up = offset @ right, offset @ np.cross(right, forward)
-        return float(np.max(np.maximum(abs(across) / aspect, abs(up)) / high - offset @ forward))
+        return float(np.max(np.max(abs(offset @ plane) / limits, axis=1) - offset @ forward))
 
-    if needed() > camera.distance:
-        camera.lookat[2] = (corners[:, 2].min() + corners[:, 2].max()) / 2
-        camera.distance = max(camera.distance, needed())
+    if needed() <= camera.distance:
+        return
+    for _ in range(CENTRINGS):
+        offset = corners - camera.lookat
+        seen = offset @ plane / (camera.distance + offset @ forward)[:, None]
+        camera.lookat[:] += plane @ (seen.min(axis=0) + seen.max(axis=0)) / 2 * camera.distance
+        camera.distance = needed()
 
 
 def _corners(model: Any, data: Any) -> Floats:
