@@ -38,8 +38,8 @@ def drive(
     """Send the plan of a scenario to controllers of arms, and record what their drivers say.
 
     The controllers are servers of control_msgs/action/FollowJointTrajectory, in the domain
-    ROS_DOMAIN_ID. The arms stand at the start of the plan already. No arm was moved by it yet: try
-    it in the controller's own simulation first. Ctrl-C tells all controllers to stop.
+    ROS_DOMAIN_ID. The arms must already stand at the start of the plan. This has not moved a real
+    arm yet: try it in the controller's own simulation first. Ctrl-C tells all controllers to stop.
 
     Args:
         out: Recording to write, which must not exist; twinct import reads it.

@@ -36,7 +36,7 @@ def check(
 ) -> None:
     """Validate a scenario, build its specimen, plan its motion and rehearse it, without running it.
 
-    The arms' motion is simulated without images, so that a view that a run would miss is told.
+    Simulates the arms' motion without images, so that it finds every view that a run would miss.
     Lists every view that an arm cannot reach or that would collide, suggests a remedy, and draws
     the first of these views.
 
@@ -105,6 +105,8 @@ def _check(
         found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
         doubt = ", with the warnings above" if answer["warnings"] else ""
         table = Table(title=f"{loaded.name}: can be run{doubt}", show_header=False)
+        table.add_column()
+        table.add_column(overflow="fold")  # a digest is a long word
         for name, words in found.items():
             table.add_row(name, words)
         if save is not None:

@@ -16,6 +16,7 @@ from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.specimen.colours import SKIN, Rgb, colour_of
 from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
@@ -296,6 +297,12 @@ class BuiltSpecimen:
     def surface(self) -> trimesh.Trimesh:
         """Return all parts' surfaces as one mesh in the specimen's frame, mm, for pictures."""
         return joined([part.mesh for part in self.parts])
+
+    @property
+    def colour(self) -> Rgb:
+        """Colour of the largest part in pictures of the room."""
+        largest = self.largest_part
+        return SKIN if isinstance(largest, GreyPart) else colour_of(largest.material)
 
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None

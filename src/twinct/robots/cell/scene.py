@@ -256,7 +256,7 @@ def _specimen(
     body = spec.worldbody.add_body(name="specimen", pos=position, quat=np.roll(quat, 1))
     if mesh is None or len(mesh.vertices) == 0:
         return None
-    mesh_geom = {"type": mujoco_module().mjtGeom.mjGEOM_MESH, "material": "bone"}
+    mesh_geom = {"type": mujoco_module().mjtGeom.mjGEOM_MESH, "material": "specimen"}
     hulls = solids or (mesh.convex_hull,)
     for index, hull in enumerate(hulls):
         name = f"specimen_{index}" if index else "specimen"
