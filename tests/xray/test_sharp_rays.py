@@ -10,7 +10,6 @@ from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.specimen import GreyField
 from twinct.specimen.materials import material
 from twinct.specimen.voxels import volume_fractions
-from twinct.xray.engine import SceneView
 from twinct.xray.grey import GreyCaster
 
 NAMES = "water", "bone", "titanium"
@@ -21,8 +20,7 @@ def cast(amounts, grid, view, *, sharp=True) -> np.ndarray:
     """Return the images of the materials."""
     materials = tuple(material(name) for name in NAMES[: amounts.shape[-1]])
     field = GreyField(materials, amounts.astype(np.float32), grid, sharp)
-    seen = SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])
-    return GreyCaster(field, PANEL).cast(seen)
+    return GreyCaster(field, PANEL).cast(view)
 
 
 def by_points(amounts, grid, view, count=4000) -> np.ndarray:
