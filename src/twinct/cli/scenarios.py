@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
@@ -21,6 +21,9 @@ from twinct.cli.time_limit import limited
 if TYPE_CHECKING:
     from twinct.scan import SimulationBuilder
     from twinct.scenario import Scenario
+
+FOLDED = Column(overflow="fold")
+"""Column whose long words, such as a digest, go on in the next line."""
 
 
 def check(
@@ -104,9 +107,7 @@ def _check(
             rehearse(builder, audience)
         found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
         doubt = ", with the warnings above" if answer["warnings"] else ""
-        table = Table(title=f"{loaded.name}: can be run{doubt}", show_header=False)
-        table.add_column()
-        table.add_column(overflow="fold")  # a digest is a long word
+        table = Table("", FOLDED, title=f"{loaded.name}: can be run{doubt}", show_header=False)
         for name, words in found.items():
             table.add_row(name, words)
         if save is not None:
