@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from twinct.scan import SimulationBuilder
     from twinct.scenario import Scenario
 
-FOLDED = Column(overflow="fold")
-"""Column whose long words, such as a digest, go on in the next line."""
-
 
 def check(
     scenario: ScenarioFile,
@@ -107,9 +104,7 @@ def _check(
             rehearse(builder, audience)
         found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
         doubt = ", with the warnings above" if answer["warnings"] else ""
-        table = Table("", FOLDED, title=f"{loaded.name}: can be run{doubt}", show_header=False)
-        for name, words in found.items():
-            table.add_row(name, words)
+        table = _findings_table(f"{loaded.name}: can be run{doubt}", found)
         if save is not None:
             from twinct.robots.motion import save_plan
 
@@ -117,6 +112,14 @@ def _check(
             save_plan(builder.followed, save)
     answer |= {"can_be_run": True, "findings": found}
     Console().print(table)
+
+
+def _findings_table(title: str, found: dict[str, str]) -> Table:
+    """Return the findings; long words, such as a digest, go on in the next line."""
+    table = Table("", Column(overflow="fold"), title=title, show_header=False)
+    for name, words in found.items():
+        table.add_row(name, words)
+    return table
 
 
 def _planned(builder: SimulationBuilder) -> None:
