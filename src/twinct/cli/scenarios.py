@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
@@ -104,11 +104,7 @@ def _check(
             rehearse(builder, audience)
         found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
         doubt = ", with the warnings above" if answer["warnings"] else ""
-        table = Table(title=f"{loaded.name}: can be run{doubt}", show_header=False)
-        table.add_column()
-        table.add_column(overflow="fold")  # a digest is a long word
-        for name, words in found.items():
-            table.add_row(name, words)
+        table = _findings_table(f"{loaded.name}: can be run{doubt}", found)
         if save is not None:
             from twinct.robots.motion import save_plan
 
@@ -116,6 +112,14 @@ def _check(
             save_plan(builder.followed, save)
     answer |= {"can_be_run": True, "findings": found}
     Console().print(table)
+
+
+def _findings_table(title: str, found: dict[str, str]) -> Table:
+    """Return the findings; long words, such as a digest, go on in the next line."""
+    table = Table("", Column(overflow="fold"), title=title, show_header=False)
+    for name, words in found.items():
+        table.add_row(name, words)
+    return table
 
 
 def _planned(builder: SimulationBuilder) -> None:

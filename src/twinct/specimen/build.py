@@ -16,7 +16,6 @@ from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, VolumeGrid
-from twinct.specimen.colours import SKIN, Rgb, colour_of
 from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 
     from twinct.specimen.body_motion import BodyMotion
     from twinct.specimen.breathing import Breath
+    from twinct.specimen.colours import Rgb
 
 HULL_DIRECTIONS = 4000
 """Directions in which the collision hull touches the specimen, about 3 degrees apart."""
@@ -301,6 +301,8 @@ class BuiltSpecimen:
     @property
     def colour(self) -> Rgb:
         """Colour of the largest part in pictures of the room."""
+        from twinct.specimen.colours import SKIN, colour_of
+
         largest = self.largest_part
         return SKIN if isinstance(largest, GreyPart) else colour_of(largest.material)
 
