@@ -350,7 +350,7 @@ def test_unknown_names_are_refused_before_voxels_are_read(file, tmp_path, monkey
     for shape, name in (
         ({"kind": "volume", "phantom": "head"}, "brain"),
         (of_file | {"labels": {"path": str(masks)}}, "skull"),
-        (of_file | {"labels": {"path": str(labels(tmp_path))}}, ""),
+        (of_file | {"labels": {"path": str(labels(tmp_path))}}, "and label_1, label_2"),
     ):
         keys = {
             "specimen": {"parts": [{"name": "head", "shape": shape}], "reference": "skul"},

@@ -25,6 +25,11 @@ class KnownNames(list[str]):
 
     numbered = False
 
+    @property
+    def in_words(self) -> str:
+        """All names, for messages."""
+        return quoted(self, 300) + (" and label_1, label_2, ..." if self.numbered else "")
+
     def __contains__(self, name: object) -> bool:
         """Return True if a part or a label may have a name."""
         return super().__contains__(name) or bool(
@@ -48,7 +53,7 @@ def require_known_names(whole: scenario.Scenario) -> None:
         named += [(f"evaluation.{key}", name) for key, name, kind in references if kind == "part"]
     known = known_names(specimen)
     problems = [
-        f"{key}: no part or label is called {quoted(name)}; there are {quoted(known, 300)}"
+        f"{key}: no part or label is called {quoted(name)}; there are {known.in_words}"
         for key, name in named
         if name not in known
     ]
