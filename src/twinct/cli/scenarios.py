@@ -29,6 +29,7 @@ def check(
     save: Annotated[Path | None, tyro.conf.arg(metavar="NPZ")] = None,
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
     no_cures: Flag = False,
+    all_cures: Flag = False,
     time_limit: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     threads: Threads = None,
     as_json: Json = False,
@@ -44,6 +45,7 @@ def check(
         save: File for the plan; a scenario follows it with the key motion.plan.
         picture: File for the picture of an infeasible view.
         no_cures: Report infeasible views without a remedy and a picture.
+        all_cures: Try all changes that may be a remedy, even if that takes longer than planning.
         time_limit: Largest time of the check; what is known by then is reported.
     """
     from twinct.core.threads import limit_threads
@@ -51,13 +53,14 @@ def check(
     limit_threads(threads)
     with answering(as_json) as answer, limited(time_limit, "--time-limit"):
         answer |= {"scenario": str(scenario), "can_be_run": False, "warnings": []}
-        _check(scenario, save, None if no_cures else picture, set_, answer)
+        _check(scenario, save, None if no_cures else picture, all_cures, set_, answer)
 
 
 def _check(
     scenario: Path,
     save: Path | None,
     picture: Path | None,
+    all_cures: bool,
     set_: Overrides,
     answer: dict[str, Any],
 ) -> None:
@@ -86,7 +89,7 @@ def _check(
     if loaded.cell.kind == "arms" and picture is not None:  # a gantry needs no MuJoCo
         from twinct.cli.reach import explained
 
-        remedy = partial(explained, builder, picture)
+        remedy = partial(explained, builder, picture, all_cures=all_cures)
     with named_places(scenario, set_):
         require_memory(loaded)
         check_geometries(loaded)
