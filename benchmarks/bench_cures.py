@@ -20,7 +20,7 @@ from typing import Any
 
 from twinct.cli.reach import LEAST_WORK, SHARE, pictured, remedies
 from twinct.core.errors import TrajectoryError
-from twinct.robots.cell import Work, counted
+from twinct.core.progress import Work, counted
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 

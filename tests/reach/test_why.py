@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from twinct.core.progress import WorkSpentError, counted
 from twinct.geometry import Pose
-from twinct.robots.cell import CellModel, WorkSpentError, build_cell, counted
+from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import Kinematics
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.reach import CureSearch, Holder, Poses, poses_of, reasons, shown

@@ -16,9 +16,9 @@ from twinct.cli.time_limit import TimeUpError
 from twinct.core.errors import InputError, NoPathError, TrajectoryError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, check_picture, storage_errors
-from twinct.core.progress import SILENT, Progress
+from twinct.core.progress import SILENT, Progress, Work, WorkSpentError, counted
 from twinct.geometry import fibonacci_directions
-from twinct.robots.cell import Work, WorkSpentError, counted, overlaps
+from twinct.robots.cell import overlaps
 from twinct.robots.motion.feasible import Indices
 from twinct.robots.reach import (
     Bounds,
@@ -268,7 +268,7 @@ def remedies(
     Args:
         builder: simulations of the refused scenario.
         error: the refusal of its plan.
-        most: largest work of the search, in units of ``robots.cell.work``.
+        most: largest work of the search, in units of ``core.progress``.
         progress: progress display.
 
     Returns:

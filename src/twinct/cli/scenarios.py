@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -85,11 +86,7 @@ def _check(
     with named_places(scenario, set_):
         require_extras(loaded)
     builder = SimulationBuilder(loaded)
-    remedy = nullcontext
-    if loaded.cell.kind == "arms" and picture is not None:  # a gantry needs no MuJoCo
-        from twinct.cli.reach import explained
-
-        remedy = partial(explained, builder, picture, all_cures=all_cures)
+    remedy = _remedy(builder, picture, all_cures)
     with named_places(scenario, set_):
         require_memory(loaded)
         check_geometries(loaded)
@@ -117,6 +114,17 @@ def _check(
             save_plan(builder.followed, save)
     answer |= {"can_be_run": True, "findings": found}
     Console().print(table)
+
+
+def _remedy(
+    builder: SimulationBuilder, picture: Path | None, all_cures: bool
+) -> Callable[[], AbstractContextManager[None]]:
+    """Return contexts that search for a remedy of a refused plan."""
+    if builder.scenario.cell.kind != "arms" or picture is None:  # a gantry needs no MuJoCo
+        return nullcontext
+    from twinct.cli.reach import explained
+
+    return partial(explained, builder, picture, all_cures=all_cures)
 
 
 def _planned(builder: SimulationBuilder) -> None:

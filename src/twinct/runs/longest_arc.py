@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from twinct.core.errors import InputError, NoPathError, TrajectoryError
+from twinct.core.progress import WorkSpentError
 from twinct.geometry.wire import targets_of
-from twinct.robots.cell import WorkSpentError
 from twinct.robots.motion import find_joint_path
 from twinct.scan import SimulationBuilder
 from twinct.trajectory import OrbitSettings

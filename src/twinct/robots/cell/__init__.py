@@ -19,7 +19,6 @@ from twinct.robots.cell.render import (
 )
 from twinct.robots.cell.scene import CellModel, GantryModel, build_cell, build_gantry
 from twinct.robots.cell.urdf import OPTICAL, cell_urdf
-from twinct.robots.cell.work import Work, WorkSpentError, counted, spend
 
 __all__ = [
     "BodyPlaces",
@@ -33,20 +32,16 @@ __all__ = [
     "Moment",
     "Overlap",
     "apart",
-    "Work",
-    "WorkSpentError",
     "build_cell",
     "build_gantry",
     "cell_urdf",
     "chains_of",
     "check_drawing",
     "check_picture_size",
-    "counted",
     "mujoco_module",
     "joint_names_of",
     "nominal_chains",
     "overlaps",
     "render_cell",
     "room_pictures",
-    "spend",
 ]

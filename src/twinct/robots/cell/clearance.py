@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import CellModel
-from twinct.robots.cell.work import spend
 
 if TYPE_CHECKING:
     import mujoco

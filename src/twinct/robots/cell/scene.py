@@ -12,6 +12,7 @@ import numpy as np
 
 from twinct.core.errors import MemoryShortageError, ScenarioError
 from twinct.core.files.boundary import require_memory
+from twinct.core.progress import spend
 from twinct.geometry import Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
@@ -32,7 +33,6 @@ from twinct.robots.cell.standing import (
     add_zones,
     object_margins,
 )
-from twinct.robots.cell.work import spend
 from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:

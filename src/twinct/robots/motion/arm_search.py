@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.progress import spend
 from twinct.geometry import Floats
-from twinct.robots.cell import CellModel, mujoco_module, spend
+from twinct.robots.cell import CellModel, mujoco_module
 
 if TYPE_CHECKING:
     import mujoco

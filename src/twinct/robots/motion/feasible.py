@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats
-from twinct.robots.cell import CellModel, mujoco_module, spend
+from twinct.robots.cell import CellModel, mujoco_module
 
 if TYPE_CHECKING:
     import mujoco

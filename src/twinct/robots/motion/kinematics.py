@@ -9,9 +9,10 @@ import numpy as np
 import scipy
 
 from twinct.core.errors import MissingExtraError
+from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.geometry.wire import Target
-from twinct.robots.cell import CellModel, mujoco_module, spend
+from twinct.robots.cell import CellModel, mujoco_module
 from twinct.scenario import InverseKinematics
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twinct.core.errors import ScenarioError
-from twinct.core.progress import SILENT, Progress
+from twinct.core.progress import SILENT, Progress, WorkSpentError
 from twinct.geometry import Floats
-from twinct.robots.cell import CellModel, WorkSpentError, apart
+from twinct.robots.cell import CellModel, apart
 from twinct.robots.motion.branches import SIDES, Branches
 from twinct.robots.motion.feasible import Indices
 from twinct.robots.reach.holding import Flags, Holder, Poses
