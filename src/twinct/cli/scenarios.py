@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,6 +30,7 @@ def check(
     save: Annotated[Path | None, tyro.conf.arg(metavar="NPZ")] = None,
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
     no_cures: Flag = False,
+    all_cures: Flag = False,
     time_limit: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     threads: Threads = None,
     as_json: Json = False,
@@ -44,6 +46,7 @@ def check(
         save: File for the plan; a scenario follows it with the key motion.plan.
         picture: File for the picture of an infeasible view.
         no_cures: Report infeasible views without a remedy and a picture.
+        all_cures: Try all changes that may be a remedy, even if that takes longer than planning.
         time_limit: Largest time of the check; what is known by then is reported.
     """
     from twinct.core.threads import limit_threads
@@ -51,13 +54,14 @@ def check(
     limit_threads(threads)
     with answering(as_json) as answer, limited(time_limit, "--time-limit"):
         answer |= {"scenario": str(scenario), "can_be_run": False, "warnings": []}
-        _check(scenario, save, None if no_cures else picture, set_, answer)
+        _check(scenario, save, None if no_cures else picture, all_cures, set_, answer)
 
 
 def _check(
     scenario: Path,
     save: Path | None,
     picture: Path | None,
+    all_cures: bool,
     set_: Overrides,
     answer: dict[str, Any],
 ) -> None:
@@ -82,11 +86,7 @@ def _check(
     with named_places(scenario, set_):
         require_extras(loaded)
     builder = SimulationBuilder(loaded)
-    remedy = nullcontext
-    if loaded.cell.kind == "arms" and picture is not None:  # a gantry needs no MuJoCo
-        from twinct.cli.reach import explained
-
-        remedy = partial(explained, builder, picture)
+    remedy = _remedy(builder, picture, all_cures)
     with named_places(scenario, set_):
         require_memory(loaded)
         check_geometries(loaded)
@@ -120,6 +120,17 @@ def _findings_table(title: str, found: dict[str, str]) -> Table:
     for name, words in found.items():
         table.add_row(name, words)
     return table
+
+
+def _remedy(
+    builder: SimulationBuilder, picture: Path | None, all_cures: bool
+) -> Callable[[], AbstractContextManager[None]]:
+    """Return contexts that search for a remedy of a refused plan."""
+    if builder.scenario.cell.kind != "arms" or picture is None:  # a gantry needs no MuJoCo
+        return nullcontext
+    from twinct.cli.reach import explained
+
+    return partial(explained, builder, picture, all_cures=all_cures)
 
 
 def _planned(builder: SimulationBuilder) -> None:
