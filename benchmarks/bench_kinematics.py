@@ -28,7 +28,7 @@ from twinct.calibration.scan_calibration import phantom_of
 from twinct.calibration.shadows import overlapping, shadow_radius_px
 from twinct.core.errors import CalibrationError
 from twinct.geometry import Pose, ScanGeometry
-from twinct.geometry.wire import Instant, PosePairs, to_seven
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import chains_of
 from twinct.robots.reach import Holder, Poses
 from twinct.runs import load_scan, run
@@ -78,11 +78,9 @@ def executed_of(true_cell, chains, joints, panel, first_view):
     told = PosePairs(*(tuple(poses) for poses in nominal(chains, joints)))
     pairs = []
     for k in range(len(told)):
-        source, detector = told[k]
-        at = Instant(to_seven(source), to_seven(Pose.identity()), to_seven(detector))
-        now = true_cell.at(at, first_view + k, 0.0, joints[k], np.zeros_like(joints[k]))
-        pairs.append((now.source, now.detector))
-    return PosePairs(*zip(*pairs, strict=True)).geometry(panel)
+        at = PosePairs.at(*told[k], Pose.identity())
+        pairs.append(true_cell.at(at, first_view + k, 0.0, joints[k], np.zeros_like(joints[k])))
+    return PosePairs.joined(pairs).geometry(panel)
 
 
 def nominal(chains, joints):

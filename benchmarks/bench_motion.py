@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target, targets_of
+from twinct.geometry.wire import PosePairs, targets_of
 from twinct.robots.cell import build_cell
 from twinct.robots.motion import RobotSimulation, plan_motion
 from twinct.scenario import Cell, Detector, Motion, load_scenario
@@ -29,7 +29,7 @@ HEAD_SEMI_AXES_MM = (72.0, 90.0, 110.0)
 FINE_IK = {"position_tolerance_mm": 0.01, "rotation_tolerance_deg": 0.01}
 
 
-def paper_targets(views: int) -> list[Target]:
+def paper_targets(views: int) -> list[PosePairs]:
     panel = Detector().panel
     geometry = commanded_views(SinusoidTrajectory(kind="sinusoid", views=views), panel)
     return targets_of(geometry)
@@ -66,7 +66,7 @@ def measure(views: int, trigger: str, scheme: str) -> dict[str, object]:
     errors = {}
     for side in ("source", "detector"):
         pairs = [
-            (getattr(r.executed, side), getattr(t, side))
+            (getattr(r.executed, side)[0], getattr(t, side)[0])
             for r, t in zip(reached, targets, strict=True)
         ]
         errors[side] = {

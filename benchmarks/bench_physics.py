@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from unittest.mock import patch
 
 import numpy as np
@@ -18,6 +19,7 @@ import trimesh
 from bench_xray import shell
 
 from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.geometry.wire import PosePairs
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.specimen.materials import material
@@ -68,16 +70,16 @@ def view_s(
     panel = Panel(480, 640, 0.5, 0.5)
     x, y, z = np.eye(3)
     view = ScanGeometry(300 * x[None], -300 * x[None], y[None], z[None], panel)
-    at = view, Pose.identity()
+    at = replace(PosePairs.from_geometry(view), object=(Pose.identity(),))
     with Imager(
         Source.model_validate(source),
         Detector.model_validate({**PANEL, **detector}),
         BuiltSpecimen(parts, Pose.identity()),
     ) as imager:
         if rendered:
-            return fastest(lambda: imager.expose([at], 1, at))
+            return fastest(lambda: imager.expose(at, 1, at))
         with patch.object(PathRenderer, "render", once(PathRenderer.render)):
-            return fastest(lambda: imager.expose([at], 1, at), 40)
+            return fastest(lambda: imager.expose(at, 1, at), 40)
 
 
 def once(render: Callable[..., object]) -> Callable[..., object]:

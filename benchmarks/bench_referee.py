@@ -22,7 +22,7 @@ from referee import Referee
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target, targets_of
+from twinct.geometry.wire import PosePairs, targets_of
 from twinct.robots.cell import CellModel
 from twinct.robots.motion import JointPath, find_joint_path
 from twinct.robots.motion.path_search import required_gap_mm
@@ -40,7 +40,7 @@ WITHIN_DEG = {"ur10e": (115, 40), "lbr_iiwa14": (90, 25)}
 """Longitudes and latitudes of views: somewhat more than can be held."""
 
 
-def drawn(index: int, within_deg: tuple[float, float]) -> Target:
+def drawn(index: int, within_deg: tuple[float, float]) -> PosePairs:
     """A view of an isocentre moved a little."""
     rng = np.random.default_rng([0, index])
     longitude, latitude = np.radians(rng.uniform(-1, 1, 2) * within_deg)
@@ -65,9 +65,7 @@ def right(cell: CellModel, way: JointPath, referee: Referee) -> bool:
     data.qpos[:] = joints
     mujoco.mj_kinematics(cell.model, data)
     there = []
-    for site, pose in zip(
-        cell.site_ids, (way.targets[0].source, way.targets[0].detector), strict=True
-    ):
+    for site, pose in zip(cell.site_ids, way.targets[0][0], strict=True):
         turned = data.site_xmat[site].reshape(3, 3)
         here = Pose.from_matrix(data.site_xpos[site] * 1000, turned)
         there.append(here.distance_mm(pose) <= MOTION.ik.position_tolerance_mm + 1e-6)
@@ -76,10 +74,10 @@ def right(cell: CellModel, way: JointPath, referee: Referee) -> bool:
 
 
 def judged(
-    cell: CellModel, referee: Referee, target: Target, free: bool, simulate: bool
+    cell: CellModel, referee: Referee, target: PosePairs, free: bool, simulate: bool
 ) -> dict[str, Any]:
     """Both verdicts on a view."""
-    held = referee.holds(target.source, target.detector, (free, free)) is not None
+    held = referee.holds(*target[0], (free, free)) is not None
     try:
         way = find_joint_path(cell, MOTION, [target], roll_free=(free, free))
     except TrajectoryError as error:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Pose
-from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.runs import verify
 from twinct.scan import ScanStore
 from twinct.scenario import load_scenario
@@ -29,11 +29,12 @@ STATE = 200
 def view(index: int) -> tuple[NDArray[np.float32], Reached]:
     """A noisy image with a shadow in it, as large as the paper's."""
     rng = np.random.default_rng(index)
-    pose = to_seven(Pose.from_euler(rng.normal(size=3), rng.uniform(-180, 180, 3)))
+    pose = Pose.from_euler(rng.normal(size=3), rng.uniform(-180, 180, 3))
     y, x = np.mgrid[-240:240, -320:320]
     shadow = np.exp(-3 * np.exp(-(x**2 + y**2) / 2e4), dtype=np.float32)
     image = shadow * (1 + 0.01 * rng.standard_normal(shadow.shape, dtype=np.float32))
-    executed, (position, velocity, effort) = Instant(pose, pose, pose), rng.random((3, len(NAMES)))
+    executed = PosePairs.at(pose, pose, pose)
+    position, velocity, effort = rng.random((3, len(NAMES)))
     joints = NAMES, position, velocity, effort
     return image, Reached(executed, *joints, rng.random(STATE), float(index), 10.0)
 

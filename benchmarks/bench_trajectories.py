@@ -53,7 +53,7 @@ def refereed(cell: CellModel, named: Named) -> list[int]:
     """Views that cannot be held at all."""
     referee, near, out = Referee(cell, MOTION.clearance_mm, MOTION.ik), None, []
     for view, target in enumerate(named.targets):
-        held = referee.holds(target.source, target.detector, named.roll_free, near)
+        held = referee.holds(*target[0], named.roll_free, near)
         near = near if held is None else held
         if held is None:
             out.append(view)

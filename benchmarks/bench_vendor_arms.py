@@ -23,7 +23,7 @@ import trimesh
 
 from twinct.core.errors import InputError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Panel, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.cell.vendor import write_arm
 from twinct.robots.motion import MotionPlan, RobotSimulation, plan_motion
@@ -145,7 +145,7 @@ def figures(arm: Arm, folder: Path, seed: int) -> dict[str, Any]:
             found["held"] = int(placed.after.sum())
             model = build(placed.cell)
             targets = [
-                Target.from_poses(s, d)
+                PosePairs.at(s, d)
                 for s, d in zip(views.source_poses(), views.detector_poses(), strict=True)
             ]
             began = time.process_time()

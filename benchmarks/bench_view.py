@@ -17,12 +17,13 @@ import sys
 import tempfile
 import time
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from twinct.core.files.writing import write_text
-from twinct.geometry.wire import Instant, Reached, to_seven
+from twinct.geometry.wire import Reached
 from twinct.observers import Event, JointSample, Observer, ViewStored, audience_of
 from twinct.recon.volume import Volume
 from twinct.runs import Folder, acquire_to_store
@@ -109,14 +110,14 @@ def write_paper_size(out: Path) -> None:
     write_text(folder.scenario, as_yaml(scenario))
     plan, poses = builder.plan, builder.commanded_poses
     assert plan is not None
-    place = to_seven(scenario.specimen.world_from_specimen)
+    place = (scenario.specimen.world_from_specimen,)
     names = plan.joint_names
     store = ScanStore.create(folder.scan, scenario, poses, names, 1, plan)
     rng = np.random.default_rng(0)
     still = np.zeros(len(names))
     for index, target in enumerate(poses.targets()):
         image = rng.uniform(0.2, 1.0, scenario.detector.panel.shape).astype(np.float32)
-        instant = Instant(target.source_m, place, target.detector_m)
+        instant = replace(target, object=place)
         state = np.zeros(1)
         reached = Reached(
             instant, names, plan.joints[index], still, still, state, float(index), 20.0

@@ -15,7 +15,7 @@ from referee import Referee
 from scipy.cluster.hierarchy import DisjointSet
 
 from twinct.geometry import MM_PER_M, Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel
 from twinct.scenario import InverseKinematics
 
@@ -43,7 +43,7 @@ class Roadmap:
         self._nodes = np.zeros((0, len(self._low)))
 
     def connects(
-        self, first: Target, second: Target, roll_free: tuple[bool, bool], seconds: float
+        self, first: PosePairs, second: PosePairs, roll_free: tuple[bool, bool], seconds: float
     ) -> bool:
         """Whether some configuration of one view was led to some configuration of another."""
         begin = time.process_time()
@@ -65,12 +65,12 @@ class Roadmap:
                 return True
         return False
 
-    def _held(self, target: Target, roll_free: tuple[bool, bool]) -> list[Floats]:
+    def _held(self, target: PosePairs, roll_free: tuple[bool, bool]) -> list[Floats]:
         """Different configurations of both arms that hold a view."""
         found: list[Floats] = []
         for seed in range(ENDS):
             referee = Referee(*self._args, seed=seed)
-            joints = referee.holds(target.source, target.detector, roll_free)
+            joints = referee.holds(*target[0], roll_free)
             if joints is not None:
                 found.append(joints)
         return found

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats, Panel
-from twinct.geometry.wire import Target, targets_of
+from twinct.geometry.wire import PosePairs, targets_of
 from twinct.trajectory import (
     ArcTrajectory,
     SinusoidTrajectory,
@@ -35,7 +35,7 @@ class Named:
     """
 
     name: str
-    targets: list[Target]
+    targets: list[PosePairs]
     roll_free: tuple[bool, bool]
 
 
@@ -69,7 +69,7 @@ def sixty(panel: Panel) -> list[Named]:
     ]
 
 
-def _arcs(panel: Panel) -> list[tuple[str, list[Target]]]:
+def _arcs(panel: Panel) -> list[tuple[str, list[PosePairs]]]:
     """210 degrees at a latitude, tilted about the line from the isocentre to the middle."""
     found = []
     for latitude in (0, 20, 30):
@@ -106,14 +106,14 @@ def _sinusoid(rng: np.random.Generator, views: int) -> SinusoidTrajectory:
     )
 
 
-def _commanded(section: TrajectorySettings, panel: Panel) -> list[Target]:
+def _commanded(section: TrajectorySettings, panel: Panel) -> list[PosePairs]:
     return targets_of(commanded_views(section, panel))
 
 
-def _about(panel: Panel, longitude_deg: Floats, latitude_deg: Floats) -> list[Target]:
+def _about(panel: Panel, longitude_deg: Floats, latitude_deg: Floats) -> list[PosePairs]:
     return _from(panel, on_sphere(np.radians(longitude_deg), np.radians(latitude_deg), 1.0))
 
 
-def _from(panel: Panel, directions: Floats) -> list[Target]:
+def _from(panel: Panel, directions: Floats) -> list[PosePairs]:
     section = ArcTrajectory(kind="arc", views=len(directions))
     return targets_of(orbit_views(section, panel, section.sod_mm * directions))

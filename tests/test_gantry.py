@@ -9,7 +9,7 @@ import pytest
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Panel, Pose
-from twinct.geometry.wire import Reached, Target, targets_of
+from twinct.geometry.wire import PosePairs, Reached, targets_of
 from twinct.robots.gantry import Gantry
 from twinct.scenario import GantryCell, Source, parse_scenario
 from twinct.trajectory import commanded_views
@@ -19,7 +19,7 @@ ON_THE_WAY_MM = 1e-9
 """An instant is off its circle or helix by the rounding of a few products of 300 mm."""
 
 
-def targets(**trajectory: object) -> list[Target]:
+def targets(**trajectory: object) -> list[PosePairs]:
     specimen = {"parts": [{"shape": {"kind": "sphere", "radius_mm": 1}}]}
     scenario = parse_scenario({"trajectory": trajectory, "specimen": specimen})
     geometry = commanded_views(scenario.trajectory, Panel(4, 5, 1.0, 1.0))
@@ -36,13 +36,13 @@ def test_executed_is_commanded_to_the_last_bit_all_the_way_round() -> None:
     # Others may send any metres; of these, one in twenty changes on its way to mm and back.
     metres = np.random.default_rng(1).uniform(-1, 1, (20, 2, 3)).tolist()
     turned = STANDS.quat.tolist()
-    foreign = [Target((*source, *turned), (*panel, *turned)) for source, panel in metres]
+    foreign = [PosePairs.from_sevens([[[*at, *turned] for at in pair]]) for pair in metres]
     for number, target in enumerate([*circle, *foreign]):
         reached = machine.move(number, target)
-        assert reached.executed.source_m == target.source_m
-        assert reached.executed.detector_m == target.detector_m
-        assert reached.executed.object == Pose.from_metres(*STANDS.to_metres())
-        assert reached.path == (reached.executed,) and reached.before is None
+        assert reached.executed.source[0].seven == target.source[0].seven
+        assert reached.executed.detector[0].seven == target.detector[0].seven
+        assert reached.executed.object == (Pose.from_metres(*STANDS.to_metres()),)
+        assert reached.path == reached.executed and reached.before is None
         assert reached.time_s == 2.0 * (number + 1)
         assert reached.joint_names == () and reached.position.shape == (0,)
         assert math.isnan(reached.clearance_mm) and reached.clearance_in_words.endswith("unknown")
@@ -53,19 +53,19 @@ def test_an_exposure_goes_on_along_the_path_with_its_middle_at_the_view(pitch_mm
     way = targets(kind="helix", views=25, turns=1, pitch_mm=pitch_mm)
     machine = gantry(samples=4, exposure_ms=1000.0)
     first = machine.move(0, way[0])
-    for instant in first.exposure:
-        np.testing.assert_allclose(instant.source_m, way[0].source_m, atol=1e-12)
+    for pose in first.exposure.source:
+        np.testing.assert_allclose(pose.seven, way[0].source[0].seven, atol=1e-12)
     reached = machine.move(1, way[1])
     assert reached.before == first.executed
     # Half of the 2 s of a view, in four parts, of steps of 15 degrees from the middle of a turn.
     degrees = -180 + 15 + 7.5 * np.array([-0.375, -0.125, 0.125, 0.375])
-    for instant, angle in zip(reached.exposure, degrees, strict=True):
+    for (source, panel), angle in zip(reached.exposure, degrees, strict=True):
         turn, height = np.radians(angle), pitch_mm * angle / 360
         out = np.array([np.cos(turn), np.sin(turn), 0.0])
         expected = 300 * out + (0, 0, height), -300 * out + (0, 0, height)
-        np.testing.assert_allclose(instant.source.position, expected[0], atol=ON_THE_WAY_MM)
-        np.testing.assert_allclose(instant.detector.position, expected[1], atol=ON_THE_WAY_MM)
-        np.testing.assert_allclose(instant.detector.rotation[:, 2], out, atol=1e-12)
+        np.testing.assert_allclose(source.position, expected[0], atol=ON_THE_WAY_MM)
+        np.testing.assert_allclose(panel.position, expected[1], atol=ON_THE_WAY_MM)
+        np.testing.assert_allclose(panel.rotation[:, 2], out, atol=1e-12)
 
 
 def test_it_goes_on_from_a_state_bit_by_bit() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from collections import defaultdict
 from pathlib import Path
 
@@ -13,8 +15,10 @@ import pytest
 from twinct.core.renamed import RENAMED
 
 PACKAGE = Path(__file__).parents[1] / "src" / "twinct"
-MOST_ROOMS = 24
+MOST_ROOMS, MOST_FLOORS = 24, 10
 """So many names a newcomer can survey."""
+MOST_TYPES = 8
+"""Types that a pose passes from the trajectory to the renderer and into the reconstruction."""
 MOST_NAMESAKES = 2
 """A module name that stands in more rooms says nothing."""
 
@@ -28,15 +32,62 @@ def modules() -> dict[str, Path]:
 
 
 def test_rooms_are_few_and_their_modules_named_apart() -> None:
-    rooms, namesakes = set[str](), defaultdict[str, set[str]](set)
+    namesakes = defaultdict[str, set[str]](set)
     for name in modules():
         _, room, *rest = name.split(".")
         if rest:
-            rooms.add(room)
             namesakes[rest[-1]].add(room)
+    rooms = set.union(*namesakes.values())
     del namesakes["__init__"]
     assert len(rooms) <= MOST_ROOMS
     assert not {name: at for name, at in namesakes.items() if len(at) > MOST_NAMESAKES}
+
+
+def test_floors_are_few() -> None:
+    settings = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = settings["tool"]["importlinter"]["contracts"]
+    (layers,) = (c["layers"] for c in contracts if c["id"] == "layers")
+    assert len(layers) <= MOST_FLOORS
+
+
+WALK = {
+    "trajectory/families.py": "commanded_views",
+    "geometry/wire.py": "targets_of",
+    "robots/motion/plan.py": "plan_motion",
+    "uncertainty/executed.py": "at",
+    "scan/rig.py": "move",
+    "xray/imager.py": "expose",
+    "xray/engine.py": "render",
+    "scan/store.py": "write",
+    "scan/encoder_model.py": "nominal_poses",
+    "uncertainty/reported.py": "reported_poses",
+    "scan/data.py": "geometry",
+    "recon/projector.py": "_index_rays",
+}
+"""Functions that a pose passes, one after the other."""
+OF_POSES = {"ScanGeometry", "Pose", "PosePairs", "MotionPlan", "Reached", "Scan"}
+NO_POSES = {
+    *("Any", "CellModel", "Motion", "Panel", "Shutter", "Sequence", "Scenario", "Uncertainty"),
+    *("Floats", "NDArray", "TrajectorySettings", "ViewImages", "VolumeGrid"),
+}
+
+
+def test_a_pose_passes_few_types() -> None:
+    """Besides those of Python, there are the arrays of the store, and the rays."""
+    page = (PACKAGE.parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
+    _, rest = page.split("## The walk of a pose")
+    listed = re.findall(r"^\| (`(\w+)`|[a-z ]+) \| [^h]", rest.partition("\n## ")[0], re.MULTILINE)
+    assert len(listed) <= MOST_TYPES
+    assert {name for _, name in listed if name} == OF_POSES
+    for file, name in WALK.items():
+        tree = ast.parse((PACKAGE / file).read_text(encoding="utf-8"))
+        found = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == name]
+        assert found, name
+        for node in found:
+            hints = [a.annotation for a in ast.walk(node.args) if isinstance(a, ast.arg)]
+            names = re.findall(r"\b[A-Z]\w+", " ".join(ast.unparse(h) for h in hints if h))
+            names += re.findall(r"\b[A-Z]\w+", ast.unparse(node.returns) if node.returns else "")
+            assert set(names) - {"None"} <= OF_POSES | NO_POSES, (file, names)
 
 
 def test_every_old_name_leads_to_a_module() -> None:

@@ -102,7 +102,7 @@ class Attacked:
             "domain": self.domain.id,
             "scenario": json.loads(scenario.resolved()),
             "epoch": str(Epoch.of(scenario)),
-            "targets": [(t.source_m, t.detector_m) for t in SimulationBuilder(scenario).targets],
+            "targets": [t.sevens[0] for t in SimulationBuilder(scenario).targets],
             "taken_s": taken_s.tolist(),
         }
         self.stranger = None

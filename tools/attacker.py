@@ -16,7 +16,7 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from twinct.geometry.wire import Instant, Reached, Target
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.link import messages
 from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import (
@@ -65,7 +65,7 @@ class Attacker:
     @staticmethod
     def poses(numbers):
         """Return the two poses of a target as a message."""
-        return messages.target_message(Stamp(0, 0), Target(*map(tuple, numbers)))
+        return messages.target_message(Stamp(0, 0), PosePairs.from_sevens([numbers]))
 
     def say(self, topic, message):
         """Publish a message on a topic."""
@@ -88,7 +88,7 @@ class Attacker:
         filled = self.rng.random() if value is None else value
         target = self.targets[view]
         bad = Reached(
-            executed=Instant(target.detector_m, target.source_m, target.source_m),
+            executed=PosePairs(target.detector, target.source, target.source),
             joint_names=tuple(f"j{i}" for i in range(numbers)),
             position=np.full(numbers, filled),
             velocity=np.full(numbers, filled),
@@ -110,8 +110,8 @@ class Attacker:
     def target(self, view, *, moved=0.0):
         """Publish a target of the scan, shifted along x by ``moved``, m."""
         target = self.targets[view]
-        x, *rest = target.source_m
-        other = Target((x + moved, *rest), target.detector_m)
+        ((x, *rest), detector) = target.sevens[0]
+        other = PosePairs.from_sevens([((x + moved, *rest), detector)])
         self.say(TARGET, messages.target_message(self.epoch.at(view), other))
 
     def forged(self):

@@ -24,6 +24,7 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
 from twinct.geometry import Pose, ScanGeometry
+from twinct.geometry.wire import PosePairs
 from twinct.runs import reconstruct, simulate
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario
@@ -112,14 +113,20 @@ def turned(view: ScanGeometry, degrees: float) -> ScanGeometry:
     return Pose.from_euler((0, 0, 0), (0, 0, degrees)) @ view
 
 
+def posed(views: ScanGeometry, specimen: Pose) -> PosePairs:
+    """Return the poses of views at which the specimen stands still."""
+    return replace(PosePairs.from_geometry(views), object=(specimen,) * len(views))
+
+
 def take(builder: SimulationBuilder) -> NDArray[np.float32]:
     """Return the image of the middle view, with all effects of the scenario."""
     view = builder.commanded[1]
     pose = builder.specimen.world_from_specimen
     samples = builder.scenario.source.motion_samples
     shares = (np.arange(samples) + 0.5) / samples - 0.5
-    path = [(turned(view, TURN_DEG * share), pose) for share in shares]
-    before = (turned(view, -2 * TURN_DEG), pose) if builder.scenario.detector.lag else None
+    turns = [turned(view, TURN_DEG * share) for share in shares]
+    path = posed(ScanGeometry.joined(turns), pose)
+    before = posed(turned(view, -2 * TURN_DEG), pose) if builder.scenario.detector.lag else None
     with builder.imager() as imager:
         return imager.expose(path, 1, before)
 

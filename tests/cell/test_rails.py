@@ -138,8 +138,8 @@ def test_a_path_along_the_patient_is_planned_and_run_with_rails_only() -> None:
     for view, target in enumerate(builder.targets):
         reached = robots.move(view, target)
         there = reached.executed
-        assert there.source.distance_mm(target.source) <= 1.0
-        assert there.detector.distance_mm(target.detector) <= 1.0
+        assert there.source[0].distance_mm(target.source[0]) <= 1.0
+        assert there.detector[0].distance_mm(target.detector[0]) <= 1.0
     still = SimulationBuilder(load_scenario({**BASE, "cell": {"table": table}}))
     with pytest.raises(TrajectoryError):
         _ = still.plan

@@ -118,8 +118,8 @@ def test_a_full_circle_is_planned_and_run_with_turntables_only() -> None:
     robots = builder.robots()
     for view, target in enumerate(builder.targets):
         there = robots.move(view, target).executed
-        assert there.source.distance_mm(target.source) <= 1.0
-        assert there.detector.distance_mm(target.detector) <= 1.0
+        assert there.source[0].distance_mm(target.source[0]) <= 1.0
+        assert there.detector[0].distance_mm(target.detector[0]) <= 1.0
     still = {f"cell.{side}_arm.turntable": None for side in ("source", "detector")}
     with pytest.raises(TrajectoryError, match="out of reach"):
         _ = SimulationBuilder(load_scenario(SCENARIO, few | still)).plan

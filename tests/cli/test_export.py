@@ -19,7 +19,7 @@ import SimpleITK
 from twinct.cli import run_command
 from twinct.exchange import formats
 from twinct.geometry import Pose, VolumeGrid
-from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.recon.volume import Volume
 from twinct.runs import line_integrals
 from twinct.scan import ScanStore
@@ -52,10 +52,8 @@ def scan_in(folder: Path, scenario: Scenario, commanded: PosePairs, views: int) 
     for index in range(views):
         rng = np.random.default_rng(index)
         image = rng.uniform(0.1, 1.0, (5, 7)).astype(np.float32)
-        executed = shifted(commanded[index], rng)
-        source, detector = (to_seven(pose) for pose in executed)
         reached = Reached(
-            executed=Instant(source, to_seven(Pose.identity()), detector),
+            executed=PosePairs.at(*shifted(commanded[index], rng), Pose.identity()),
             joint_names=store.joint_names,
             position=np.zeros(1),
             velocity=np.zeros(1),

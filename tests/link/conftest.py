@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 from waiting import HANG_S, Patience, until
 
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.link.environment import Domain, middleware_settings
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
@@ -55,7 +55,7 @@ def short() -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def targets(scenario: Scenario) -> list[Target]:
+def targets(scenario: Scenario) -> list[PosePairs]:
     return SimulationBuilder(scenario).targets
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from twinct.core.errors import MotionError
-from twinct.geometry.wire import Instant, JointSample, Reached, Target
+from twinct.geometry.wire import JointSample, PosePairs, Reached
 
 STATE = 5
 REFUSED_X_M = 9.0
@@ -17,6 +17,7 @@ REFUSED_X_M = 9.0
 
 
 AT_HOME_M = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+SPECIMEN_M = (0.0, 0.0, 1 / 3, 0.0, 0.0, 0.0, 1.0)
 
 
 class FakeRobots:
@@ -35,20 +36,18 @@ class FakeRobots:
         self.moves = int(state[0])
 
     def move(self, view, target):
-        if target.source_m[0] > REFUSED_X_M or _told("short_arm"):
+        ((source, detector),) = target.sevens
+        if source[0] > REFUSED_X_M or _told("short_arm"):
             raise MotionError("the source arm is too short", ["source"])
-        _note("move", target.source_m)
+        _note("move", source)
         self.moves += 1
         joints = np.arange(4) / 3 + self.moves
         if self.on_joints is not None:
             under_way = joints - 0.5, joints / 5, joints / 9
             self.on_joints(JointSample(self.moves / 3 - 0.1, self.joint_names, *under_way))
+        source = (source[0] + self.moves * 1e-4 / 3, *source[1:])
         return Reached(
-            executed=Instant(
-                source_m=(target.source_m[0] + self.moves * 1e-4 / 3, *target.source_m[1:]),
-                object_m=(0.0, 0.0, 1 / 3, 0.0, 0.0, 0.0, 1.0),
-                detector_m=target.detector_m,
-            ),
+            executed=PosePairs.from_sevens([(source, SPECIMEN_M, detector)]),
             joint_names=self.joint_names,
             position=joints,
             velocity=joints / 7,
@@ -62,7 +61,7 @@ class FakeRobots:
     def home(self):
         if _told("short_arm"):
             raise MotionError("the source arm is too short", ["source"])
-        return self.move(None, Target(AT_HOME_M, AT_HOME_M))
+        return self.move(None, PosePairs.from_sevens([(AT_HOME_M, AT_HOME_M)]))
 
     def close(self):
         pass
@@ -75,10 +74,11 @@ class FakeImager:
         self.shape = detector.rows, detector.columns
 
     def expose(self, path, view=0, before=None, *, time_s=0.0):
-        geometry, world_from_object = path[0]
-        _note("render", geometry.source[0].tolist())
+        source, detector = path[0]
+        _note("render", source.position.tolist())
         _wait_at_gate(view)
-        poses = (geometry.source, geometry.detector, geometry.u, world_from_object.position)
+        axes = detector.rotation[:, 0]
+        poses = (source.position, detector.position, axes, path.object[0].position)
         scale = sum(float(numbers.sum()) for numbers in poses)
         pixels = np.arange(np.prod(self.shape), dtype=np.float64) * scale
         image = pixels.astype(np.float32).reshape(self.shape)

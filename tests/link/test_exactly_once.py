@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from waiting import HANG_S, until
 
 from twinct.core.errors import LinkError, TargetRefusedError
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.link import RosRig
 from twinct.link.messages import diagnostic_values, executed_of, image_of, target_message
 from twinct.link.node import Ledger, RefusedError
@@ -48,7 +48,12 @@ def views_of(messages):
 
 
 def elsewhere(target):
-    return Target((target.source_m[0] + 1e-9, *target.source_m[1:]), target.detector_m)
+    return with_x(target, target.source[0].seven[0] + 1e-9)
+
+
+def with_x(target, x_m):
+    ((source, detector),) = target.sevens
+    return PosePairs.from_sevens([((x_m, *source[1:]), detector)])
 
 
 def home(somebody):
@@ -206,7 +211,7 @@ def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets):
     assert [message.source for message in told(disturbed.views)] == [f"view {v}" for v in views]
     for messages in (*map(told, each), told(disturbed.joints)[1::2]):
         assert [Stamp.of(message.header.stamp) for message in messages] == expected
-    assert executed_of(told(disturbed.reached)[0]).view == first.executed
+    assert executed_of(told(disturbed.reached)[0]) == first.executed
     assert disturbed.worked_once
 
 
@@ -315,7 +320,7 @@ def test_a_foreign_node_drives_the_standalone_nodes(
         message = target_message(stamp, target)
         somebody.ask(lambda message=message: out.publish(message), answered)
         assert views_of(views)[stamp] == taken(view + 1) and views[-1].source == "target"
-    far = Target((fakes.REFUSED_X_M + 1, *targets[0].source_m[1:]), targets[0].detector_m)
+    far = with_x(targets[0], fakes.REFUSED_X_M + 1)
     refused = target_message(Stamp(6, 0), far)
     somebody.ask(lambda: out.publish(refused), lambda: errors(diagnostics))
     assert errors(diagnostics)[0]["reason"] == "the source arm is too short"
@@ -364,8 +369,8 @@ def test_the_command_line_starts_the_real_nodes(short, foreign, domain, node):
     somebody.until(out.get_subscription_count)
     message = target_message(Stamp(5, 0), targets[0])
     somebody.ask(lambda: out.publish(message), lambda: reached and images)
-    source = executed_of(reached[0]).view.source_m[:3]
-    asked = targets[0].source_m[:3]
+    source = executed_of(reached[0]).source[0].seven[:3]
+    asked = targets[0].source[0].seven[:3]
     assert sum((a - b) ** 2 for a, b in zip(source, asked, strict=True)) ** 0.5 < 1.1e-3
     assert image_of(images[0]).min() < 0.9
     for process in nodes:

@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.link.messages import diagnostic_values, executed_of, target_message
 from twinct.link.processes import NodeProcess
 from twinct.link.stamps import Stamp
@@ -109,8 +109,9 @@ def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
     assert set(at_home.name) <= set(joints)
 
     # Sent while the arms move on to the first, the others have their turn after it.
-    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
-    asked = [targets[3], Target.from_poses(away, targets[0].detector), targets[0]]
+    source, detector = targets[0][0]
+    away = Pose(source.position + [0, -1500, 0], source.quat)
+    asked = [targets[3], PosePairs.at(away, detector), targets[0]]
     for second, target in enumerate(asked):
         node.out.publish(target_message(Stamp(5, second), target))
     both = node.reached, node.views  # of two topics either may be heard first
@@ -120,8 +121,8 @@ def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
     assert taken == [Stamp.of(m.header.stamp) for m in node.views]
     assert at_home_s < taken[0].time_s < taken[1].time_s
     for message, target in zip(node.reached, asked[::2], strict=True):
-        assert executed_of(message).view.source.distance_mm(target.source) < 1
-        assert executed_of(message).view.detector.distance_mm(target.detector) < 1
+        for there, wanted in zip(executed_of(message)[0], target[0], strict=True):
+            assert there.distance_mm(wanted) < 1
     [refusal] = node.refusals()
     assert refusal["stamp"] == "5.000000001" and refusal["arm"] == "source"
     assert refusal["reason"].startswith("source arm: out of reach by ")

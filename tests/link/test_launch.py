@@ -99,7 +99,7 @@ def test_frames_are_those_of_robot_description_and_messages(rviz, links):
 
 def _anywhere():
     here = (0.0,) * 6 + (1.0,)
-    return messages.Target(here, here)
+    return messages.PosePairs.from_sevens([(here, here)])
 
 
 def test_the_launch_file_of_a_cell_starts_its_nodes_in_a_namespace(monkeypatch):

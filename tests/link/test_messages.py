@@ -8,7 +8,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Float64MultiArray
 
 from twinct.geometry import Panel, Pose
-from twinct.geometry.wire import Instant, Reached, Target, to_seven
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.link import messages
 from twinct.link.messages import MalformedError
 from twinct.link.stamps import Epoch, Stamp
@@ -26,7 +26,7 @@ def over_the_wire(message):
 def reached(random_pose):
     rng = np.random.default_rng(3)
     return Reached(
-        executed=Instant(*(to_seven(random_pose(rng)) for _ in range(3))),
+        executed=PosePairs.at(*(random_pose(rng) for _ in range(3))),
         joint_names=("source_a", "detector_a", "detector_b"),
         position=rng.normal(size=3),
         velocity=rng.normal(size=3),
@@ -41,7 +41,7 @@ def reached(random_pose):
 def test_target_round_trip(random_pose):
     rng = np.random.default_rng(1)
     for _ in range(20):
-        target = Target.from_poses(random_pose(rng), random_pose(rng))
+        target = PosePairs.at(random_pose(rng), random_pose(rng))
         message = over_the_wire(messages.target_message(STAMP, target))
         assert messages.target_of(message) == target
         assert Stamp.of(message.header.stamp) == STAMP
@@ -196,7 +196,7 @@ def test_camera_info_projects_like_the_geometry(random_geometry):
     ],
 )
 def test_what_is_no_target_is_refused(spoil, reason):
-    message = messages.target_message(STAMP, Target.from_poses(Pose.identity(), Pose.identity()))
+    message = messages.target_message(STAMP, PosePairs.at(Pose.identity(), Pose.identity()))
     spoil(message)
     with pytest.raises(MalformedError, match=reason):
         messages.target_of(message)

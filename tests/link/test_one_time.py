@@ -1,5 +1,6 @@
 """All that a scan tells stands on one axis of time, and what has a stamp is known by it."""
 
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -132,9 +133,7 @@ def xray(scenario, said):
 
 
 def poses_at(stamp, target):
-    at = target.source_m
-    instant = messages.Instant(target.source_m, at, target.detector_m)
-    return messages.reached_message(stamp, messages.Executed(instant))
+    return messages.reached_message(stamp, replace(target, object=target.source))
 
 
 @pytest.mark.parametrize("poses_first", [True, False])

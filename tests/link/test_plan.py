@@ -14,7 +14,7 @@ from waiting import HANG_S
 pytest.importorskip("rclpy")
 
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.link.joint_trajectory import PARTS, PlanListener, plan_messages, plan_of, publish_plan
 from twinct.link.messages import MalformedError
 from twinct.link.node import Diagnostics
@@ -36,7 +36,7 @@ def plan() -> MotionPlan:
         time_s=np.rint(np.cumsum(rng.uniform(0.01, 0.3, 7)) * 1e9) / 1e9,
         state=rng.normal(size=(7, 3, 2)),
         views=np.array([-1, -1, 0, -1, 1, -1, -1]),
-        targets=(Target.from_poses(*poses[:2]), Target.from_poses(*poses[2:])),
+        targets=(PosePairs.at(*poses[:2]), PosePairs.at(*poses[2:])),
         clearance_mm=np.array([12.0, 13.0]),
         nearest=(("a", "b"), ("a", "b")),
     )

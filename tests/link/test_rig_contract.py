@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from twinct.core.errors import LinkError, MotionError
-from twinct.geometry.wire import Reached, Target
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.link import RosRig, ros_rigs
 from twinct.scan import LocalRig, SimulationBuilder, local_rig
 from twinct.scenario import parse_scenario
@@ -81,9 +81,10 @@ def test_contract(make, scenario, targets, fakes, fake_command, notes):
             with pytest.raises(ValueError, match=f"view {view + 1} was not reached"):
                 rig.expose(view + 1)
             views.append((reached, rig.expose(view)))
-        far = (fakes.REFUSED_X_M + 1, *targets[3].source_m[1:])
+        ((source, detector),) = targets[3].sevens
+        far = PosePairs.from_sevens([((fakes.REFUSED_X_M + 1, *source[1:]), detector)])
         with pytest.raises(MotionError):
-            rig.move(3, Target(far, targets[3].detector_m))
+            rig.move(3, far)
         rig.move(3, targets[3])
         notes.tell("short_arm", 1)
         with pytest.raises(MotionError, match="the source arm is too short") as caught:
@@ -101,7 +102,7 @@ def test_contract(make, scenario, targets, fakes, fake_command, notes):
     for view, (reached, image) in enumerate(views):
         assert isinstance(reached, Reached)
         assert image.shape == scenario.detector.panel.shape and image.dtype == np.float32
-        assert reached.executed.source.distance_mm(targets[view].source) > 0, (
+        assert reached.executed.source[0].distance_mm(targets[view].source[0]) > 0, (
             "executed, not commanded"
         )
     images = [image.tobytes() for _, image in views]

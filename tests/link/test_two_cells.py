@@ -112,7 +112,7 @@ def test_each_cell_answers_its_own_targets(
         client.ask(lambda out=out, t=target: out.publish(t), lambda n=name: heard[n]["image"])
     for view, name in enumerate(cells):
         pose = heard[name]["reached"][-1].poses[0].position
-        wanted = builder.targets[view].source_m[:3]
+        wanted = builder.targets[view].source[0].seven[:3]
         assert np.linalg.norm(np.subtract((pose.x, pose.y, pose.z), wanted)) < 0.001
         assert len({bytes(m.data) for m in heard[name]["image"]}) == 1
     topics = {name for name, _ in client.node.get_topic_names_and_types()}

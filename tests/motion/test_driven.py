@@ -7,7 +7,7 @@ import pytest
 
 from twinct.core.errors import NoPathError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion import MotionPlan, RobotSimulation, plan_motion
 from twinct.robots.motion.feasible import Feasible
@@ -29,7 +29,7 @@ def off_home_deg(simulation: RobotSimulation, plan: MotionPlan) -> float:
 
 @pytest.mark.parametrize("scheme", ["planned", "reactive"])
 def test_home_is_reached_at_rest_from_anywhere_and_left_again(
-    cell: CellModel, plan: MotionPlan, targets: list[Target], scheme: str
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs], scheme: str
 ) -> None:
     simulation = RobotSimulation(cell, PLANNED.model_copy(update={"scheme": scheme}), plan)
     seen = []
@@ -44,26 +44,27 @@ def test_home_is_reached_at_rest_from_anywhere_and_left_again(
     timestep = cell.model.opt.timestep
     assert np.allclose(np.diff([away, *seen]), [0, *[timestep] * (len(seen) - 1)], atol=1e-9)
     executed = simulation.move(None, targets[5]).executed
-    assert executed.source.distance_mm(targets[5].source) < 1
+    assert executed.source[0].distance_mm(targets[5].source[0]) < 1
 
 
 def test_what_is_refused_leaves_no_trace(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
-    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
+    source, detector = targets[0][0]
+    away = Pose(source.position + [0, -1500, 0], source.quat)
     states = []
     for refused in (False, True):
         simulation = RobotSimulation(cell, PLANNED, plan)
         simulation.move(None, targets[20])  # still moving
         if refused:
             with pytest.raises(TargetRefusedError, match="^source arm: out of reach by"):
-                simulation.move(None, Target.from_poses(away, targets[0].detector))
+                simulation.move(None, PosePairs.at(away, detector))
         states.append(simulation.move(None, targets[3]).state)
     assert np.array_equal(*states)
 
 
 def test_the_same_target_again_takes_no_way(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     simulation = RobotSimulation(cell, Motion(scheme="planned", trigger="settled"), plan)
     first, again = (simulation.move(None, targets[3]) for _ in range(2))
@@ -72,18 +73,17 @@ def test_the_same_target_again_takes_no_way(
 
 
 def test_a_free_roll_is_chosen_for_a_target_too(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     """Both tools turned by 130 degrees: the wrists follow only where they have to."""
     turn = Pose.exp((0, 0, 0, 0, 0, np.radians(130)))
-    turned = Target.from_poses(targets[0].source @ turn, targets[0].detector @ turn)
+    turned = PosePairs.at(*(pose @ turn for pose in targets[0][0]))
     wrists_deg = {}
     for free in (False, True):
         simulation = RobotSimulation(cell, PLANNED, plan, roll_free=(free, free))
         executed = simulation.move(None, turned).executed
         wrists_deg[free] = np.degrees(np.abs(simulation.joints - plan.home)[[5, 11]])
-        for side in ("source", "detector"):
-            asked, got = getattr(turned, side), getattr(executed, side)
+        for asked, got in zip(turned[0], executed[0], strict=True):
             assert got.distance_mm(asked) < 1
             assert np.degrees(np.arccos(got.rotation[:, 2] @ asked.rotation[:, 2])) < 0.5
             assert (got.angle_deg(asked) > 100) == free
@@ -147,7 +147,7 @@ def test_a_search_ends_by_its_count(
 def test_where_no_way_is_found_one_over_home_is(
     cell: CellModel,
     plan: MotionPlan,
-    targets: list[Target],
+    targets: list[PosePairs],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Wherever a search from elsewhere than home fails."""
@@ -181,7 +181,7 @@ def test_a_start_that_touches_is_named(cell: CellModel, plan: MotionPlan) -> Non
 
 
 def test_a_time_limit_too_short_is_named_before_anything_moves(
-    cell: CellModel, targets: list[Target]
+    cell: CellModel, targets: list[PosePairs]
 ) -> None:
     brief = Motion(scheme="reactive", timeout_s=0.01)
     with pytest.raises(

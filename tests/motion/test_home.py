@@ -7,7 +7,7 @@ import pytest
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.home import home_off
 from twinct.robots.motion.kinematics import Kinematics
@@ -18,21 +18,21 @@ MOTION = Motion(trigger="settled")
 
 
 def test_where_the_beam_is_barred_home_lies_across_it(
-    cell: CellModel, paper_targets: list[Target]
+    cell: CellModel, paper_targets: list[PosePairs]
 ) -> None:
     first = paper_targets[200]
     joints = find_joint_path(cell, MOTION, [first]).joints[-1]
     kinematics = Kinematics(cell, MOTION.ik)
-    beam = first.source.position - first.detector.position
+    beam = first.source[0].position - first.detector[0].position
     beam /= np.linalg.norm(beam)
 
     def across(home: Floats) -> bool:
-        return bool(abs((kinematics.poses(home)[0].position - first.source.position) @ beam) < 1)
+        return bool(abs((kinematics.poses(home)[0].position - first.source[0].position) @ beam) < 1)
 
     usual = home_off(first, joints, kinematics, lambda _: True, 10.5)
     assert not across(usual)
     found = kinematics.poses(home_off(first, joints, kinematics, across, 10.5))
-    for here, there in zip(found, (first.source, first.detector), strict=True):
+    for here, there in zip(found, first[0], strict=True):
         assert here.distance_mm(there) == pytest.approx(40, abs=0.2)
         assert here.angle_deg(there) < 0.1
     with pytest.raises(TrajectoryError, match="along and across"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target, targets_of
+from twinct.geometry.wire import PosePairs, targets_of
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import RobotSimulation, plan_motion
 from twinct.scenario import Cell, Detector, Motion
@@ -30,19 +30,21 @@ def room(*homes: tuple[float, ...] | None) -> CellModel:
 
 
 @pytest.fixture(scope="module")
-def targets() -> list[Target]:
+def targets() -> list[PosePairs]:
     arc = ArcTrajectory(kind="arc", views=3, longitude_range_deg=15)
     return targets_of(commanded_views(arc, Detector().panel))
 
 
 @pytest.mark.parametrize("scheme", ["planned", "reactive"])
-def test_views_are_reached(targets: list[Target], scheme: Literal["planned", "reactive"]) -> None:
+def test_views_are_reached(
+    targets: list[PosePairs], scheme: Literal["planned", "reactive"]
+) -> None:
     cell, motion = room(None, None), Motion(scheme=scheme)
     simulation = RobotSimulation(cell, motion, plan_motion(cell, motion, targets))
     for view, target in enumerate(targets):
         executed = simulation.move(view, target).executed
-        assert executed.source.distance_mm(target.source) < Motion().tolerance_mm
-        assert executed.detector.distance_mm(target.detector) < Motion().tolerance_mm
+        assert executed.source[0].distance_mm(target.source[0]) < Motion().tolerance_mm
+        assert executed.detector[0].distance_mm(target.detector[0]) < Motion().tolerance_mm
         assert simulation.watch.torque_share.max() < 1
         assert simulation.watch.speed_share.max() <= 1
         assert not simulation.watch.contacts
@@ -50,7 +52,7 @@ def test_views_are_reached(targets: list[Target], scheme: Literal["planned", "re
 
 @pytest.mark.parametrize("branch", BRANCHES)
 def test_the_search_begins_at_home(
-    targets: list[Target], branch: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+    targets: list[PosePairs], branch: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("twinct.robots.motion.follow.RESTARTS", 1)
     homes = branch, (*branch[:5], -branch[5])

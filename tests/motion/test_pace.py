@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twinct.core.errors import ScenarioError, TargetRefusedError, TrajectoryError
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel
 from twinct.robots.motion import (
     MotionPlan,
@@ -48,7 +48,7 @@ def trigger_times(
     ],
 )
 def test_every_view_is_taken_and_none_too_soon(
-    cell: CellModel, targets: list[Target], shutter: Shutter, trigger: str
+    cell: CellModel, targets: list[PosePairs], shutter: Shutter, trigger: str
 ) -> None:
     motion = FREE.model_copy(update={"trigger": trigger})
     few = targets[:10]
@@ -62,7 +62,7 @@ def test_every_view_is_taken_and_none_too_soon(
 
 
 def test_a_plan_that_is_too_fast_is_refused_and_says_why_a_view_is_missed(
-    cell: CellModel, targets: list[Target]
+    cell: CellModel, targets: list[PosePairs]
 ) -> None:
     few, shutter = targets[:10], Shutter(exposure_s=0.06, samples=2)
     plan = plan_motion(cell, FREE, few)
@@ -74,7 +74,9 @@ def test_a_plan_that_is_too_fast_is_refused_and_says_why_a_view_is_missed(
             robots.move(view, target)
 
 
-def test_the_reactive_scheme_waits_for_the_detector(cell: CellModel, targets: list[Target]) -> None:
+def test_the_reactive_scheme_waits_for_the_detector(
+    cell: CellModel, targets: list[PosePairs]
+) -> None:
     motion, shutter = Motion(scheme="reactive"), Shutter(frame_s=0.8)
     plan = plan_motion(cell, motion, targets[:3], shutter=shutter)
     assert np.diff(trigger_times(cell, motion, plan, shutter)) == pytest.approx(0.8)
@@ -83,7 +85,7 @@ def test_the_reactive_scheme_waits_for_the_detector(cell: CellModel, targets: li
 
 
 def test_tools_are_slow_enough_for_the_tolerance_at_each_view(
-    cell: CellModel, targets: list[Target]
+    cell: CellModel, targets: list[PosePairs]
 ) -> None:
     tight = FREE.model_copy(update={"tolerance_mm": 0.2})
     plan = plan_motion(cell, tight, targets)
@@ -91,7 +93,7 @@ def test_tools_are_slow_enough_for_the_tolerance_at_each_view(
     assert len(trigger_times(cell, tight, plan, Shutter())) == len(targets)
 
 
-def test_what_limits_the_scan_time_is_named(cell: CellModel, targets: list[Target]) -> None:
+def test_what_limits_the_scan_time_is_named(cell: CellModel, targets: list[PosePairs]) -> None:
     for motion, shutter, key in [
         (FREE, Shutter(frame_s=0.2), "detector.frame_ms = 200"),
         (Motion(tool_speed_mm_s=20), Shutter(), "motion.tool_speed_mm_s = 20"),

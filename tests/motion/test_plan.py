@@ -11,7 +11,7 @@ import trimesh
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target, targets_of
+from twinct.geometry.wire import PosePairs, targets_of
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import Kinematics, MotionPlan, plan_motion
 from twinct.scenario import Cell, Detector, InverseKinematics, Motion
@@ -21,14 +21,13 @@ LARGEST_STEP_RAD = 0.1
 """Views 3 mm apart need joint steps of a few hundredths; a flip would be a radian."""
 
 
-def off(cell: CellModel, joints: np.ndarray, target: Target) -> tuple[float, float]:
+def off(cell: CellModel, joints: np.ndarray, target: PosePairs) -> tuple[float, float]:
     """Largest position and rotation error of both end-effectors, mm and deg, by MuJoCo alone."""
     data = mujoco.MjData(cell.model)
     data.qpos[:] = joints
     mujoco.mj_kinematics(cell.model, data)
     distances, angles = [], []
-    for side in ("source", "detector"):
-        wanted: Pose = getattr(target, side)
+    for side, wanted in zip(("source", "detector"), target[0], strict=True):
         site = cell.model.site(side).id
         here = Pose.from_matrix(data.site_xpos[site] * 1000, data.site_xmat[site].reshape(3, 3))
         distances.append(here.distance_mm(wanted))
@@ -42,7 +41,7 @@ def facing_x(position_mm: tuple[float, float, float]) -> Pose:
 
 
 def test_every_view_is_solved_within_tolerance(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     for joints, target in zip(plan.joints, targets, strict=True):
         distance, angle = off(cell, joints, target)
@@ -60,20 +59,20 @@ def test_path_is_continuous_inside_ranges_and_clear(cell: CellModel, plan: Motio
 
 
 def test_home_lies_off_the_first_view(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     assert off(cell, plan.home, targets[0])[0] > 4
 
 
 def test_planning_again_gives_the_same_bits(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     again = plan_motion(cell, Motion(scheme="planned", tool_speed_mm_s=125), targets)
     assert again.digest == plan.digest
 
 
 def test_fine_tolerances_are_reached(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     ik = InverseKinematics(position_tolerance_mm=0.01, rotation_tolerance_deg=0.01)
     result = Kinematics(cell, ik).solve(plan.joints[3], targets[4])
@@ -87,10 +86,11 @@ def test_fine_tolerances_are_reached(
     "scheme", ["planned", pytest.param("reactive", marks=pytest.mark.tutorial)]
 )
 def test_out_of_reach_names_views_arm_and_distance(
-    cell: CellModel, targets: list[Target], scheme: Literal["planned", "reactive"]
+    cell: CellModel, targets: list[PosePairs], scheme: Literal["planned", "reactive"]
 ) -> None:
-    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
-    bad = Target.from_poses(away, targets[0].detector)
+    source, detector = targets[0][0]
+    away = Pose(source.position + [0, -1500, 0], source.quat)
+    bad = PosePairs.at(away, detector)
     with pytest.raises(TrajectoryError) as caught:
         plan_motion(cell, Motion(scheme=scheme), [targets[0], bad])
     (problem,) = caught.value.problems
@@ -104,10 +104,10 @@ def test_out_of_reach_names_views_arm_and_distance(
     [((-200.0, 0.0, -380.0), "table"), ((-60.0, 0.0, 0.0), "specimen")],
 )
 def test_a_panel_in_table_or_specimen_is_refused(
-    cell: CellModel, targets: list[Target], position_mm: tuple[float, float, float], other: str
+    cell: CellModel, targets: list[PosePairs], position_mm: tuple[float, float, float], other: str
 ) -> None:
     source = Pose.from_matrix((330, 0, 0), np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]]))
-    target = Target.from_poses(source, facing_x(position_mm))
+    target = PosePairs.at(source, facing_x(position_mm))
     with pytest.raises(TrajectoryError) as caught:
         plan_motion(cell, Motion(), [target])
     assert any(
@@ -117,7 +117,7 @@ def test_a_panel_in_table_or_specimen_is_refused(
 
 
 def test_too_little_clearance_is_refused_with_the_number(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     asked = float(plan.clearance_mm.min()) + 30
     kept = asked + 2  # twice the tolerance beside it

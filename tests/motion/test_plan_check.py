@@ -10,7 +10,7 @@ import trimesh
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import MotionPlan, RequestedViews, checked_plan
 from twinct.robots.motion.plan_check import _moving
@@ -19,16 +19,16 @@ from twinct.scenario import Cell, Detector, Motion
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
 
 
-def turned(target: Target, angle_deg: float) -> Target:
+def turned(target: PosePairs, angle_deg: float) -> PosePairs:
     """The panel turned about its normal."""
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
-    detector = target.detector
+    (detector,) = target.detector
     axes = detector.rotation @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    return Target.from_poses(target.source, Pose.from_matrix(detector.position, axes))
+    return PosePairs.at(target.source[0], Pose.from_matrix(detector.position, axes))
 
 
 def test_a_good_plan_is_taken_and_its_clearance_measured_anew(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     boasting = replace(plan, clearance_mm=plan.clearance_mm + 100)
     found = checked_plan(boasting, cell, AS_IN_THE_PAPER, RequestedViews(targets), "p.npz")
@@ -37,7 +37,7 @@ def test_a_good_plan_is_taken_and_its_clearance_measured_anew(
 
 
 def test_roll_and_order_count_where_they_are_not_free(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     rolled = [turned(target, 20) for target in targets]
     with pytest.raises(TrajectoryError, match="p.npz: views 0 to 23: .*poses of the plan differ"):
@@ -52,7 +52,7 @@ def test_roll_and_order_count_where_they_are_not_free(
 
 
 def test_a_plan_of_another_cell_is_refused(
-    head: trimesh.Trimesh, cell: CellModel, plan: MotionPlan, targets: list[Target]
+    head: trimesh.Trimesh, cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     section = cell.cell
     assert isinstance(section, Cell)
@@ -79,7 +79,7 @@ def test_a_plan_of_another_cell_is_refused(
 def test_limits_count(
     cell: CellModel,
     plan: MotionPlan,
-    targets: list[Target],
+    targets: list[PosePairs],
     faster: float,
     motion: Motion,
     said: str,
@@ -100,7 +100,7 @@ def test_rounding_is_no_motion(plan: MotionPlan) -> None:
 
 
 def test_a_joint_outside_its_range_is_named(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     """Two turns more: the poses are the same, but the joint has no such position."""
     state = plan.state.copy()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Pose, ScanGeometry
-from twinct.geometry.wire import Instant, to_seven
+from twinct.geometry.wire import PosePairs
 from twinct.robots.motion import Shutter
 from twinct.robots.motion.kinematics import site_pose
 from twinct.scan import LocalRig, SimulationBuilder
@@ -32,11 +32,11 @@ EDGE_SHARE = 0.02
 
 
 def pose(x, quat=(0, 0, 0, 1.0)):
-    return to_seven(Pose(np.array([x, 0, 0]), np.array(quat)))
+    return Pose(np.array([x, 0, 0]), np.array(quat))
 
 
 def instant(x):
-    return Instant(pose(x), pose(0), pose(-x))
+    return PosePairs.at(pose(x), pose(-x), pose(0))
 
 
 def test_instants_are_the_middles_of_equal_parts():
@@ -44,22 +44,22 @@ def test_instants_are_the_middles_of_equal_parts():
     shutter = Shutter(exposure_s=0.007, samples=4)
     assert shutter.steps(0.002) == 4
     middle, instants = shutter.over(steps, 0.002)
-    found = [1000 * i.source_m[0] for i in instants]
+    found = [source.position[0] for source in instants.source]
     np.testing.assert_allclose(found, np.array([1, 3, 5, 7]) / 8 * 14)
-    assert 1000 * middle.detector_m[0] == pytest.approx(-7)
+    assert middle.detector[0].position[0] == pytest.approx(-7)
 
 
 def test_an_image_that_takes_no_time_takes_no_steps():
     shutter = Shutter(exposure_s=0.5)
     assert shutter.steps(0.002) == 0
-    assert shutter.over([instant(3.0)], 0.002) == (instant(3.0), ())
+    assert shutter.over([instant(3.0)], 0.002) == (instant(3.0), PosePairs())
 
 
 def test_a_moving_edge_is_as_wide_as_the_executed_path_says(figure):
     builder = SimulationBuilder(parse_scenario(SCENARIO))
     panel = builder.scenario.detector.panel
     robots = builder.robots()
-    view = min(range(8, 22), key=lambda i: abs(builder.targets[i].source.position[1]))
+    view = min(range(8, 22), key=lambda i: abs(builder.targets[i].source[0].position[1]))
     for earlier in range(view):
         robots.move(earlier, builder.targets[earlier])
     # The path, noted at every step by another way than the one that makes the image.
@@ -77,7 +77,7 @@ def test_a_moving_edge_is_as_wide_as_the_executed_path_says(figure):
     columns, rows = geometry.project([[80, 0, 0.0]])[:, 0].T
     assert np.ptp(rows) < 5
     with builder.imager() as imager:
-        image = imager.expose([i.placed(panel) for i in reached.path])
+        image = imager.expose(reached.path)
     line = np.abs(np.diff(image[10].astype(float)))
     x = np.arange(len(line)) + 0.5
     weight = line / line.sum()
@@ -93,7 +93,7 @@ def test_a_moving_edge_is_as_wide_as_the_executed_path_says(figure):
 
     assert weight @ x == pytest.approx(centre, abs=0.3)
     # Reconstruction hears of the middle of the exposure.
-    middle = reached.executed.placed(panel)[0]
+    middle = reached.executed.geometry(panel)
     in_the_middle = columns[len(columns) // 2]
     assert middle.project([[80, 0, 0]])[0, 0, 0] == pytest.approx(in_the_middle, abs=0.1)
 

@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from twinct.core.errors import MotionError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import JointSample, Reached, Target, targets_of
+from twinct.geometry.wire import JointSample, PosePairs, Reached, targets_of
 from twinct.robots.cell import CellModel, Clearance, build_cell
 from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter, plan_motion
 from twinct.robots.motion.kinematics import Kinematics, site_pose
@@ -34,17 +34,19 @@ The arms reach 1.3 m; poses are linear between steps on their own account.
 FINE_IK = {"position_tolerance_mm": 0.01, "rotation_tolerance_deg": 0.01}
 
 
-def errors(reached: list[Reached], targets: list[Target], side: str) -> tuple[np.ndarray, ...]:
+def errors(reached: list[Reached], targets: list[PosePairs], side: str) -> tuple[np.ndarray, ...]:
     """Position (mm) and rotation (deg) errors of one end-effector."""
     executed = [r.executed for r in reached]
-    pairs = [(getattr(e, side), getattr(t, side)) for e, t in zip(executed, targets, strict=True)]
+    pairs = [
+        (getattr(e, side)[0], getattr(t, side)[0]) for e, t in zip(executed, targets, strict=True)
+    ]
     return (
         np.array([a.distance_mm(b) for a, b in pairs]),
         np.array([a.angle_deg(b) for a, b in pairs]),
     )
 
 
-def judge_as_table_1(reached: list[Reached], targets: list[Target]) -> None:
+def judge_as_table_1(reached: list[Reached], targets: list[PosePairs]) -> None:
     """The paper's Table 1: 0.87 +- 0.05 and 0.76 +- 0.07 mm, largest 0.23 and 0.41 deg."""
     for side, largest_deg in zip(SIDES, (0.23, 0.41), strict=True):
         position, rotation = errors(reached, targets, side)
@@ -55,7 +57,7 @@ def judge_as_table_1(reached: list[Reached], targets: list[Target]) -> None:
 
 
 def test_on_entry_is_the_papers_table_1(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     reached = []
@@ -70,7 +72,7 @@ def test_on_entry_is_the_papers_table_1(
 
 
 def test_on_entry_is_the_first_step_inside(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     farthest = []
@@ -78,7 +80,7 @@ def test_on_entry_is_the_first_step_inside(
     def note(data: mujoco.MjData) -> None:
         farthest.append(
             max(
-                np.linalg.norm(data.site(side).xpos * 1000 - getattr(targets[0], side).position)
+                np.linalg.norm(data.site(side).xpos * 1000 - getattr(targets[0], side)[0].position)
                 for side in SIDES
             )
         )
@@ -89,7 +91,7 @@ def test_on_entry_is_the_first_step_inside(
     assert farthest[-1] < 1.0
 
 
-def test_settled_is_at_rest_on_the_target(cell: CellModel, targets: list[Target]) -> None:
+def test_settled_is_at_rest_on_the_target(cell: CellModel, targets: list[PosePairs]) -> None:
     motion = Motion.model_validate({"scheme": "planned", "trigger": "settled", "ik": FINE_IK})
     plan = plan_motion(cell, motion, targets[:6])
     simulation = RobotSimulation(cell, motion, plan)
@@ -120,7 +122,7 @@ def test_settled_views_within_the_tolerance_of_each_other_are_each_taken_at_thei
 
 
 def test_clearance_is_the_minimum_over_all_pairs_at_every_step(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     clearance = Clearance(cell)
@@ -132,7 +134,7 @@ def test_clearance_is_the_minimum_over_all_pairs_at_every_step(
 
 
 def test_a_restored_simulation_goes_on_bit_for_bit(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     straight = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     reached = [straight.move(view, target) for view, target in enumerate(targets[:6])]
@@ -148,7 +150,7 @@ def test_a_restored_simulation_goes_on_bit_for_bit(
 
 
 def test_moving_joints_are_told_every_20_ms_and_change_nothing(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     quiet, told = (RobotSimulation(cell, AS_IN_THE_PAPER, plan) for _ in range(2))
     samples: list[JointSample] = []
@@ -168,7 +170,7 @@ def test_moving_joints_are_told_every_20_ms_and_change_nothing(
 
 @pytest.mark.parametrize("exposure_s", [0.0, 0.033])
 def test_joints_are_those_that_hold_the_executed_poses_at_their_time(
-    cell: CellModel, plan: MotionPlan, targets: list[Target], exposure_s: float
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs], exposure_s: float
 ) -> None:
     shutter = Shutter(exposure_s, samples=4) if exposure_s else None
     simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan, shutter)
@@ -181,8 +183,7 @@ def test_joints_are_those_that_hold_the_executed_poses_at_their_time(
         np.testing.assert_allclose(reached.position, between(reached.middle_s), atol=STEP_RAD)
         data.qpos[:] = reached.position
         mujoco.mj_kinematics(cell.model, data)
-        for side, site in zip(SIDES, cell.site_ids, strict=True):
-            held = getattr(reached.executed, side)
+        for held, site in zip(reached.executed[0], cell.site_ids, strict=True):
             assert site_pose(data, site).distance_mm(held) < STEP_RAD * 1000
 
 
@@ -192,13 +193,14 @@ def test_a_state_of_another_cell_is_refused(cell: CellModel, plan: MotionPlan) -
 
 
 def test_out_of_reach_is_refused_and_leaves_all_as_it_was(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     simulation = RobotSimulation(cell, REACTIVE, plan)
     before = simulation.joints
-    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
+    source, detector = targets[0][0]
+    away = Pose(source.position + [0, -1500, 0], source.quat)
     with pytest.raises(TargetRefusedError, match=r"source arm: out of reach by \d+\.\d mm") as no:
-        simulation.move(0, Target.from_poses(away, targets[0].detector))
+        simulation.move(0, PosePairs.at(away, detector))
     assert no.value.arms == ("source",)
     assert np.array_equal(simulation.joints, before)
     assert simulation.time_s == 0
@@ -214,8 +216,8 @@ def test_driven_into_table_or_specimen_the_panel_touches_it(
 ) -> None:
     source = Pose.from_matrix((330, 0, 0), np.array([[0, 0, -1], [-1, 0, 0], [0, 1, 0]]))
     upright = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
-    free = Target.from_poses(source, Pose.from_matrix((-330, 0, 0), upright))
-    inside = Target.from_poses(source, Pose.from_matrix(position_mm, upright))
+    free = PosePairs.at(source, Pose.from_matrix((-330, 0, 0), upright))
+    inside = PosePairs.at(source, Pose.from_matrix(position_mm, upright))
     motion = Motion(scheme="reactive", timeout_s=4, clearance_mm=5)
     plan = plan_motion(cell, motion, [free])
     simulation = RobotSimulation(cell, motion, plan)
@@ -236,7 +238,7 @@ def test_driven_into_table_or_specimen_the_panel_touches_it(
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 def test_half_the_torque_cannot_follow(
-    scale: float, head: trimesh.Trimesh, paper_targets: list[Target]
+    scale: float, head: trimesh.Trimesh, paper_targets: list[PosePairs]
 ) -> None:
     """The rated payload of 12.5 kg at the far end of the path needs more than half the torque."""
     own = {"source_arm": {"tool_mass_kg": 12.5, "torque_scale": scale}, "detector_arm": {}}
@@ -272,7 +274,7 @@ def test_half_the_torque_cannot_follow(
 
 @pytest.mark.slow
 def test_the_whole_path_of_the_paper_as_planned(
-    cell: CellModel, paper_targets: list[Target]
+    cell: CellModel, paper_targets: list[PosePairs]
 ) -> None:
     reached, plan = whole_path(cell, AS_IN_THE_PAPER, paper_targets)
     judge_as_table_1(reached, paper_targets)
@@ -280,7 +282,7 @@ def test_the_whole_path_of_the_paper_as_planned(
 
 
 @pytest.mark.tutorial
-def test_the_whole_path_of_the_paper(cell: CellModel, paper_targets: list[Target]) -> None:
+def test_the_whole_path_of_the_paper(cell: CellModel, paper_targets: list[PosePairs]) -> None:
     """Solved on arrival, as in the paper; its largest rotation of the source, 0.23, is ours not."""
     reached, _ = whole_path(cell, REACTIVE, paper_targets)
     for side, largest_deg in zip(SIDES, (0.26, 0.41), strict=True):
@@ -291,7 +293,7 @@ def test_the_whole_path_of_the_paper(cell: CellModel, paper_targets: list[Target
 
 
 def whole_path(
-    cell: CellModel, motion: Motion, targets: list[Target]
+    cell: CellModel, motion: Motion, targets: list[PosePairs]
 ) -> tuple[list[Reached], MotionPlan]:
     plan = plan_motion(cell, motion, targets)
     simulation = RobotSimulation(cell, motion, plan)
@@ -305,7 +307,7 @@ def whole_path(
 
 
 def test_the_arms_follow_the_plan_and_nothing_else(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     """A plan that is bent between two views: the arms go that way too."""
     bent = plan.state.copy()
@@ -332,7 +334,7 @@ def test_the_arms_follow_the_plan_and_nothing_else(
 
 
 def test_a_view_that_the_plan_passes_at_a_distance_is_missed_by_name(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     moved = replace(plan, state=plan.state + np.array([0.01, 0, 0])[:, None])
     simulation = RobotSimulation(cell, AS_IN_THE_PAPER, moved)
@@ -341,7 +343,7 @@ def test_a_view_that_the_plan_passes_at_a_distance_is_missed_by_name(
 
 
 def test_a_state_of_another_plan_is_refused(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     state = simulation.move(0, targets[0]).state
@@ -351,17 +353,18 @@ def test_a_state_of_another_plan_is_refused(
 
 
 def test_a_target_of_no_plan_is_reached_from_wherever_the_arms_are(
-    cell: CellModel, plan: MotionPlan, targets: list[Target]
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs]
 ) -> None:
     simulation = RobotSimulation(cell, AS_IN_THE_PAPER, plan)
     simulation.move(0, targets[0])  # still moving
     for target in (targets[20], targets[5]):
         executed = simulation.move(None, target).executed
-        assert executed.source.distance_mm(target.source) < 1
-        assert executed.detector.distance_mm(target.detector) < 1
+        assert executed.source[0].distance_mm(target.source[0]) < 1
+        assert executed.detector[0].distance_mm(target.detector[0]) < 1
         assert not simulation.watch.contacts
-    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
+    source, detector = targets[0][0]
+    away = Pose(source.position + [0, -1500, 0], source.quat)
     with pytest.raises(TargetRefusedError, match="source arm: out of reach") as no:
-        simulation.move(None, Target.from_poses(away, targets[0].detector))
+        simulation.move(None, PosePairs.at(away, detector))
     assert no.value.arms == ("source",)
     simulation.move(None, targets[3])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twinct.geometry.wire import Reached, Target
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.robots.cell import CellModel, chains_of
 from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter
 from twinct.scenario import Motion, Uncertainty
@@ -21,12 +21,12 @@ def true_cell(cell: CellModel) -> TrueCell:
     return TrueCell(section, 1, 2, chains_of(cell))
 
 
-def moved(simulation: RobotSimulation, targets: list[Target], views: range) -> list[Reached]:
+def moved(simulation: RobotSimulation, targets: list[PosePairs], views: range) -> list[Reached]:
     return [simulation.move(view, targets[view]) for view in views]
 
 
 def test_the_arms_do_what_they_did_and_are_elsewhere(
-    cell: CellModel, plan: MotionPlan, targets: list[Target], true_cell: TrueCell
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs], true_cell: TrueCell
 ) -> None:
     nominal = RobotSimulation(cell, AS_IN_THE_PAPER, plan, SHUTTER)
     real = RobotSimulation(cell, AS_IN_THE_PAPER, plan, SHUTTER, true_cell=true_cell)
@@ -34,16 +34,16 @@ def test_the_arms_do_what_they_did_and_are_elsewhere(
         *(moved(each, targets, range(3)) for each in (nominal, real)), strict=True
     ):
         np.testing.assert_array_equal(one.state, other.state)
-        assert other.executed.source.distance_mm(one.executed.source) > 0.5
+        assert other.executed.source[0].distance_mm(one.executed.source[0]) > 0.5
         assert other.executed.object != one.executed.object
         # In the middle of the exposure, between its instants.
-        places = [instant.source.position for instant in other.exposure]
-        middle = other.executed.source.position
+        places = [source.position for source in other.exposure.source]
+        middle = other.executed.source[0].position
         np.testing.assert_allclose(np.mean(places, axis=0), middle, atol=0.01)
 
 
 def test_a_scan_goes_on_as_it_was(
-    cell: CellModel, plan: MotionPlan, targets: list[Target], true_cell: TrueCell
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs], true_cell: TrueCell
 ) -> None:
     """Executed poses are a function of the scenario, the view and the simulator's state."""
     first, second = (
@@ -58,7 +58,7 @@ def test_a_scan_goes_on_as_it_was(
 
 
 def test_what_lags_is_where_the_last_view_was_taken(
-    cell: CellModel, plan: MotionPlan, targets: list[Target], true_cell: TrueCell
+    cell: CellModel, plan: MotionPlan, targets: list[PosePairs], true_cell: TrueCell
 ) -> None:
     """With what was drawn for that view, not for this one."""
     shutter = Shutter(remember=True)

@@ -10,7 +10,7 @@ import pytest
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
-from twinct.geometry.wire import Target, targets_of
+from twinct.geometry.wire import PosePairs, places_m, targets_of
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
 from twinct.robots.motion.refusals import sample_of
@@ -20,12 +20,12 @@ from twinct.trajectory import ArcTrajectory, SinusoidTrajectory, commanded_views
 MOTION = Motion(trigger="settled")
 
 
-def targets_on(section: ArcTrajectory | SinusoidTrajectory) -> list[Target]:
+def targets_on(section: ArcTrajectory | SinusoidTrajectory) -> list[PosePairs]:
     return targets_of(commanded_views(section, Detector().panel))
 
 
 def checked(
-    cell: CellModel, way: JointPath, targets: list[Target], motion: Motion = MOTION
+    cell: CellModel, way: JointPath, targets: list[PosePairs], motion: Motion = MOTION
 ) -> JointPath:
     """The way, after MuJoCo has confirmed poses, ranges, and clearance between all knots."""
     data = mujoco.MjData(cell.model)
@@ -35,16 +35,13 @@ def checked(
             continue
         data.qpos[:] = q
         mujoco.mj_kinematics(cell.model, data)
-        for site, pose in zip(
-            cell.site_ids, (way.targets[view].source, way.targets[view].detector), strict=True
-        ):
+        for site, pose in zip(cell.site_ids, way.targets[view][0], strict=True):
             turn = data.site_xmat[site].reshape(3, 3)
             here = Pose.from_matrix(data.site_xpos[site] * 1000, turn)
             assert here.distance_mm(pose) <= motion.ik.position_tolerance_mm + 1e-6
             assert here.angle_deg(pose) <= motion.ik.rotation_tolerance_deg + 1e-6
     for found, asked in zip(way.targets, targets, strict=True):
-        assert np.allclose(found.source_m[:3], asked.source_m[:3], atol=1e-12)
-        assert np.allclose(found.detector_m[:3], asked.detector_m[:3], atol=1e-12)
+        assert np.allclose(places_m(found), places_m(asked), atol=1e-12)
     low, high = cell.joint_ranges.T
     assert (way.joints >= low - 1e-9).all() and (way.joints <= high + 1e-9).all()
     shares = np.linspace(0, 1, 80)[:, None]
@@ -54,7 +51,7 @@ def checked(
     return way
 
 
-def test_the_papers_path_is_one_branch(cell: CellModel, paper_targets: list[Target]) -> None:
+def test_the_papers_path_is_one_branch(cell: CellModel, paper_targets: list[PosePairs]) -> None:
     targets = paper_targets[::8]
     motion = Motion()
     way = checked(cell, find_joint_path(cell, motion, targets), targets, motion)
@@ -85,17 +82,17 @@ def test_a_tour_moves_less_than_a_shuffled_order(cell: CellModel) -> None:
 def test_the_free_roll_is_told_in_the_targets(cell: CellModel) -> None:
     targets = targets_on(ArcTrajectory(kind="arc", views=3, longitude_range_deg=30))
     turned = [
-        Target.from_poses(t.source, _turned(t.detector, angle))
+        PosePairs.at(t.source[0], _turned(t.detector[0], angle))
         for t, angle in zip(targets, (0, 180, 0), strict=True)
     ]
     way = checked(cell, find_joint_path(cell, MOTION, turned, roll_free=(False, True)), turned)
     for found, asked in zip(way.targets, turned, strict=True):
-        assert found.source_m == asked.source_m
-        axes = (found.detector.rotation[:, 2], asked.detector.rotation[:, 2])
+        assert found.source == asked.source
+        axes = (found.detector[0].rotation[:, 2], asked.detector[0].rotation[:, 2])
         np.testing.assert_allclose(*axes, atol=1e-12)
-        angle = found.detector.angle_deg(asked.detector)
+        angle = found.detector[0].angle_deg(asked.detector[0])
         assert abs(angle / 5 - round(angle / 5)) < 1e-6
-    apart = [a.detector.angle_deg(b.detector) for a, b in itertools.pairwise(way.targets)]
+    apart = [a.detector[0].angle_deg(b.detector[0]) for a, b in itertools.pairwise(way.targets)]
     assert max(apart) < 60  # the arc's 15 degrees and some roll, not the 180 asked for
 
 
@@ -103,7 +100,7 @@ def _turned(pose: Pose, degrees: float) -> Pose:
     return pose @ Pose.from_euler((0, 0, 0), (0, 0, degrees))
 
 
-def test_from_where_the_arms_are_to_one_target(cell: CellModel, targets: list[Target]) -> None:
+def test_from_where_the_arms_are_to_one_target(cell: CellModel, targets: list[PosePairs]) -> None:
     start = find_joint_path(cell, MOTION, targets[:2]).joints[0]
     goal = targets_on(ArcTrajectory(kind="arc", views=1, centre_longitude_deg=60))
     way = checked(cell, find_joint_path(cell, MOTION, goal, start=start), goal)
@@ -112,12 +109,13 @@ def test_from_where_the_arms_are_to_one_target(cell: CellModel, targets: list[Ta
 
 
 def test_out_of_reach_and_in_the_table_are_told_with_views(
-    cell: CellModel, targets: list[Target]
+    cell: CellModel, targets: list[PosePairs]
 ) -> None:
-    away = Pose(targets[0].source.position + [0, -1500, 0], targets[0].source.quat)
+    source, detector = targets[0][0]
+    away = Pose(source.position + [0, -1500, 0], source.quat)
     turn = np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
     low = Pose.from_matrix((-200.0, 0.0, -380.0), turn)
-    bad = [targets[0], Target.from_poses(away, low)]
+    bad = [targets[0], PosePairs.at(away, low)]
     with pytest.raises(TrajectoryError) as caught:
         find_joint_path(cell, MOTION, bad)
     reach, table = list(caught.value.problems)
@@ -131,10 +129,10 @@ def test_arms_in_each_others_way_are_told(cell: CellModel) -> None:
     source = Pose.from_matrix((100.0, 300.0, 200.0), turn)
     panel = Pose.from_matrix((80.0, 300.0, 200.0), np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]]))
     with pytest.raises(TrajectoryError, match="view 0: .*(overlap|come within)"):
-        find_joint_path(cell, MOTION, [Target.from_poses(source, panel)])
+        find_joint_path(cell, MOTION, [PosePairs.at(source, panel)])
 
 
-def test_a_start_that_overlaps_is_refused(cell: CellModel, targets: list[Target]) -> None:
+def test_a_start_that_overlaps_is_refused(cell: CellModel, targets: list[PosePairs]) -> None:
     folded = np.zeros(12)
     folded[[2, 8]] = 3.1
     with pytest.raises(TrajectoryError, match="start: .* overlap by"):

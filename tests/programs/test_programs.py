@@ -46,7 +46,7 @@ def test_every_program_has_the_times_and_poses_of_its_views(plan: MotionPlan) ->
         assert [int(row["view"]) for row in rows] == list(range(8))
         assert [float(row["time_s"]) for row in rows] == plan.exposures_s.tolist()
         poses = [[float(value) for value in list(row.values())[2:]] for row in rows]
-        assert poses == [[*t.source_m, *t.detector_m] for t in plan.targets]
+        assert poses == [[n for pose in t[0] for n in pose.seven] for t in plan.targets]
 
 
 def test_a_joint_trajectory_holds_the_plan_to_the_last_bit(plan: MotionPlan) -> None:

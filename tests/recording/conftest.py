@@ -30,8 +30,7 @@ class TinyImager:
 
     def expose(self, path, view=0, before=None, *, time_s=0.0):
         del before
-        geometry, _ = path[-1]
-        seed = np.abs(geometry.source[0].view(np.int64)).tolist()
+        seed = np.abs(path.source[-1].position.view(np.int64)).tolist()
         noise = np.random.default_rng([view, *seed])
         return noise.random((24, 32), dtype=np.float32)
 

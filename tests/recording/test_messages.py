@@ -1,13 +1,14 @@
 """What is recorded over the local link is, field by field, what the ROS 2 link says."""
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 
 from twinct.geometry import Panel, Pose
-from twinct.geometry.wire import Instant, Reached, Target, to_seven
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.link import messages as ros
 from twinct.link import plain, topics
 from twinct.link.joint_trajectory import plan_messages
@@ -44,7 +45,8 @@ def rng():
 
 @pytest.fixture
 def instants(rng, random_pose):
-    return [Instant(*(to_seven(random_pose(rng)) for _ in range(3))) for _ in range(4)]
+    drawn = [[random_pose(rng) for _ in range(3)] for _ in range(4)]
+    return [PosePairs.at(source, panel, specimen) for source, specimen, panel in drawn]
 
 
 @pytest.fixture
@@ -58,7 +60,7 @@ def reached(rng, instants):
         state=np.concatenate([rng.normal(size=40), [np.nextafter(0, 1), -0.0, 1e308]]),
         time_s=1 / 3,
         clearance_mm=float(np.nextafter(10, 11)),
-        exposure=tuple(instants[1:3]),
+        exposure=PosePairs.joined(instants[1:3]),
         before=instants[3],
         since_middle_s=1 / 7,
     )
@@ -81,7 +83,7 @@ def same(tmp_path):
 
 
 def test_what_a_view_says(same, reached):
-    target = Target(reached.executed.source_m, reached.executed.detector_m)
+    target = replace(reached.executed, object=())
     same(topics.TARGET, plain.targets(STAMP, [target]), ros.target_message(STAMP, target))
     executed = ros.reached_message(STAMP, ros.executed(reached))
     same(topics.REACHED, plain.reached(STAMP, reached), executed)
@@ -113,7 +115,7 @@ def test_the_plan(same, rng):
         time_s=np.rint(np.cumsum(rng.uniform(0.01, 0.3, 7)) * 1e9) / 1e9,
         state=rng.normal(size=(7, 3, 2)),
         views=np.array([-1, -1, 0, -1, 1, -1, -1]),
-        targets=(Target.from_poses(pose, pose),) * 2,
+        targets=(PosePairs.at(pose, pose),) * 2,
         clearance_mm=np.array([12.0, 13.0]),
         nearest=(("a", "b"), ("a", "b")),
     )

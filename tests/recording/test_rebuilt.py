@@ -77,10 +77,10 @@ def test_an_import_that_is_cut_short_leaves_nothing_and_can_be_repeated(
 ):
     out, write = tmp_path / "out", ScanStore.write
 
-    def interrupted(store, index, view):
+    def interrupted(store, index, *view):
         if index == 2:
             raise KeyboardInterrupt
-        write(store, index, view)
+        write(store, index, *view)
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(ScanStore, "write", interrupted)

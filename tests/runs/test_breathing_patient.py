@@ -13,6 +13,7 @@ import pytest
 from twinct import run
 from twinct.core.errors import InputError, ScenarioError
 from twinct.geometry import Pose
+from twinct.geometry.wire import PosePairs
 from twinct.runs import reconstruct, simulate
 from twinct.runs.known_motion import deformations, moving_voxels, views_that_count
 from twinct.runs.reporting import evaluate
@@ -51,11 +52,11 @@ def test_each_view_sees_its_own_time_and_each_instant_of_an_exposure_too(scan: S
     motion, pose = builder.specimen.motion, builder.specimen.world_from_specimen
     assert motion is not None
     with builder.imager() as imager:
-        view = builder.commanded[0]
-        still = imager.expose([(view, pose)], time_s=0.0)
-        parts = [imager.expose([(view, pose)], time_s=t).astype(float) for t in (0.95, 1.05)]
-        blurred = imager.expose([(view, pose)] * 2, time_s=1.0)
-        assert np.array_equal(still, imager.expose([(view, pose)], time_s=0.0))
+        view = replace(builder.targets[0], object=(pose,))
+        still = imager.expose(view, time_s=0.0)
+        parts = [imager.expose(view, time_s=t).astype(float) for t in (0.95, 1.05)]
+        blurred = imager.expose(PosePairs.joined([view] * 2), time_s=1.0)
+        assert np.array_equal(still, imager.expose(view, time_s=0.0))
     assert np.abs(parts[0] - still).max() > 0.02
     assert np.abs(parts[1] - parts[0]).max() > 1e-4
     assert blurred == pytest.approx((parts[0] + parts[1]) / 2, abs=1e-6)
@@ -71,7 +72,8 @@ def test_a_moved_body_is_that_of_a_specimen_that_stands_in_this_state(scan: Scan
     breath = built.motion.at(float(scan.middle_s[5]))
     stands = SimulationBuilder(small(), given_specimen=built.at(breath))
     with stands.imager() as imager:
-        image = imager.expose([(builder.commanded[5], built.world_from_specimen)], 5)
+        view = replace(builder.targets[5], object=(built.world_from_specimen,))
+        image = imager.expose(view, 5)
     assert np.array_equal(image, scan.transmission[5])
     lung = "lung_right"
     before, after = (

@@ -13,7 +13,7 @@ import pytest
 
 from twinct import run
 from twinct.core.errors import InputError
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.runs import Run, acquire_to_store, findings, rewrite_report
 from twinct.scan import ScanStore, SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario
@@ -53,8 +53,8 @@ def stored(path: Path) -> dict[str, bytes]:
 def test_executed_is_commanded_all_the_way_round(scenario: Scenario, finished: Run) -> None:
     scan = finished.scan
     for view in range(VIEWS):
-        target = Target.from_poses(*scan.commanded[view])
-        assert scan.executed[view] == scan.believed[view] == (target.source, target.detector)
+        target = PosePairs.at(*scan.commanded[view])
+        assert scan.executed[view] == scan.believed[view] == target[0]
     x, y, _ = np.array([pose.position for pose in scan.executed.source]).T
     steps = np.diff(np.unwrap(np.arctan2(y, x)))
     np.testing.assert_allclose(steps, 2 * np.pi / VIEWS, atol=1e-12)

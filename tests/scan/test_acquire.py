@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from twinct.geometry.wire import Instant, PosePairs, Reached, Target
+from twinct.geometry import Pose
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.scan import Scan, acquire
 from twinct.scenario import parse_scenario
 
@@ -12,10 +15,10 @@ from twinct.scenario import parse_scenario
 class Still:
     """A rig whose arms are where they were told, and whose images are black."""
 
-    def move(self, view: int, target: Target) -> Reached:
+    def move(self, view: int, target: PosePairs) -> Reached:
         nothing = np.zeros(1)
         return Reached(
-            Instant(target.source_m, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), target.detector_m),
+            replace(target, object=(Pose.identity(),)),
             ("source_a",),
             *(nothing, nothing, nothing, nothing),
             time_s=view,
@@ -38,10 +41,11 @@ def believed(seed: int, of_noise: int | None) -> list[tuple[float, ...]]:
             "uncertainty": {"seed": of_noise},
         }
     )
-    target = Target((0.3, 0, 0, 0, 0, 0, 1), (-0.3, 0, 0, 0, 0, 0, 1))
+    turn = Pose.identity().quat
+    target = PosePairs.at(*(Pose(np.array([x_mm, 0, 0]), turn) for x_mm in (300, -300)))
     views: list[tuple[np.ndarray, Reached]] = []
     acquire(Still(), [target] * 2, lambda _, *view: views.append(view))
-    poses = PosePairs((target.source,) * 2, (target.detector,) * 2)
+    poses = PosePairs.joined([target] * 2)
     scan = Scan.from_views(scenario, poses, *zip(*views, strict=True))
     return [tuple(pose.position) for view in range(2) for pose in scan.believed[view]]
 

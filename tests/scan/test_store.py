@@ -18,7 +18,7 @@ import zarr
 
 from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
-from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.scan import ScanStore, check_space, view_damage
 from twinct.scan.checked import CheckedStore
 from twinct.scenario import Scenario, load_scenario
@@ -48,8 +48,9 @@ def view(index: int, *, instants: bool = False) -> tuple[np.ndarray, Reached]:
     def pose(z_mm: float = 0.0) -> Pose:
         return Pose.from_euler(rng.normal(size=3) + (0, 0, z_mm), rng.uniform(-40, 40, 3))
 
-    def instant() -> Instant:  # the source before the panel
-        return Instant(to_seven(pose(500.0)), to_seven(pose()), to_seven(pose()))
+    def instant() -> PosePairs:  # the source before the panel
+        source, specimen, panel = pose(500.0), pose(), pose()
+        return PosePairs.at(source, panel, specimen)
 
     reached = Reached(
         executed=instant(),
@@ -60,7 +61,7 @@ def view(index: int, *, instants: bool = False) -> tuple[np.ndarray, Reached]:
         state=rng.random(9),
         time_s=index,
         clearance_mm=1.5,
-        exposure=(instant(), instant()) if instants else (),
+        exposure=PosePairs.joined([instant(), instant()] if instants else []),
     )
     return rng.random((5, 7), dtype=np.float32), reached
 
@@ -96,11 +97,11 @@ def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> Non
         image, reached = view(index)
         np.testing.assert_array_equal(scan.transmission[index], image)
         executed = reached.executed
-        assert scan.executed[index] == (executed.source, executed.detector)
+        assert scan.executed[index] == executed[0]
         uncertainty, seed = scenario.uncertainty, scenario.believed_seed
-        drawn = believed_poses(executed.source, executed.detector, uncertainty, seed, index)
+        drawn = believed_poses(*executed[0], uncertainty, seed, index)
         assert scan.believed[index] == drawn
-        assert scan.executed_object[index] == executed.object
+        assert scan.executed_object[index] == executed.object[0]
         assert scan.commanded[index] == commanded[index]
         np.testing.assert_array_equal(scan.joints[index], reached.position)
     assert scan.scenario == scenario
@@ -147,7 +148,7 @@ def test_foreign_readers_find_the_contract(tmp_path, scenario, commanded) -> Non
         axes = np.cross(group[f"{which}/u"][:], group[f"{which}/v"][:])
         np.testing.assert_allclose(np.linalg.norm(axes, axis=1), 1)
     for name, index in (("source", 2), ("object", 1)):
-        written = getattr(view(index)[1].executed, name)
+        (written,) = getattr(view(index)[1].executed, name)
         np.testing.assert_array_equal(group[f"executed/{name}"][index], written.position)
     assert group.attrs["pixel_pitch_mm"] == [2.0, 2.0]
 

@@ -12,7 +12,7 @@ from twinct.calibration.arm_calibration import arm_prior, view_covariance
 from twinct.core.error_terms import ErrorSettings, ErrorTerm, Spread, ToolMotion, size
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose
-from twinct.geometry.wire import Instant, to_seven
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, chains_of
 from twinct.scenario import Uncertainty, ViewErrors
 from twinct.uncertainty import TrueCell
@@ -80,14 +80,14 @@ def test_the_first_draw_is_the_scan(
 ) -> None:
     only(SPREADS[name])
     [(_, drawn)] = draw(SECTION, scan, 2, 1, 2)
-    true, still = TrueCell(SECTION, 1, 2, chains_of(cell)), to_seven(Pose.identity())
+    true, still = TrueCell(SECTION, 1, 2, chains_of(cell)), Pose.identity()
     for view in range(VIEWS):
-        at = [to_seven(Pose.from_matrix(m[:3, 3], m[:3, :3])) for m in scan.poses[:, view]]
+        at = [Pose.from_matrix(m[:3, 3], m[:3, :3]) for m in scan.poses[:, view]]
         joints, speeds = (
             np.concatenate([own[view] for own in of]) for of in (scan.joints, scan.speeds)
         )
-        real = true.at(Instant(at[0], still, at[1]), view, float(view), joints, speeds)
-        for side, pose in enumerate((real.source, real.detector)):
+        real = true.at(PosePairs.at(*at, still), view, float(view), joints, speeds)
+        for side, pose in enumerate(real[0]):
             np.testing.assert_allclose(pose.matrix, drawn.true[side, 0, view], atol=1e-9)
 
 

@@ -9,7 +9,7 @@ import pytest
 from drawn_arms import deviations
 
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import Instant, PosePairs, to_seven
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, chains_of
 from twinct.scan.encoder_model import relative_to_specimen
 from twinct.scenario import ArmErrors, Uncertainty
@@ -24,12 +24,12 @@ def joints(cell: CellModel) -> Floats:
     return np.random.default_rng(1).uniform(-2, 2, (6, len(cell.joint_names)))
 
 
-def told(cell: CellModel, joints: Floats) -> Instant:
+def told(cell: CellModel, joints: Floats) -> PosePairs:
     poses = []
     for chain, part in zip(chains_of(cell), cell.arm_joints, strict=True):
         matrix = chain.tools(joints[part])
-        poses.append(to_seven(Pose.from_matrix(matrix[:3, 3], matrix[:3, :3])))
-    return Instant(poses[0], to_seven(STANDS), poses[1])
+        poses.append(Pose.from_matrix(matrix[:3, 3], matrix[:3, :3]))
+    return PosePairs.at(*poses, STANDS)
 
 
 def true_cell(cell: CellModel, **section: Any) -> TrueCell:
@@ -40,7 +40,7 @@ def true_cell(cell: CellModel, **section: Any) -> TrueCell:
 
 def at(
     true: TrueCell, cell: CellModel, joints: Floats, view: int = 0, time_s: float = 0.0
-) -> Instant:
+) -> PosePairs:
     return true.at(told(cell, joints), view, time_s, joints, np.zeros(len(joints)))
 
 
@@ -54,7 +54,9 @@ def test_a_tool_is_mounted_elsewhere_the_same_in_all_views(cell: CellModel, join
     true = true_cell(cell, arms={"tool_mm": 0.5, "tool_deg": 0.1})
     for side in ("source", "detector"):
         off = [
-            (getattr(told(cell, q), side).inverse() @ getattr(at(true, cell, q, v), side)).log()
+            (
+                getattr(told(cell, q), side)[0].inverse() @ getattr(at(true, cell, q, v), side)[0]
+            ).log()
             for v, q in enumerate(joints)
         ]
         np.testing.assert_allclose(off, np.broadcast_to(off[0], (len(joints), 6)), atol=1e-9)
@@ -64,7 +66,7 @@ def test_a_tool_is_mounted_elsewhere_the_same_in_all_views(cell: CellModel, join
 def test_a_base_is_elsewhere_the_same_in_all_views(cell: CellModel, joints: Floats) -> None:
     true = true_cell(cell, arms={"base_mm": 0.5, "base_deg": 0.1})
     off = [
-        (at(true, cell, q, v).source @ told(cell, q).source.inverse()).log()
+        (at(true, cell, q, v).source[0] @ told(cell, q).source[0].inverse()).log()
         for v, q in enumerate(joints)
     ]
     np.testing.assert_allclose(off, np.broadcast_to(off[0], (len(joints), 6)), atol=1e-8)
@@ -76,12 +78,12 @@ def test_gravity_lowers_a_stretched_arm_by_its_torques(cell: CellModel) -> None:
     true = true_cell(cell, arms={"windup_deg": 0.2})
     chain = chains_of(cell)[0]
     stretched = np.zeros(len(cell.joint_names))
-    tools = [told(cell, stretched).source, at(true, cell, stretched).source]
+    tools = [told(cell, stretched).source[0], at(true, cell, stretched).source[0]]
     assert -8.0 < tools[1].position[2] - tools[0].position[2] < -0.5
     torques = chain.gravity_torques(stretched[: len(chain)])
     turned = stretched.copy()
     turned[: len(chain)] += np.radians(0.2) * torques / chain.torque_limits
-    assert told(cell, turned).source.distance_mm(tools[1]) < 1e-9
+    assert told(cell, turned).source[0].distance_mm(tools[1]) < 1e-9
 
 
 def test_an_image_comes_late_by_the_way_of_the_arms(cell: CellModel, joints: Floats) -> None:
@@ -90,7 +92,7 @@ def test_an_image_comes_late_by_the_way_of_the_arms(cell: CellModel, joints: Flo
     found = true.at(told(cell, joints[0]), 0, 0.0, joints[0], speeds)
     later = told(cell, joints[0] + 0.005 * speeds)
     for side in ("source", "detector"):
-        assert getattr(found, side).distance_mm(getattr(later, side)) < 1e-9
+        assert getattr(found, side)[0].distance_mm(getattr(later, side)[0]) < 1e-9
 
 
 def test_a_gear_goes_round_and_arms_warm_up(cell: CellModel, joints: Floats) -> None:
@@ -102,12 +104,12 @@ def test_a_gear_goes_round_and_arms_warm_up(cell: CellModel, joints: Floats) -> 
     turned = joints[0].copy()
     own = joints[0, : len(chain)]
     turned[: len(chain)] += phases[:, 0] * np.cos(2 * own) + phases[:, 1] * np.sin(2 * own)
-    assert at(gear, cell, joints[0]).source.distance_mm(told(cell, turned).source) < 1e-9
+    assert at(gear, cell, joints[0]).source[0].distance_mm(told(cell, turned).source[0]) < 1e-9
     warm = true_cell(cell, arms={"drift_mm": 0.1, "warm_up_min": 10.0})
 
     def missing(minutes: float) -> float:
-        here = at(warm, cell, joints[0], time_s=60 * minutes).source
-        return here.distance_mm(told(cell, joints[0]).source)
+        (here,) = at(warm, cell, joints[0], time_s=60 * minutes).source
+        return here.distance_mm(told(cell, joints[0]).source[0])
 
     assert missing(10) == pytest.approx(missing(0) / np.e, rel=1e-6)
 
@@ -116,8 +118,8 @@ def test_views_differ_each_for_itself(cell: CellModel, joints: Floats) -> None:
     true = true_cell(cell, views={"detector_in_plane_mm": 0.2, "source_mm": 0.1})
     q = joints[0]
     here, still = told(cell, q), np.zeros(len(q))
-    reals = [true.at(here, view, 0.0, q, still).detector for view in range(400)]
-    offs = np.array([(here.detector.inverse() @ real).log() for real in reals])
+    reals = [true.at(here, view, 0.0, q, still).detector[0] for view in range(400)]
+    offs = np.array([(here.detector[0].inverse() @ real).log() for real in reals])
     assert offs[:, :2].std() == pytest.approx(0.2, rel=0.1)  # 800 draws: standard error 2.5 %
     assert np.abs(offs[:, 2:]).max() < 1e-9
     assert true.at(here, None, 0.0, q, still) == here
@@ -130,8 +132,8 @@ def test_a_patient_nods_and_jerks_and_is_followed() -> None:
         Pose.from_euler((300, 0, 0), (0, 90, 0)),
         Pose.from_euler((-300, 0, 0), (0, 0, 0)),
     )
-    here = Instant(to_seven(source), to_seven(STANDS), to_seven(panel))
-    at_s = {t: true.at(here, 0, t).object for t in (0.0, 4.0, 8.0)}
+    here = PosePairs.at(source, panel, STANDS)
+    at_s = {t: true.at(here, 0, t).object[0] for t in (0.0, 4.0, 8.0)}
     assert at_s[0.0].distance_mm(STANDS) < 1e-9
     assert at_s[4.0].angle_deg(STANDS) == pytest.approx(2.0, abs=1e-6)
     # After a whole period it is back, but for the jerk.

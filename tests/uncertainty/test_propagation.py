@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Panel, Pose
-from twinct.geometry.wire import Instant, to_seven
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, build_cell, chains_of
 from twinct.scenario import PRESETS, Cell, Detector, Uncertainty
 from twinct.uncertainty import TrueCell
@@ -146,10 +146,10 @@ def test_the_first_draw_is_the_scan(cell: CellModel, scan: NominalScan) -> None:
         at = [Pose.from_matrix(m[:3, 3], m[:3, :3]) for m in scan.poses[:, view]]
         joints = np.concatenate([own[view] for own in scan.joints])
         speeds = np.concatenate([own[view] for own in scan.speeds])
-        here = Instant(to_seven(at[0]), to_seven(stands), to_seven(at[1]))
+        here = PosePairs.at(*at, stands)
         real = true.at(here, view, float(scan.time_s[view]), joints, speeds)
-        back = stands @ real.object.inverse()
-        for side, pose in enumerate((real.source, real.detector)):
+        back = stands @ real.object[0].inverse()
+        for side, pose in enumerate(real[0]):
             drawn = parts[0][1].true[side, 0, view]
             np.testing.assert_allclose((back @ pose).matrix, drawn, atol=1e-9)
 

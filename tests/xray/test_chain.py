@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 import pytest
+from posed import posed
 from xray_scenes import box, front_view, sphere
 
 from twinct.core.errors import InputError, ScenarioError
@@ -28,6 +29,7 @@ from twinct.xray.photons import free_photons
 
 PANEL = {"columns": 160, "rows": 120, "pixel_pitch_mm": 1.5}
 VIEW = front_view(Detector(**PANEL).panel)
+HERE = posed(VIEW)
 FREE = np.s_[:, :30]
 """Columns that the specimen does not shade."""
 PHOTONS = 4.0e5
@@ -59,7 +61,7 @@ def frame(detector, source=None, view=0, **options):
         commanded=VIEW,
         **options,
     ) as imager:
-        return imager.frame([(VIEW, Pose.identity())], view)
+        return imager.frame(HERE, view)
 
 
 def test_an_ideal_chain_gives_what_gvxr_gives():
@@ -126,13 +128,12 @@ def test_lag_carries_the_noise_of_the_view_before_on(noise, spread):
     """Of (1 - l) s_k + l s_(k-1): deviation sqrt((1 - l)^2 + l^2), correlation l (1 - l) of it."""
     lag = 0.3
     source = Source(photons_per_mm2_mas=PHOTONS, current_ma=2.0, exposure_ms=5.0)
-    here = VIEW, Pose.identity()
 
     def noises(**more):
         """Of views 3 and 4, each as a share of the free beam."""
         detector = Detector(**PANEL, noise=noise, point_spread=spread, **more)
         with Imager(source, detector, skull_of_two(), commanded=VIEW) as imager:
-            frames = [imager.frame([here], view, here) for view in (3, 4)]
+            frames = [imager.frame(HERE, view, HERE) for view in (3, 4)]
         return [(frame.raw / frame.flat)[FREE] - 1 for frame in frames]
 
     alone, then = noises(lag=lag)
@@ -144,10 +145,9 @@ def test_lag_carries_the_noise_of_the_view_before_on(noise, spread):
 
 
 def test_readout_noise_does_not_lag():
-    here = VIEW, Pose.identity()
     detector = Detector(**PANEL, lag=0.3, readout=Readout(electronic_noise=50, bits=None))
     with Imager(Source(), detector, skull_of_two(), commanded=VIEW) as imager:
-        one, other = (imager.frame([here], view, here) for view in (3, 4))
+        one, other = (imager.frame(HERE, view, HERE) for view in (3, 4))
     first, second = ((frame.raw - frame.flat)[FREE] for frame in (one, other))
     assert first.std() == pytest.approx(50, rel=LAG_SHARE)
     assert abs(np.mean(first * second)) < LAG_CORRELATION * 50**2
@@ -239,7 +239,7 @@ def test_the_noise_of_the_one_flat_image_is_in_every_view():
     noise = {"noise": SnrNoise(kind="snr", snr=100), "correction": Correction(flat_frames=1)}
     both = one_after_the_other(VIEW, moved(VIEW, 40))
     with Imager(Source(), Detector(**PANEL, **noise), skull_of_two(), commanded=both) as imager:
-        first, scaled = (imager.frame([(VIEW, Pose.identity())], view).flat for view in (0, 1))
+        first, scaled = (imager.frame(HERE, view).flat for view in (0, 1))
     # Neighbours of the scaled image differ by 1 % of noise, of the scale by 1e-4.
     assert np.abs(np.diff(scaled / first)).max() < 3e-4
 
@@ -318,13 +318,13 @@ def by_mas(detector, mas):
     """Frames of views at one place, of these mAs in units of the source's."""
     source = Source(photons_per_mm2_mas=PHOTONS, current_ma=2.0, exposure_ms=5.0)
     commanded = ScanGeometry.joined([VIEW] * len(mas))
-    here, images = (VIEW, Pose.identity()), []
+    images = []
     loads = np.array(mas) * source.mas
     with Imager(
         source, Detector(**PANEL, **detector), skull_of_two(), commanded=commanded, mas=loads
     ) as imager:
         for view in range(len(mas)):
-            images.append(imager.frame([here], view, here if view else None))
+            images.append(imager.frame(HERE, view, HERE if view else None))
     return images
 
 

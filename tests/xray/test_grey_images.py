@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from posed import posed
 from scipy.spatial.transform import Rotation
 from xray_scenes import box, sphere
 
@@ -133,10 +134,10 @@ def test_whole_chain_takes_grey_parts(tmp_path):
     )
     detector = DETECTOR.model_copy(update={"pixel_samples": 3})
     moved = Pose(np.array([6.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))
-    instants = [(view(), Pose.identity()), (view(), moved)]
+    instants = posed(ScanGeometry.joined([view(), view()]), Pose.identity(), moved)
     with Imager(source, detector, both, engine="mesh") as imager:
         spread = imager.expose(instants)
-        single = [imager.expose([instant]) for instant in instants]
+        single = [imager.expose(instants[k : k + 1]) for k in range(2)]
     np.testing.assert_allclose(spread, np.mean(single, axis=0), atol=2e-6)
     with Imager(Source(energy_kev=70.0), DETECTOR, both, engine="mesh") as imager:
         sharp = imager.expose(instants[:1])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from posed import posed
 from xray_scenes import box
 
 from twinct.core.errors import InputError
@@ -82,7 +83,7 @@ def test_the_free_beam_of_a_spot_off_its_centre_is_one(tmp_path, flat_geometry, 
     far = BuiltPart("ball", material("bone"), box((0, 70, 0), (5, 5, 5)))
     specimen = BuiltSpecimen((far,), Pose.identity())
     with Imager(Source(focal_spot=spot), detector, specimen, commanded=view) as imager:
-        frame = imager.frame([(view, Pose.identity())])
+        frame = imager.frame(posed(view))
     free = np.s_[:, :25]
     np.testing.assert_allclose(frame.transmission[free], 1, atol=2e-6)
     # The gain is set with the same spot.

@@ -27,7 +27,7 @@ from valid_scans import SCANS, make_scans
 
 from twinct import load_scan
 from twinct.core.errors import InputError, TwinctError
-from twinct.geometry.wire import Reached
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.link import messages
 from twinct.link.joint_trajectory import PARTS, PlanListener
 from twinct.link.messages import MalformedError
@@ -189,9 +189,8 @@ def _other_list(rng: random.Random, message: Any, name: str, value: Any) -> str:
 
 
 def _check_reached(reached: Reached, *, arms: bool) -> None:
-    for instant in (reached.executed, *reached.path, *([reached.before] if reached.before else [])):
-        require_finite(*instant)
-        _ = instant.source, instant.object, instant.detector  # raise unless they are poses
+    for poses in (reached.executed, reached.path, reached.before or PosePairs()):
+        require_finite(np.array(poses.sevens))
     require_finite(
         reached.position, reached.velocity, reached.effort, reached.state, reached.time_s
     )
@@ -212,12 +211,12 @@ def _decoded(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
 
     def target(message: Any) -> None:
         found = messages.target_of(message)
-        require_finite(found.source.matrix, found.detector.matrix)
+        require_finite(*(pose.matrix for pose in found[0]))
 
     def executed(message: Any) -> None:
         found = messages.executed_of(message)
-        found.exposure(rng.choice((1, 2, 5)))
-        require_finite(*(instant.object.matrix for instant in (found.view, *found.more)))
+        messages.parts_of(found, rng.choice((1, 2, 5)))
+        require_finite(*(pose.matrix for pose in found.object))
 
     def joints(message: Any) -> None:
         found = messages.joints_of(messages.checked_joints(message, arms=arms))
@@ -317,9 +316,9 @@ def _of_robots(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Ca
         reached = station.out[REACHED.name].sent
         if not reached:
             return _refused(station)
-        answered, asked = messages.executed_of(reached[0]).view, decoded(TARGET, data)
+        answered, asked = messages.executed_of(reached[0]), decoded(TARGET, data)
         expected = [messages.numbers_of(pose) for pose in asked.poses]
-        if [answered.source_m, answered.detector_m] != expected:
+        if [pose.seven for pose in answered[0]] != expected:
             raise AssertionError("it went to another pose")
         return "answered"
 
@@ -346,7 +345,7 @@ def _of_xray(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Call
         station: Any = Station()
         said = Diagnostics(station, lambda _: None)
         scan = (of.epoch, members_in(folder)) if own else (None, None)
-        XRayNode(station, said, FakeImager(), panel, *scan, samples)
+        XRayNode(station, said, FakeImager(panel), panel, *scan, samples)
         for name in (VIEWS, REACHED):
             changed = name == topic
             station.hear(name, data if changed else good[name], sender)

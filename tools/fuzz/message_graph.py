@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
 
 from twinct.core.draws import view_rng
+from twinct.geometry import Panel
+from twinct.geometry.wire import PosePairs
 from twinct.link.senders import Members, Sender
 from twinct.link.topics import (
     DIAGNOSTICS,
@@ -128,15 +130,22 @@ def members_in(folder: Path) -> Members:
 class FakeImager:
     """Imager that checks the poses and returns random images."""
 
+    def __init__(self, panel: Panel) -> None:
+        """Take the panel of the images."""
+        self._shape = panel.shape
+
     def expose(
-        self, path: Sequence[Any], view: int = 0, before: Any = None, *, time_s: float = 0.0
+        self,
+        path: PosePairs,
+        view: int = 0,
+        before: PosePairs | None = None,
+        *,
+        time_s: float = 0.0,
     ) -> NDArray[np.float32]:
         """See ``Imager``."""
-        for geometry, specimen in (*path, *([before] if before else [])):
-            require_finite(
-                geometry.source, geometry.detector, geometry.u, geometry.v, specimen.matrix
-            )
-        return view_rng(0, "noise", view).random(path[0][0].panel.shape, dtype=np.float32)
+        for poses in (path, before or PosePairs()):
+            require_finite(*(pose.matrix for side in vars(poses).values() for pose in side))
+        return view_rng(0, "noise", view).random(self._shape, dtype=np.float32)
 
     def close(self) -> None:
         """See ``Imager``."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twinct.ctsimu.writing import header, material_entry, placed, quantity
 from twinct.geometry import Chain, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.calibrated_arms import CalibratedArms, Change
 from twinct.robots.motion import MotionPlan, save_plan
 
@@ -139,7 +139,7 @@ def write_arms(folder: Path) -> None:
     views = np.array([-1, -1, 0, -1, 1, -1, 2, -1, -1])
     pose = (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)
     names = tuple(f"{side}_joint{k}" for side in ("source", "detector") for k in range(6))
-    targets = tuple(Target(pose, pose) for _ in range(3))
+    targets = (PosePairs.from_sevens([(pose, pose)]),) * 3
     near = (("source_link6", "specimen"),) * 3
     save_plan(
         MotionPlan(names, time_s, state, views, targets, np.full(3, 50.0), near),

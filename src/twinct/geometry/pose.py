@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -59,6 +61,26 @@ class Pose:
     def from_metres(cls, position_m: ArrayLike, quat: ArrayLike) -> Pose:
         """Build from the units of MuJoCo and ROS 2: metres, and a quaternion (x, y, z, w)."""
         return cls(np.asarray(position_m, dtype=np.float64) * MM_PER_M, np.asarray(quat))
+
+    @classmethod
+    def from_seven(cls, numbers: Sequence[float]) -> Pose:
+        """Build from the numbers of a message: metres, and a quaternion (x, y, z, w).
+
+        The pose keeps them: a number times 1000, divided by 1000, may be another number.
+        """
+        pose = cls.from_metres(numbers[:3], numbers[3:])
+        vars(pose)["seven"] = tuple(numbers)
+        return pose
+
+    @cached_property
+    def seven(self) -> tuple[float, ...]:
+        """Numbers of a message: metres, and the quaternion (x, y, z, w)."""
+        position_m, quat = self.to_metres()
+        return (*position_m.tolist(), *quat.tolist())
+
+    def as_sent(self) -> Pose:
+        """Return the pose as the reader of a message has it: through metres and back."""
+        return Pose.from_seven(self.seven)
 
     @classmethod
     def exp(cls, twist: ArrayLike) -> Pose:

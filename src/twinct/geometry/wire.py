@@ -1,95 +1,109 @@
-"""Data that the simulations exchange for one view, in wire form.
+"""Poses of views and instants, and the states of the robots, which the simulations exchange.
 
-MuJoCo and ROS 2 use metres and quaternions. Both links carry these numbers and convert them to
-poses with the same function, so that geometries and images are bit-identical.
+Targets and executed poses are rounded as messages carry them, in metres, over both links. So
+geometries and images are bit-identical.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import overload
+
+import numpy as np
 
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
 
-SevenNumbers = tuple[float, float, float, float, float, float, float]
-"""A pose as (x, y, z) in metres and a quaternion (x, y, z, w)."""
-
-
-def to_seven(pose: Pose) -> SevenNumbers:
-    """Return a pose in wire form."""
-    position_m, quat = pose.to_metres()
-    return (*position_m.tolist(), *quat.tolist())
-
-
-def from_seven(numbers: Sequence[float]) -> Pose:
-    """Return the pose of a wire form."""
-    return Pose.from_metres(numbers[:3], numbers[3:])
-
-
-class _InMm:
-    """Descriptor of a wire-form field as a pose, mm."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __get__(self, of: object, owner: type) -> Pose:
-        return from_seven(getattr(of, self.name))
-
 
 @dataclass(frozen=True)
-class Target:
-    """Commanded poses of the end-effectors.
+class PosePairs:
+    """Poses of source and panel, and of the specimen if known, in views or at instants.
+
+    They are commanded, executed or believed. A target is one view without specimen.
 
     Attributes:
-        source_m: commanded ``world_from_source``.
-        detector_m: commanded ``world_from_detector``.
-        source: ``source_m`` as a pose, mm.
-        detector: ``detector_m`` as a pose, mm.
+        source: ``world_from_source`` of each view.
+        detector: ``world_from_detector`` of each view.
+        object: ``world_from_object`` of the specimen in each view; empty if unknown.
     """
 
-    source_m: SevenNumbers
-    detector_m: SevenNumbers
-    source = _InMm("source_m")
-    detector = _InMm("detector_m")
+    source: tuple[Pose, ...] = ()
+    detector: tuple[Pose, ...] = ()
+    object: tuple[Pose, ...] = ()
+
+    __hash__ = None  # type: ignore[assignment]
 
     @classmethod
-    def from_poses(cls, source: Pose, detector: Pose) -> Target:
-        """Build from two poses."""
-        return cls(to_seven(source), to_seven(detector))
+    def at(cls, source: Pose, detector: Pose, specimen: Pose | None = None) -> PosePairs:
+        """Build one view or instant, with poses as messages carry them."""
+        there = () if specimen is None else (specimen.as_sent(),)
+        return cls((source.as_sent(),), (detector.as_sent(),), there)
 
-
-def targets_of(geometry: ScanGeometry) -> list[Target]:
-    """Return the commanded poses of each view, in wire form."""
-    sides = geometry.source_poses(), geometry.detector_poses()
-    return [Target.from_poses(*pair) for pair in zip(*sides, strict=True)]
-
-
-class Instant(NamedTuple):
-    """Executed poses at one instant, in wire form.
-
-    Attributes:
-        source_m: executed ``world_from_source``.
-        object_m: executed ``world_from_object`` of the specimen.
-        detector_m: executed ``world_from_detector``.
-        source: ``source_m`` as a pose, mm; likewise ``object`` and ``detector``.
-    """
-
-    source_m: SevenNumbers
-    object_m: SevenNumbers
-    detector_m: SevenNumbers
-    source = _InMm("source_m")
-    object = _InMm("object_m")
-    detector = _InMm("detector_m")
-
-    def placed(self, panel: Panel) -> tuple[ScanGeometry, Pose]:
-        """Return the geometry of this single view, and ``world_from_object``.
+    @classmethod
+    def from_sevens(cls, instants: Iterable[Sequence[Sequence[float]]]) -> PosePairs:
+        """Build from the numbers of each instant: source, specimen if known, and panel.
 
         Raises:
             ValueError: the numbers are not valid poses.
         """
-        return ScanGeometry.from_poses([self.source], [self.detector], panel), self.object
+        poses = [[Pose.from_seven(numbers) for numbers in instant] for instant in instants]
+        source, *specimen, detector = zip(*poses, strict=True) if poses else ((), ())
+        return cls(source, detector, *specimen)
+
+    @classmethod
+    def from_geometry(cls, geometry: ScanGeometry) -> PosePairs:
+        """Build from the poses of a geometry."""
+        return cls(tuple(geometry.source_poses()), tuple(geometry.detector_poses()))
+
+    @classmethod
+    def joined(cls, parts: Iterable[PosePairs]) -> PosePairs:
+        """Concatenate the views of several."""
+        parts = list(parts)
+        sides = (tuple(pose for part in parts for pose in getattr(part, side)) for side in _SIDES)
+        return cls(*sides)
+
+    @property
+    def sevens(self) -> list[tuple[tuple[float, ...], ...]]:
+        """Numbers of each instant, as messages carry them: source, specimen if known, and panel."""
+        known = self.source, *([self.object] if self.object else []), self.detector
+        return [tuple(pose.seven for pose in instant) for instant in zip(*known, strict=True)]
+
+    def targets(self) -> list[PosePairs]:
+        """Return each view alone, with poses as messages carry them."""
+        return [PosePairs.at(*self[view]) for view in range(len(self))]
+
+    def geometry(self, panel: Panel) -> ScanGeometry:
+        """Return the scan geometry of these poses."""
+        return ScanGeometry.from_poses(self.source, self.detector, panel)
+
+    def __len__(self) -> int:
+        """Return the number of views."""
+        return len(self.source)
+
+    @overload
+    def __getitem__(self, view: int) -> tuple[Pose, Pose]: ...
+    @overload
+    def __getitem__(self, view: slice) -> PosePairs: ...
+    def __getitem__(self, view: int | slice) -> tuple[Pose, Pose] | PosePairs:
+        """Return (``world_from_source``, ``world_from_detector``) of one view, or some views."""
+        if isinstance(view, slice):
+            return PosePairs(self.source[view], self.detector[view], self.object[view])
+        return self.source[view], self.detector[view]
+
+
+_SIDES = "source", "detector", "object"
+
+
+def places_m(target: PosePairs) -> Floats:
+    """Return the positions of source and panel of one view, (6,), m."""
+    return np.array([number for pose in target[0] for number in pose.seven[:3]])
+
+
+def targets_of(geometry: ScanGeometry) -> list[PosePairs]:
+    """Return the commanded poses of each view, as messages carry them."""
+    return PosePairs.from_geometry(geometry).targets()
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +111,8 @@ class Reached:
     """State of the robot simulation at the step that triggers the image.
 
     Attributes:
-        executed: executed poses. Poses and joints are at the middle of a finite exposure, ``state``
-            and ``time_s`` at its end.
+        executed: executed poses, one instant. Poses and joints are at the middle of a finite
+            exposure, ``state`` and ``time_s`` at its end.
         joint_names: prefixed ``source_`` and ``detector_``, source first.
         position: joint positions, (joints,), rad.
         velocity: joint speeds, (joints,), rad/s.
@@ -113,7 +127,7 @@ class Reached:
         since_middle_s: time from the middle of the exposure to ``time_s``.
     """
 
-    executed: Instant
+    executed: PosePairs
     joint_names: tuple[str, ...]
     position: Floats
     velocity: Floats
@@ -121,8 +135,8 @@ class Reached:
     state: Floats
     time_s: float
     clearance_mm: float
-    exposure: tuple[Instant, ...] = ()
-    before: Instant | None = None
+    exposure: PosePairs = field(default_factory=PosePairs)
+    before: PosePairs | None = None
     since_middle_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -146,9 +160,9 @@ class Reached:
         return "clearance unknown" if unknown else f"clearance {self.clearance_mm:.1f} mm"
 
     @property
-    def path(self) -> tuple[Instant, ...]:
+    def path(self) -> PosePairs:
         """Instants that make up the image, at least one."""
-        return self.exposure or (self.executed,)
+        return self.exposure or self.executed
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,35 +188,9 @@ class JointSample:
         lock(self, "position", "velocity", "effort")
 
 
-@dataclass(frozen=True, eq=False)
-class PosePairs:
-    """Source and detector poses of all views: commanded, executed or believed.
-
-    Attributes:
-        source: ``world_from_source`` of each view.
-        detector: ``world_from_detector`` of each view.
-    """
-
-    source: tuple[Pose, ...]
-    detector: tuple[Pose, ...]
-
-    def __len__(self) -> int:
-        """Return the number of views."""
-        return len(self.source)
-
-    def __getitem__(self, view: int) -> tuple[Pose, Pose]:
-        """Return (``world_from_source``, ``world_from_detector``) of one view."""
-        return self.source[view], self.detector[view]
-
-    def targets(self) -> list[Target]:
-        """Return a target in wire form for each view."""
-        return [Target.from_poses(*self[view]) for view in range(len(self))]
-
-    def geometry(self, panel: Panel) -> ScanGeometry:
-        """Return the scan geometry of these poses."""
-        return ScanGeometry.from_poses(self.source, self.detector, panel)
-
-    @classmethod
-    def from_geometry(cls, geometry: ScanGeometry) -> PosePairs:
-        """Build from the poses of a geometry."""
-        return cls(tuple(geometry.source_poses()), tuple(geometry.detector_poses()))
+def __getattr__(name: str) -> type[PosePairs]:
+    """Return what has another name now, with a warning."""
+    if name not in ("Target", "Instant"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    warnings.warn(f"{__name__}.{name} is now {__name__}.PosePairs", DeprecationWarning, 2)
+    return PosePairs

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twinct.geometry.wire import Instant
+from twinct.geometry.wire import PosePairs
 from twinct.link.made_types import message_type
 from twinct.link.participant import Station
 from twinct.link.plain import transforms
@@ -45,14 +45,14 @@ class Frames:
         still = {name: here[name] for name in self._standing}
         standing.publish(self._message(Stamp(0, 0), None, still))
         self._static = standing
-        self._last: tuple[Stamp, Instant] | None = None
+        self._last: tuple[Stamp, PosePairs] | None = None
 
     @property
     def heard(self) -> bool:
         """True while somebody listens to the links that move."""
         return self._moving.get_subscription_count() > 0
 
-    def tell(self, stamp: Stamp, joints: ArrayLike, instant: Instant) -> None:
+    def tell(self, stamp: Stamp, joints: ArrayLike, instant: PosePairs) -> None:
         """Publish the links that move, source, panel, camera and specimen.
 
         Args:
@@ -68,6 +68,6 @@ class Frames:
         self._moving.publish(self._message(stamp, instant, moving))
 
     def _message(
-        self, stamp: Stamp, instant: Instant | None, links: dict[str, tuple[float, ...]]
+        self, stamp: Stamp, instant: PosePairs | None, links: dict[str, tuple[float, ...]]
     ) -> object:
         return self._kind(**transforms(stamp, instant, links))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import array
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -20,8 +20,9 @@ from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
 from std_msgs.msg import Float64MultiArray
 
 from twinct.core.foreign_text import quoted
+from twinct.geometry import Pose as CtPose
 from twinct.geometry import ScanGeometry
-from twinct.geometry.wire import Instant, JointSample, Reached, SevenNumbers, Target, from_seven
+from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.link import plain
 from twinct.link.plain import Message
 from twinct.link.stamps import Stamp
@@ -64,27 +65,26 @@ def _field(kind: str, value: Any) -> Any:
 _ARRAYS = {"sequence<double>": "d", "sequence<uint8>": "B"}
 
 
-def numbers_of(pose: Pose) -> SevenNumbers:
+def numbers_of(pose: Pose) -> tuple[float, ...]:
     """Return position and quaternion (x, y, z, w)."""
     p, q = pose.position, pose.orientation
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
-def _poses(
-    message: PoseArray, names: tuple[str, ...], *, repeated: bool = False
-) -> tuple[SevenNumbers, ...]:
+def _poses(message: PoseArray, names: tuple[str, ...], *, repeated: bool = False) -> PosePairs:
     if message.header.frame_id not in (plain.WORLD, ""):
         raise MalformedError(f"frame {quoted(message.header.frame_id)}, expected {plain.WORLD!r}")
     count = len(message.poses)
     if count != len(names) and not (repeated and count and count % len(names) == 0):
         raise MalformedError(f"{count} poses, expected {len(names)}: {', '.join(names)}")
-    poses = tuple(map(numbers_of, message.poses))
-    for i, numbers in enumerate(poses):
+    poses: list[CtPose] = []
+    for i, pose in enumerate(message.poses):
         try:
-            from_seven(numbers)
+            poses.append(CtPose.from_seven(numbers_of(pose)))
         except ValueError as error:
             raise MalformedError(f"pose {i}, {names[i % len(names)]}: {error}") from None
-    return poses
+    source, *specimen, detector = (tuple(poses[k :: len(names)]) for k in range(len(names)))
+    return PosePairs(source, detector, *specimen)
 
 
 def _check_numbers(values: Sequence[float], what: str, count: int) -> None:
@@ -94,72 +94,61 @@ def _check_numbers(values: Sequence[float], what: str, count: int) -> None:
         raise MalformedError(f"{what} holds numbers that are not finite")
 
 
-def target_message(stamp: Stamp, target: Target) -> PoseArray:
+def target_message(stamp: Stamp, target: PosePairs) -> PoseArray:
     """Return a ``/scan/target`` message."""
     return ros_message(PoseArray, plain.targets(stamp, [target]))
 
 
-def target_of(message: PoseArray) -> Target:
+def target_of(message: PoseArray) -> PosePairs:
     """Return the target from ``/scan/target``: two poses in the world frame."""
-    return Target(*_poses(message, ("source", "detector")))
+    return _poses(message, ("source", "detector"))
 
 
-def targets_message(stamp: Stamp, targets: Sequence[Target]) -> PoseArray:
+def targets_message(stamp: Stamp, targets: Sequence[PosePairs]) -> PoseArray:
     """Return a ``/scan/commanded`` message: source and detector of each view."""
     return ros_message(PoseArray, plain.targets(stamp, targets))
 
 
-def targets_of(message: PoseArray) -> tuple[Target, ...]:
+def targets_of(message: PoseArray) -> tuple[PosePairs, ...]:
     """Return the targets from ``/scan/commanded``."""
     poses = _poses(message, ("source", "detector"), repeated=True)
-    return tuple(Target(*pair) for pair in zip(poses[::2], poses[1::2], strict=True))
+    return tuple(poses[view : view + 1] for view in range(len(poses)))
 
 
-class Executed(NamedTuple):
-    """Content of ``/scan/reached``: all poses that an image depends on.
+def parts_of(poses: PosePairs, samples: int) -> tuple[PosePairs, PosePairs | None]:
+    """Return the instants of a finite exposure, and the previous view's poses, if any.
 
-    Attributes:
-        view: executed poses in the middle of the exposure.
-        more: instants of a finite exposure, followed, with detector lag, by the previous view's
-            poses.
+    Args:
+        poses: all poses of an image, from ``executed_of``.
+        samples: the scenario's ``source.motion_samples``.
     """
-
-    view: Instant
-    more: tuple[Instant, ...] = ()
-
-    def exposure(self, samples: int) -> tuple[tuple[Instant, ...], Instant | None]:
-        """Return the instants of a finite exposure, and the previous view's poses, if any.
-
-        Args:
-            samples: the scenario's ``source.motion_samples``.
-        """
-        expected = samples if samples > 1 else 0
-        rest = self.more[expected:]
-        if len(self.more) < expected or len(rest) > 1:
-            raise MalformedError(
-                f"{3 + 3 * len(self.more)} poses, expected {3 + 3 * expected}, or three more with "
-                "detector lag: source, object and detector of each instant"
-            )
-        return self.more[:expected], rest[0] if rest else None
+    expected = samples if samples > 1 else 0
+    more, rest = len(poses) - 1, poses[1 + expected :]
+    if more < expected or len(rest) > 1:
+        raise MalformedError(
+            f"{3 + 3 * more} poses, expected {3 + 3 * expected}, or three more with "
+            "detector lag: source, object and detector of each instant"
+        )
+    return poses[1 : 1 + expected], rest or None
 
 
-def executed(reached: Reached) -> Executed:
-    """Return the poses of a reached view."""
-    before = () if reached.before is None else (reached.before,)
-    return Executed(reached.executed, (*reached.exposure, *before))
+def executed(reached: Reached) -> PosePairs:
+    """Return all poses that the image of a reached view depends on.
+
+    The first instant is in the middle of the exposure. The instants of a finite exposure follow,
+    and, with detector lag, the previous view's poses.
+    """
+    return PosePairs.joined([reached.executed, reached.exposure, reached.before or PosePairs()])
 
 
-def reached_message(stamp: Stamp, poses: Executed) -> PoseArray:
-    """Return a ``/scan/reached`` message."""
-    numbers = (pose for instant in (poses.view, *poses.more) for pose in instant)
-    return ros_message(PoseArray, plain.poses(stamp, numbers))
+def reached_message(stamp: Stamp, poses: PosePairs) -> PoseArray:
+    """Return a ``/scan/reached`` message of the poses of ``executed``."""
+    return ros_message(PoseArray, plain.poses(stamp, [poses]))
 
 
-def executed_of(message: PoseArray) -> Executed:
+def executed_of(message: PoseArray) -> PosePairs:
     """Return the poses from ``/scan/reached``: a multiple of three, in the world frame."""
-    poses = _poses(message, Instant._fields, repeated=True)
-    view, *more = (Instant(*poses[i : i + 3]) for i in range(0, len(poses), 3))
-    return Executed(view, tuple(more))
+    return _poses(message, ("source_m", "object_m", "detector_m"), repeated=True)
 
 
 def view_message(stamp: Stamp, target: Stamp, view: int | None) -> TimeReference:
@@ -221,7 +210,7 @@ def checked_state(message: Float64MultiArray, *, arms: bool = True) -> Float64Mu
 
 
 def reached_of(
-    poses: Executed, joints: JointState, state: Float64MultiArray, samples: int = 1
+    poses: PosePairs, joints: JointState, state: Float64MultiArray, samples: int = 1
 ) -> Reached:
     """Return the state of the robots from its three messages, which were checked.
 
@@ -231,10 +220,10 @@ def reached_of(
         state: message of ``/scan/state``.
         samples: the scenario's ``source.motion_samples``.
     """
-    exposure, before = poses.exposure(samples)
+    exposure, before = parts_of(poses, samples)
     time_s, clearance_mm, since_middle_s, *_ = state.data
     return Reached(
-        executed=poses.view,
+        executed=poses[:1],
         joint_names=tuple(joints.name),
         position=np.array(joints.position),
         velocity=np.array(joints.velocity),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import ScanGeometry
-from twinct.geometry.wire import Instant, JointSample, Reached, SevenNumbers, Target
+from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.link.stamps import Stamp
 
 if TYPE_CHECKING:
@@ -35,8 +35,9 @@ def header(stamp: Stamp, frame: str = WORLD) -> Message:
     return {"stamp": stamp._asdict(), "frame_id": frame}
 
 
-def poses(stamp: Stamp, numbers: Iterable[SevenNumbers]) -> Message:
+def poses(stamp: Stamp, instants: Iterable[PosePairs]) -> Message:
     """Return a ``geometry_msgs/msg/PoseArray``, for targets and executed poses."""
+    numbers = (seven for poses in instants for at in poses.sevens for seven in at)
     both = [(dict(zip("xyz", n[:3], strict=True)), _quat(n)) for n in numbers]
     parts = [{"position": position, "orientation": quat} for position, quat in both]
     return {"header": header(stamp), "poses": parts}
@@ -46,19 +47,18 @@ def _quat(numbers: Sequence[float]) -> Message:
     return dict(zip("xyzw", numbers[3:], strict=True))
 
 
-def targets(stamp: Stamp, asked: Sequence[Target]) -> Message:
+def targets(stamp: Stamp, asked: Sequence[PosePairs]) -> Message:
     """Return source and detector of one view, or all."""
-    return poses(stamp, (n for target in asked for n in (target.source_m, target.detector_m)))
+    return poses(stamp, asked)
 
 
 def reached(stamp: Stamp, got: Reached) -> Message:
     """Return source, object and detector at the view's instant, and all others of the image."""
-    before = () if got.before is None else (got.before,)
-    return poses(stamp, (n for instant in (got.executed, *got.exposure, *before) for n in instant))
+    return poses(stamp, [got.executed, got.exposure, got.before or PosePairs()])
 
 
 def transforms(
-    stamp: Stamp, instant: Instant | None, links: Mapping[str, Sequence[float]] | None = None
+    stamp: Stamp, instant: PosePairs | None, links: Mapping[str, Sequence[float]] | None = None
 ) -> Message:
     """Return a ``tf2_msgs/msg/TFMessage``: frames of links, and of an instant, if one is given.
 
@@ -68,12 +68,13 @@ def transforms(
     """
     frames = dict(links or {})
     if instant is not None:
-        x, y, z, w = instant.detector_m[3:]
+        ((source, specimen, detector),) = instant.sevens
+        x, y, z, w = detector[3:]
         frames |= {
-            "source": instant.source_m,
-            "specimen": instant.object_m,
-            "detector": instant.detector_m,
-            OPTICAL: (*instant.source_m[:3], w, z, -y, -x),
+            "source": source,
+            "specimen": specimen,
+            "detector": detector,
+            OPTICAL: (*source[:3], w, z, -y, -x),
         }
     return {
         "transforms": [

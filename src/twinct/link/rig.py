@@ -22,11 +22,11 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from twinct.core.errors import LinkError, TargetRefusedError
-from twinct.geometry.wire import JointSample, Reached, Target
+from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.link import environment, messages
 from twinct.link.environment import Domain
 from twinct.link.joint_trajectory import publish_plan
-from twinct.link.messages import ERROR, OK, Executed, MalformedError
+from twinct.link.messages import ERROR, OK, MalformedError
 from twinct.link.node import LISTENERS, Diagnostics
 from twinct.link.participant import Station
 from twinct.link.processes import NodeProcess
@@ -285,9 +285,9 @@ class RosRig:
         self._joints_until = max(stamp, self._joints_until)
         return message
 
-    def _poses_of(self, message: PoseArray) -> Executed:
+    def _poses_of(self, message: PoseArray) -> PosePairs:
         poses = messages.executed_of(message)
-        poses.exposure(self._samples)
+        messages.parts_of(poses, self._samples)
         return poses
 
     def _on_diagnostics(self, message: DiagnosticArray, sender: Sender) -> None:
@@ -334,7 +334,7 @@ class RosRig:
             self._target.publish(message)
         self._check()
 
-    def move(self, view: int, target: Target) -> Reached:
+    def move(self, view: int, target: PosePairs) -> Reached:
         """See ``Rig.move``."""
         if self._closing:
             raise LinkError("the rig is closed")

@@ -18,7 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from twinct.core.errors import MotionError
-from twinct.geometry.wire import JointSample, Reached, Target, targets_of
+from twinct.geometry.wire import JointSample, PosePairs, Reached, targets_of
 from twinct.link import messages
 from twinct.link.arm_server import ArmServer
 from twinct.link.frames import Frames
@@ -71,7 +71,7 @@ class Robots(Protocol):
     def follow(self, plan: MotionPlan) -> None:
         """Take a plan to follow, and start in its home."""
 
-    def move(self, view: int | None, target: Target) -> Reached:
+    def move(self, view: int | None, target: PosePairs) -> Reached:
         """Bring both end-effectors to a target; ``view`` is its view in a plan, if any."""
         ...
 
@@ -165,7 +165,7 @@ def _turns(scenario: Scenario, epoch: str, first_view: int) -> Turns:
 class Turns:
     """Targets of one scan, accepted in order."""
 
-    def __init__(self, epoch: Epoch, targets: Sequence[Target], first: int) -> None:
+    def __init__(self, epoch: Epoch, targets: Sequence[PosePairs], first: int) -> None:
         """Expect the views of a scan, starting with ``first``."""
         self._epoch, self._targets, self._next = epoch, targets, first
 
@@ -174,7 +174,7 @@ class Turns:
         view = self._epoch.view(stamp)
         return view if view is not None and view < len(self._targets) else None
 
-    def check(self, stamp: Stamp, target: Target) -> None:
+    def check(self, stamp: Stamp, target: PosePairs) -> None:
         """Check that a target is the next one of the scan.
 
         Raises:
@@ -191,7 +191,7 @@ class Turns:
         if view != self._next:
             raise RefusedError(f"{running}: view {self._next} comes next, not view {view}")
 
-    def expect(self, targets: Sequence[Target]) -> None:
+    def expect(self, targets: Sequence[PosePairs]) -> None:
         """Replace the targets by a plan's, which may differ in order and roll."""
         self._targets = targets
 
@@ -220,7 +220,7 @@ class RobotsNode:
         """Create the endpoints; from now on, targets are executed."""
         self._robots, self._turns, self._members = robots, turns, members
         # A refusal by the robots is stored as an answer, too, so that it is not retried.
-        self._ledger: Ledger[Stamp, Target, Reached | RefusedError] = Ledger(
+        self._ledger: Ledger[Stamp, PosePairs, Reached | RefusedError] = Ledger(
             keep=None if turns is None else KEPT
         )
         self._station, self._diagnostics = station, diagnostics
@@ -282,7 +282,7 @@ class RobotsNode:
     def _of_scan(self, sender: Sender) -> bool:
         return self._members is not None and self._members.sent(SCAN, sender)
 
-    def _admit(self, stamp: Stamp, target: Target, sender: Sender) -> None:
+    def _admit(self, stamp: Stamp, target: PosePairs, sender: Sender) -> None:
         self._check_free()
         if self._turns is not None:
             self._turns.check(stamp, target)
@@ -296,7 +296,7 @@ class RobotsNode:
         if self._arms is not None and self._arms.busy:
             raise RefusedError("the arms follow a joint trajectory: wait for its end, or cancel it")
 
-    def _execute(self, stamp: Stamp, target: Target) -> Reached | RefusedError:
+    def _execute(self, stamp: Stamp, target: PosePairs) -> Reached | RefusedError:
         answer: Reached | RefusedError
         try:
             answer = self._robots.move(self._view(stamp), target)

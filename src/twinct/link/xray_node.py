@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import TimeReference
 
 from twinct.core.errors import TwinctError
-from twinct.geometry import Panel, Pose, ScanGeometry
+from twinct.geometry import Panel
+from twinct.geometry.wire import PosePairs
 from twinct.link import messages
 from twinct.link.joint_trajectory import PlanListener
-from twinct.link.messages import Executed, MalformedError
+from twinct.link.messages import MalformedError
 from twinct.link.node import Diagnostics, Ledger, RefusedError, run_node
 from twinct.link.participant import Station
 from twinct.link.senders import Members, Sender
@@ -54,9 +55,9 @@ class XRay(Protocol):
 
     def expose(
         self,
-        path: Sequence[tuple[ScanGeometry, Pose]],
+        path: PosePairs,
         view: int = 0,
-        before: tuple[ScanGeometry, Pose] | None = None,
+        before: PosePairs | None = None,
         *,
         time_s: float = 0.0,
     ) -> NDArray[np.float32]:
@@ -133,9 +134,9 @@ class _AsPlanned:
 
     def expose(
         self,
-        path: Sequence[tuple[ScanGeometry, Pose]],
+        path: PosePairs,
         view: int = 0,
-        before: tuple[ScanGeometry, Pose] | None = None,
+        before: PosePairs | None = None,
         *,
         time_s: float = 0.0,
     ) -> NDArray[np.float32]:
@@ -184,7 +185,7 @@ class XRayNode:
         """Create the endpoints; from now on, views are imaged."""
         self._imager, self._panel, self._samples = imager, panel, samples
         self._epoch, self._members, self._diagnostics = epoch, members, diagnostics
-        self._ledger: Ledger[_Taken, Executed, list[Any]] = Ledger(
+        self._ledger: Ledger[_Taken, PosePairs, list[Any]] = Ledger(
             keep=min(max(MEMORY_BYTES // answer_bytes(panel), 2), 32)
         )
         # For a scan: targets by time of arrival, and poses whose target is still unknown.
@@ -256,15 +257,13 @@ class XRayNode:
         for out, answered in zip(self._out, answer, strict=True):
             out.publish(answered)
 
-    def _expose(self, taken: _Taken, view: int | None, poses: Executed) -> list[Any]:
+    def _expose(self, taken: _Taken, view: int | None, poses: PosePairs) -> list[Any]:
         if self._epoch is not None and view is None:
             raise RefusedError("a scan is running, and this view does not belong to it")
         stamp = taken.stamp
         try:
-            exposure, before = poses.exposure(self._samples)
-            geometry, _ = poses.view.placed(self._panel)
-            path = [instant.placed(self._panel) for instant in exposure or (poses.view,)]
-            last = before.placed(self._panel) if before else None
+            exposure, before = messages.parts_of(poses, self._samples)
+            geometry = poses.geometry(self._panel)[0]
         except ValueError as error:
             raise MalformedError(str(error)) from None
         # Key of the noise: the view or, without a scan, the time itself.
@@ -272,7 +271,7 @@ class XRayNode:
         if index < 0:
             raise MalformedError(f"header.stamp {stamp} is negative")
         try:
-            image = self._imager.expose(path, index, last, time_s=stamp.time_s)
+            image = self._imager.expose(exposure or poses[:1], index, before, time_s=stamp.time_s)
         except TwinctError as error:  # such as a source inside the specimen
             raise RefusedError(str(error)) from None
         answer = [

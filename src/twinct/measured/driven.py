@@ -21,7 +21,7 @@ from twinct.core.files.images import read_image
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import draft_of, passing_folder, storage_errors
-from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
 from twinct.runs import Folder
@@ -274,11 +274,10 @@ def _write(
 ) -> None:
     """Write the store: executed poses are those of the joints, and so are the commanded ones."""
     store = ScanStore.create(path, scenario, poses, joints, 0)
-    still, none = to_seven(scenario.specimen.world_from_specimen), np.zeros(0)
+    still, none = scenario.specimen.world_from_specimen, np.zeros(0)
     for view, (image, position, speed, time_s) in enumerate(zip(images, *numbers, strict=True)):
-        source, detector = poses[view]
         reached = Reached(
-            executed=Instant(to_seven(source), still, to_seven(detector)),
+            executed=PosePairs.at(*poses[view], still),
             joint_names=joints,
             position=position,
             velocity=speed,

@@ -19,7 +19,7 @@ from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, draft_of, remove_folder, storage_errors
 from twinct.evaluation import coarse, views_needed
 from twinct.geometry import Pose, ScanGeometry
-from twinct.geometry.wire import Instant, PosePairs, Reached, to_seven
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
 from twinct.measured.field_of_view import grid_of
@@ -198,14 +198,13 @@ def _write_views(
     """Write the store; return the scale of each view from its air."""
     poses, every = PosePairs.from_geometry(geometry), images.section.every
     store = ScanStore.create(path, scenario, poses, (), 0)
-    still, none = to_seven(Pose.identity()), np.zeros(0)
+    still, none = Pose.identity(), np.zeros(0)
     scales: list[float] = []
     with audience.stage("import", len(geometry)) as step:
         for view in range(len(geometry)):
             image, scale = images.transmission(view * every)
             scales.append(scale)
-            source, detector = poses[view]
-            executed = Instant(to_seven(source), still, to_seven(detector))
+            executed = PosePairs.at(*poses[view], still)
             reached = Reached(executed, (), none, none, none, none, float(view), float("nan"))
             store.write(view, placement.image(image).astype(np.float32), reached)
             step()

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import (
-    Instant,
-    JointSample,
-    Reached,
-    SevenNumbers,
-    Target,
-    from_seven,
-    to_seven,
-)
+from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.scenario import GantryCell, Source
 from twinct.uncertainty import TrueCell
 
@@ -60,19 +54,19 @@ class Gantry:
         """
         self._true_cell = true_cell
         self._view_s = cell.view_s
-        self._object_m = to_seven(specimen)
+        self._object = (specimen.as_sent(),)
         self._shares: list[float] = []
         if (samples := source.motion_samples) > 1:
             parts = (np.arange(samples) + 0.5) / samples - 0.5
             self._shares = (parts * source.exposure_ms / 1000 / cell.view_s).tolist()
         self._remember = remember
         self._time_s = 0.0
-        self._last: Target | None = None
+        self._last: PosePairs | None = None
 
     def follow(self, plan: object) -> None:
         """Do nothing: a gantry follows no plan, but goes straight to each target."""
 
-    def move(self, view: int | None, target: Target) -> Reached:
+    def move(self, view: int | None, target: PosePairs) -> Reached:
         """Move to a target, and return the poses there."""
         last, self._last = self._last, target
         last_s, self._time_s = self._time_s, self._time_s + self._view_s
@@ -84,10 +78,10 @@ class Gantry:
             position=none,
             velocity=none,
             effort=none,
-            state=np.array([self._time_s, *target.source_m, *target.detector_m]),
+            state=np.array([self._time_s, *(n for pose in target[0] for n in pose.seven)]),
             time_s=self._time_s,
             clearance_mm=np.nan,
-            exposure=tuple(
+            exposure=PosePairs.joined(
                 self._really(self._on(last or target, target, share), view, now_s)
                 for share, now_s in zip(
                     self._shares, self._time_s + self._view_s * np.array(self._shares), strict=True
@@ -117,27 +111,23 @@ class Gantry:
                 f"the state has shape {np.shape(state)}, but the states of a gantry have ({STATE},)"
             )
         self._time_s, *poses = state.tolist()
-        self._last = Target(tuple(poses[:7]), tuple(poses[7:]))
+        self._last = PosePairs.from_sevens([(poses[:7], poses[7:])])
 
     def close(self) -> None:
         """Do nothing: a gantry holds no resources."""
 
-    def _really(self, nominal: Instant, view: int | None, time_s: float) -> Instant:
+    def _really(self, nominal: PosePairs, view: int | None, time_s: float) -> PosePairs:
         return nominal if self._true_cell is None else self._true_cell.at(nominal, view, time_s)
 
-    def _at(self, target: Target) -> Instant:
-        return Instant(target.source_m, self._object_m, target.detector_m)
+    def _at(self, target: PosePairs) -> PosePairs:
+        return replace(target, object=self._object)
 
-    def _on(self, last: Target, target: Target, share: float) -> Instant:
+    def _on(self, last: PosePairs, target: PosePairs, share: float) -> PosePairs:
         """Return the poses at a fraction of the motion between views, measured from the target."""
-        return Instant(
-            _screwed(last.source_m, target.source_m, share),
-            self._object_m,
-            _screwed(last.detector_m, target.detector_m, share),
-        )
+        source, detector = map(partial(_screwed, share), last[0], target[0])
+        return PosePairs.at(source, detector, *self._object)
 
 
-def _screwed(start: SevenNumbers, end: SevenNumbers, share: float) -> SevenNumbers:
+def _screwed(share: float, start: Pose, end: Pose) -> Pose:
     """Extrapolate a motion of constant twist beyond its end by a fraction of the motion."""
-    pose = from_seven(end)
-    return to_seven(pose @ Pose.exp(share * (from_seven(start).inverse() @ pose).log()))
+    return end @ Pose.exp(share * (start.inverse() @ end).log())

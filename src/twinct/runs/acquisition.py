@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.extras import require
-from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.geometry.wire import Reached
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
@@ -172,7 +172,7 @@ def acquire_to_store(
         nonlocal store
         frames = None
         if imager is not None:
-            frames = rendered_frames(reached, index, imager, scenario.detector.panel)
+            frames = rendered_frames(reached, index, imager)
         if store is None:
             robots = reached.joint_names, len(reached.state), builder.followed
             store = ScanStore.create(
@@ -204,11 +204,9 @@ def acquire_to_store(
     return store
 
 
-def rendered_frames(reached: Reached, index: int, imager: Imager, panel: Panel) -> ViewImages:
+def rendered_frames(reached: Reached, index: int, imager: Imager) -> ViewImages:
     """Return a view's raw, flat and dark images, rendered again as no link transmits them."""
-    path = [instant.placed(panel) for instant in reached.path]
-    before = reached.before
-    return imager.frame(path, index, before.placed(panel) if before else None)
+    return imager.frame(reached.path, index, reached.before)
 
 
 def machine_frames(
@@ -230,15 +228,9 @@ def machine_frames(
         raise InputError(
             "raw images with detector.lag and source.motion_samples cannot be recomputed"
         )
-    geometry = scan.executed.geometry(detector.panel)
-
-    def instant(view: int) -> tuple[ScanGeometry, Pose]:
-        return geometry[view], scan.executed_object[view]
-
+    executed = replace(scan.executed, object=scan.executed_object)
     with builder.imager() as imager:
         for view in views:
-            path = [instant(view)]
-            if scan.exposure:
-                path = [one.placed(detector.panel) for one in scan.exposure[view]]
-            before = instant(view - 1) if detector.lag and view else None
+            path = scan.exposure[view] if scan.exposure else executed[view : view + 1]
+            before = executed[view - 1 : view] if detector.lag and view else None
             yield imager.frame(path, view, before)

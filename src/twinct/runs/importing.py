@@ -52,8 +52,7 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
                 )
 
             def frames_of(index: int, reached: Reached) -> ViewImages | None:
-                panel = recorded.scenario.detector.panel
-                return None if imager is None else rendered_frames(reached, index, imager, panel)
+                return None if imager is None else rendered_frames(reached, index, imager)
 
             # The scan comes last: without it, an import that was cut short can be repeated.
             draft = draft_of(folder.scan)

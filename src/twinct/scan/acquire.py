@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry.wire import Reached, Target
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.scan.rig import Rig
 
 
@@ -28,7 +28,7 @@ class Stopwatch:
 
 def acquire(
     rig: Rig,
-    targets: Sequence[Target],
+    targets: Sequence[PosePairs],
     keep: Callable[[int, NDArray[np.float32], Reached], None],
     *,
     first: int = 0,

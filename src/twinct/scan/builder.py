@@ -17,7 +17,7 @@ from twinct.core.cached import once
 from twinct.core.errors import InputError
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
-from twinct.geometry.wire import PosePairs, Target, targets_of
+from twinct.geometry.wire import PosePairs, places_m, targets_of
 from twinct.robots.gantry import Gantry
 from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
 from twinct.specimen import BuiltPart, BuiltSpecimen, build_specimen
@@ -105,10 +105,10 @@ class SimulationBuilder:
         if mas is None or not self.plan_chooses:
             return mas
         # If the plan chose the order, positions identify the views.
-        places = _places(targets_of(self.requested))
+        places = np.array([places_m(target) for target in targets_of(self.requested)])
         order: list[int] = []
-        for place in _places(self.targets):
-            far = np.abs(places - place).max(axis=1)
+        for target in self.targets:
+            far = np.abs(places - places_m(target)).max(axis=1)
             far[order] = np.inf
             order.append(int(far.argmin()))
         return mas[order]
@@ -139,12 +139,11 @@ class SimulationBuilder:
         plan = self.plan if self.plan_chooses else None
         if plan is None:
             return PosePairs.from_geometry(self.requested)
-        targets = plan.targets
-        return PosePairs(tuple(t.source for t in targets), tuple(t.detector for t in targets))
+        return PosePairs.joined(plan.targets)
 
     @cached_property
-    def targets(self) -> list[Target]:
-        """Commanded poses of each view, in wire form."""
+    def targets(self) -> list[PosePairs]:
+        """Commanded poses of each view, as messages carry them."""
         plan = self.plan if self.plan_chooses else None
         return targets_of(self.requested) if plan is None else list(plan.targets)
 
@@ -383,8 +382,3 @@ class SimulationBuilder:
             engine=scenario.xray.engine,
             objects=self.beam_objects,
         )
-
-
-def _places(targets: list[Target]) -> Floats:
-    """Return the positions of source and panel, (views, 6), m."""
-    return np.array([(*target.source_m[:3], *target.detector_m[:3]) for target in targets])

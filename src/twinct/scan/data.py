@@ -17,7 +17,7 @@ from twinct.core.files.pictures import show
 from twinct.core.foreign_text import counted, quoted
 from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
-from twinct.geometry.wire import Instant, PosePairs, Reached
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.recon.few_photons import integrals_of_photons
 from twinct.scan.encoder_model import nominal_poses, relative_to_specimen
 from twinct.scan.integrals import line_integrals
@@ -98,7 +98,7 @@ class Scan:
     joints: NDArray[np.float64]
     simulated_s: NDArray[np.float64]
     clearance_mm: NDArray[np.float64]
-    exposure: tuple[tuple[Instant, ...], ...] = ()
+    exposure: tuple[PosePairs, ...] = ()
     derived: Mapping[str, NamedGeometry] = field(default_factory=dict[str, NamedGeometry])
     bad_pixels: NDArray[np.bool_] | None = None
     mas: NDArray[np.float64] | None = None
@@ -178,14 +178,14 @@ class Scan:
         plan: MotionPlan | None = None,
     ) -> Scan:
         """Build from the transmissions and states of views that were acquired one by one."""
-        executed = [(r.executed.source, r.executed.detector) for r in reached]
+        executed = PosePairs.joined(r.executed for r in reached)
         transmission = np.stack(images)
         return cls(
             scenario=scenario,
             transmission=transmission,
             commanded=commanded,
-            executed=PosePairs(*zip(*executed, strict=True)),
-            executed_object=tuple(r.executed.object for r in reached),
+            executed=PosePairs(executed.source, executed.detector),
+            executed_object=executed.object,
             joint_names=reached[0].joint_names,
             joints=np.stack([r.position for r in reached]),
             simulated_s=np.array([r.time_s for r in reached]),

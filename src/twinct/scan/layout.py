@@ -44,12 +44,12 @@ def pose_columns(which: str, source: Pose, detector: Pose) -> dict[str, Any]:
 def columns_of(reached: Reached) -> dict[str, Any]:
     """Return the stored values of a view, except its images."""
     executed = reached.executed
-    columns = pose_columns("executed", executed.source, executed.detector)
+    columns = pose_columns("executed", *executed[0])
     if reached.exposure:
-        columns[EXPOSURE] = reached.exposure
+        columns[EXPOSURE] = reached.exposure.sevens
     return columns | {
-        "executed/object": executed.object.position,
-        "executed/object_quat": executed.object.quat,
+        "executed/object": executed.object[0].position,
+        "executed/object_quat": executed.object[0].quat,
         "joints": reached.position,
         "joint_velocity": reached.velocity,
         "joint_torque": reached.effort,

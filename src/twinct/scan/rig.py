@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Panel
-from twinct.geometry.wire import JointSample, Reached, Target
+from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.scan.builder import SimulationBuilder
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class Rig(Protocol):
     bit-identical images.
     """
 
-    def move(self, view: int, target: Target) -> Reached:
+    def move(self, view: int, target: PosePairs) -> Reached:
         """Bring both end-effectors to a target.
 
         Raises:
@@ -70,7 +70,7 @@ class LocalRig:
         self._robots, self.imager, self._panel = robots, imager, panel
         self._reached: tuple[int, Reached] | None = None
 
-    def move(self, view: int, target: Target) -> Reached:
+    def move(self, view: int, target: PosePairs) -> Reached:
         """See ``Rig.move``."""
         self._reached = view, self._robots.move(view, target)
         return self._reached[1]
@@ -80,9 +80,7 @@ class LocalRig:
         if self._reached is None or self._reached[0] != view:
             raise ValueError(f"view {view} was not reached: move before you expose")
         reached = self._reached[1]
-        path = [instant.placed(self._panel) for instant in reached.path]
-        before = reached.before.placed(self._panel) if reached.before else None
-        return self.imager.expose(path, view, before, time_s=reached.stamp_s)
+        return self.imager.expose(reached.path, view, reached.before, time_s=reached.stamp_s)
 
     def listen(self, tell: Callable[[JointSample], None]) -> None:
         """See ``Rig.listen``."""

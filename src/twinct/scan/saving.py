@@ -69,8 +69,7 @@ def _acquired(scan: Scan) -> Acquired:
             f"detector.keep ({', '.join(keep)}): a scan in memory has no such images; "
             "run the scenario into a folder, or simulate it without detector.keep"
         )
-    poses = [view.executed for view in acquired.reached]
-    executed = PosePairs(tuple(p.source for p in poses), tuple(p.detector for p in poses))
+    executed = PosePairs.joined(view.executed for view in acquired.reached)
     joints = [view.position for view in acquired.reached]
     same = poses_digest(executed) == poses_digest(scan.executed)
     if not same or not np.array_equal(scan.joints, joints):

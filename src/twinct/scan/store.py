@@ -21,7 +21,7 @@ from twinct.core.files.writing import passing_folder, require_space, storage_err
 from twinct.core.foreign_text import quoted
 from twinct.core.interruption import postponed
 from twinct.geometry import Pose
-from twinct.geometry.wire import Instant, PosePairs, Reached
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.scan.damage import clear_paths, frame_damage, view_damage
 from twinct.scan.data import Scan, bad_pixels_of, reported
 from twinct.scan.layout import FORMAT, READABLE, columns_of, image_digests, write_frame
@@ -425,7 +425,7 @@ class ScanStore:
             joints=self._read("joints"),
             simulated_s=self._read("simulated_s"),
             clearance_mm=self._read("clearance_mm"),
-            exposure=tuple(tuple(Instant(*map(tuple, at)) for at in view) for view in exposure),
+            exposure=tuple(map(PosePairs.from_sevens, exposure)),
             bad_pixels=self.bad_pixels,
             mas=self.mas,
         )

@@ -6,7 +6,7 @@ import numpy as np
 
 from twinct.core.error_terms import SIDES, ToolMotion, ViewDraws
 from twinct.geometry import Chain, Floats, Pose
-from twinct.geometry.wire import Instant, from_seven, to_seven
+from twinct.geometry.wire import PosePairs
 from twinct.scenario import Uncertainty
 from twinct.uncertainty.correlation import view_normals
 
@@ -48,42 +48,42 @@ class TrueCell:
 
     def at(
         self,
-        nominal: Instant,
+        nominal: PosePairs,
         view: int | None,
         time_s: float,
         joints: Floats | None = None,
         speeds: Floats | None = None,
-    ) -> Instant:
+    ) -> PosePairs:
         """Return the executed poses at an instant.
 
         Args:
-            nominal: poses that the controllers believe.
+            nominal: poses that the controllers believe, one instant.
             view: exposed view; None outside a scan, without the random errors of a view.
             time_s: simulated time.
             joints: joint positions of both arms, source first, rad; None with a gantry.
             speeds: joint speeds, rad/s.
         """
-        of_views, poses = self._draws_of(view), [nominal.source_m, nominal.detector_m]
+        of_views, poses = self._draws_of(view), list(nominal[0])
         for k, (tool, chain, own) in enumerate(self._tools):
             at = poses[k]
-            here, times = from_seven(at).matrix[None], np.array([time_s])
+            here, times = at.matrix[None], np.array([time_s])
             if joints is None or speeds is None:
                 chain, joints, speeds = None, np.zeros(0), np.zeros(0)
             motion = ToolMotion(SIDES[k], here, times, chain, joints[None, own], speeds[None, own])
             moved, twists = tool.executed(motion, of_views)
             if moved is not None:
                 matrix = moved[0, 0]
-                at = to_seven(Pose.from_matrix(matrix[:3, 3], matrix[:3, :3]))
+                at = Pose.from_matrix(matrix[:3, 3], matrix[:3, :3]).as_sent()
             for twist in twists:
-                at = to_seven(from_seven(at) @ Pose.exp(twist[0, 0]))
+                at = (at @ Pose.exp(twist[0, 0])).as_sent()
             poses[k] = at
-        stands = nominal.object_m
+        (stands,) = nominal.object
         if self._patient is not None:
             from twinct.uncertainty.patient import world_from_moved
 
             moved = world_from_moved(self._patient, self._arms_seed, time_s)
-            stands = to_seven(moved @ nominal.object)
-        return Instant(poses[0], stands, poses[1])
+            stands = (moved @ stands).as_sent()
+        return PosePairs((poses[0],), (poses[1],), (stands,))
 
     def _draws_of(self, view: int | None) -> ViewDraws:
         def draws(purpose: str, size: int, length: float) -> Floats | None:

@@ -125,13 +125,11 @@ class RunFolder:
 
     def _joined(self, store: ScanStore) -> tuple[PosePairs, tuple[Pose, ...], Floats, Floats]:
         parts = self._read
-        source = tuple(pose for part in parts for pose in part.executed.source)
-        detector = tuple(pose for part in parts for pose in part.executed.detector)
+        executed = PosePairs.joined(part.executed for part in parts)
         objects = tuple(pose for part in parts for pose in part.objects)
         joints = [part.joints for part in parts] or [np.zeros((0, len(store.joint_names)))]
         clearance = [part.clearance_mm for part in parts] or [np.zeros(0)]
-        poses = PosePairs(source, detector)
-        return poses, objects, np.concatenate(joints), np.concatenate(clearance)
+        return executed, objects, np.concatenate(joints), np.concatenate(clearance)
 
     def _poses(self, store: ScanStore, executed: PosePairs, acquired: int) -> dict[str, PosePairs]:
         """Return executed, believed and derived poses; compute believed ones unless stored."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.geometry.wire import PosePairs
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.xray._owner import SceneOwner
@@ -24,9 +25,6 @@ from twinct.xray.room_rays import RoomRays
 
 if TYPE_CHECKING:
     from twinct.xray.moving_voxels import MovingVoxels
-
-Placed = tuple[ScanGeometry, Pose]
-"""Executed geometry at one instant: one view of source and panel, and ``world_from_object``."""
 
 _NEAREST_MM = 150.0
 """Distance from source to specimen if there are no commanded views."""
@@ -150,68 +148,89 @@ class Imager(SceneOwner):
             TwinctError: the imager is closed, the specimen reaches through the panel, the source is
                 inside the specimen, or the engine failed.
         """
-        return self.expose([(geometry, world_from_object)], view)
+        if len(geometry) != 1:
+            raise ValueError(f"render takes one view at a time, not {len(geometry)}")
+        if geometry.panel != self.panel:
+            raise ValueError(f"the view has {geometry.panel}; the imager was made for {self.panel}")
+        return self._image(geometry, (world_from_object,), view, None, 0.0)
 
     def expose(
         self,
-        path: Sequence[Placed],
+        path: PosePairs,
         view: int = 0,
-        before: Placed | None = None,
+        before: PosePairs | None = None,
         *,
         time_s: float = 0.0,
     ) -> NDArray[np.float32]:
         """Take one view during motion: the mean over the instants of the path.
 
         Args:
-            path: instants of equal duration, at least one; the middle one is the view's geometry.
+            path: executed poses of source, panel and specimen at instants of equal duration, at
+                least one; the middle one is the view's geometry.
             view: index of the view, which keys its noise.
-            before: geometry of the previous view, whose signal lags; None for the first view.
+            before: poses of the previous view, whose signal lags; None for the first view.
             time_s: time of the scan at the middle of the exposure, for a patient who breathes.
 
         Returns:
             Transmission, (rows, columns). See ``render``, also for the exceptions.
         """
-        if not self._open:
-            raise TwinctError("the X-ray imager was closed")
-        for geometry, _ in path:
-            if len(geometry) != 1:
-                raise ValueError(f"render takes one view at a time, not {len(geometry)}")
-            if geometry.panel != self.panel:
-                raise ValueError(
-                    f"the view has {geometry.panel}; the imager was made for {self.panel}"
-                )
-        if self._paths is not None:
-            return self.frame(path, view, before, time_s=time_s).transmission
-        images = [self._ideal(*instant) for instant in self._shown(path, time_s)]
-        if len(images) == 1:
-            return images[0]
-        return np.asarray(np.mean(images, axis=0, dtype=np.float64), dtype=np.float32)
-
-    def _shown(self, path: Sequence[Placed], time_s: float) -> Iterator[Placed]:
-        """Yield the instants of an exposure, each with the patient in its state."""
-        for number, instant in enumerate(path):
-            if self._moving is not None:
-                self._moving.show(time_s, number, len(path))
-            yield instant
+        return self._image(path.geometry(self.panel), path.object, view, before, time_s)
 
     def frame(
         self,
-        path: Sequence[Placed],
+        path: PosePairs,
         view: int = 0,
-        before: Placed | None = None,
+        before: PosePairs | None = None,
         *,
         time_s: float = 0.0,
     ) -> ViewImages:
         """Take one view with raw, flat and dark images, which an ideal detector does not have."""
         if self._paths is None:
             raise ValueError("an ideal source and detector give only a transmission")
-        middle = path[len(path) // 2][0]
+        return self._frame(path.geometry(self.panel), path.object, view, before, time_s)
+
+    def _image(
+        self,
+        path: ScanGeometry,
+        objects: Sequence[Pose],
+        view: int,
+        before: PosePairs | None,
+        time_s: float,
+    ) -> NDArray[np.float32]:
+        if not self._open:
+            raise TwinctError("the X-ray imager was closed")
+        if self._paths is not None:
+            return self._frame(path, objects, view, before, time_s).transmission
+        images = [self._ideal(path[k], objects[k]) for k in self._instants(len(path), time_s)]
+        if len(images) == 1:
+            return images[0]
+        return np.asarray(np.mean(images, axis=0, dtype=np.float64), dtype=np.float32)
+
+    def _instants(self, count: int, time_s: float) -> Iterator[int]:
+        """Yield the numbers of the instants of an exposure, each with the patient in its state."""
+        for number in range(count):
+            if self._moving is not None:
+                self._moving.show(time_s, number, count)
+            yield number
+
+    def _frame(
+        self,
+        path: ScanGeometry,
+        objects: Sequence[Pose],
+        view: int,
+        before: PosePairs | None,
+        time_s: float,
+    ) -> ViewImages:
+        middle = path[len(path) // 2]
         chain = self._chain = self._chain or self._new_chain(self._commanded or middle)
         last = None
         if self._detector.lag and before is not None:
-            last = self._expected(chain, [before], view - 1, time_s), self._object_mm(*before)
-        expected = self._expected(chain, path, view, time_s)
-        return chain.frame(expected, chain.physical(middle), view, self._object_mm(*path[0]), last)
+            seen = before.geometry(self.panel)
+            signal = self._expected(chain, seen, before.object, view - 1, time_s)
+            last = signal, self._object_mm(seen, *before.object)
+        expected = self._expected(chain, path, objects, view, time_s)
+        object_mm = self._object_mm(path[0], objects[0])
+        return chain.frame(expected, chain.physical(middle), view, object_mm, last)
 
     def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
         """Return the distance from the specimen's middle to the panel, along the panel's normal."""
@@ -219,14 +238,19 @@ class Imager(SceneOwner):
         return float((centre - geometry.detector[0]) @ geometry.normal[0])
 
     def _expected(
-        self, chain: Chain, path: Sequence[Placed], index: int, time_s: float
+        self,
+        chain: Chain,
+        path: ScanGeometry,
+        objects: Sequence[Pose],
+        index: int,
+        time_s: float,
     ) -> NDArray[np.float32]:
         assert self._paths is not None
         expected = chain.blank()
         share = chain.load(index) / (len(path) * len(chain.spot))
-        for geometry, world_from_object in self._shown(path, time_s):
-            for seen in chain.from_spot(chain.physical(geometry)):
-                chain.add(self._paths.render(seen, world_from_object), seen, expected, share)
+        for k in self._instants(len(path), time_s):
+            for seen in chain.from_spot(chain.physical(path[k])):
+                chain.add(self._paths.render(seen, objects[k]), seen, expected, share)
         return expected
 
     def _new_chain(self, commanded: ScanGeometry) -> Chain:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry.wire import Reached
-from twinct.link.recording.reader import Recording, Said, instant_of
+from twinct.link.recording.reader import Recording, Said, instants_of
 from twinct.link.recording.recorder import FORMAT
 from twinct.link.stamps import NANO
 from twinct.link.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
@@ -126,10 +126,10 @@ class Contents:
             count = len(poses.poses)
             if count not in (3 + 3 * open_, 6 + 3 * open_):
                 raise ValueError(f"{count} poses on {REACHED}")
-            instants = [instant_of(poses.poses[i : i + 3]) for i in range(0, count, 3)]
+            instants = instants_of(poses.poses)
             numbers = np.array(state.data)
             reached = Reached(
-                executed=instants[0],
+                executed=instants[:1],
                 joint_names=tuple(joints.name),
                 position=np.array(joints.position),
                 velocity=np.array(joints.velocity),
@@ -137,8 +137,8 @@ class Contents:
                 state=numbers[state.layout.data_offset :],
                 time_s=float(numbers[0]),
                 clearance_mm=float(numbers[1]),
-                exposure=tuple(instants[1 : 1 + open_]),
-                before=next(iter(instants[1 + open_ :]), None),
+                exposure=instants[1 : 1 + open_],
+                before=instants[1 + open_ :] or None,
             )
             return checked(reached)
 
@@ -172,14 +172,11 @@ class Contents:
 
 
 def checked(reached: Reached) -> Reached:
-    """Check poses, finite numbers, and one number of each kind per joint; return the input.
+    """Check finite numbers, and one number of each kind per joint; return the input.
 
     Raises:
         ValueError: a check fails.
     """
-    before = () if reached.before is None else (reached.before,)
-    for instant in (reached.executed, *reached.exposure, *before):
-        _ = instant.source, instant.object, instant.detector
     joints, state = len(reached.joint_names), reached.state
     for name in ("position", "velocity", "effort"):
         numbers = getattr(reached, name)

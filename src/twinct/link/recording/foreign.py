@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twinct.core.errors import InputError
-from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.geometry.wire import Instant, PosePairs, Reached, Target
+from twinct.geometry import Panel
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.contents import Contents, checked
-from twinct.link.recording.reader import instant_of, seven_of
+from twinct.link.recording.reader import instants_of, seven_of
 from twinct.link.stamps import NANO
 from twinct.link.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
 from twinct.scenario import Scenario, parse_scenario
@@ -56,36 +56,36 @@ def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
         )
     stamps = sorted(contents.said[REACHED])
     whole = [stamp for stamp in stamps if stamp in contents.imaged]
-    instants: dict[int, Instant] = {}
-    poses: list[tuple[Pose, Pose]] = []
+    instants: dict[int, PosePairs] = {}
+    poses: list[PosePairs] = []
     reached: dict[int, Reached] = {}
     for stamp in whole:
         with contents.message_of(stamp):
-            instants[stamp] = instant = instant_of(contents.at(REACHED, stamp).poses)
+            instants[stamp] = instant = instants_of(contents.at(REACHED, stamp).poses[:3])
             target = _target(contents, stamp, instant)
-            poses.append((target.source, target.detector))
-            for source, detector in (poses[-1], (instant.source, instant.detector)):
-                ScanGeometry.from_poses([source], [detector], Panel(1, 1, 1.0, 1.0))
+            poses.append(target)
+            for one in (target, instant):
+                one.geometry(Panel(1, 1, 1.0, 1.0))
             reached[stamp] = checked(_reached(contents, stamp, instant))
     return Foreign(
         scenario=_scenario(contents, instants, views_file),
-        commanded=PosePairs(tuple(s for s, _ in poses), tuple(d for _, d in poses)),
+        commanded=PosePairs.joined(poses),
         reached=reached,
         views={stamp: view for view, stamp in enumerate(whole)},
         missing=tuple(n for n, stamp in enumerate(stamps) if stamp not in contents.imaged),
     )
 
 
-def _target(contents: Contents, stamp: int, instant: Instant) -> Target:
+def _target(contents: Contents, stamp: int, instant: PosePairs) -> PosePairs:
     message: Any = None
     if (told := contents.at(VIEWS, stamp)) is not None:
         message = contents.at(TARGET, told.time_ref.sec * NANO + told.time_ref.nanosec)
     if message is None:
-        return Target(instant.source_m, instant.detector_m)
-    return Target(*map(seven_of, message.poses[:2]))
+        return PosePairs(instant.source, instant.detector)
+    return PosePairs.from_sevens([[seven_of(pose) for pose in message.poses[:2]]])
 
 
-def _reached(contents: Contents, stamp: int, instant: Instant) -> Reached:
+def _reached(contents: Contents, stamp: int, instant: PosePairs) -> Reached:
     state, joints, none = contents.at(STATE, stamp), contents.at(JOINTS, stamp), np.zeros(0)
     numbers = np.array([stamp / NANO, np.nan] if state is None else state.data)
     offset = 0 if state is None else state.layout.data_offset
@@ -101,7 +101,7 @@ def _reached(contents: Contents, stamp: int, instant: Instant) -> Reached:
     )
 
 
-def _scenario(contents: Contents, instants: dict[int, Instant], views_file: Path) -> Scenario:
+def _scenario(contents: Contents, instants: dict[int, PosePairs], views_file: Path) -> Scenario:
     """Return the scenario, with the pixel pitch computed from the first camera's focal lengths."""
     stamp = next((s for s in contents.said[CAMERA] if s in instants), None)
     if stamp is None:
@@ -110,7 +110,7 @@ def _scenario(contents: Contents, instants: dict[int, Instant], views_file: Path
         )
     camera = contents.at(CAMERA, stamp)
     with contents.message_of(stamp):
-        geometry, _ = instants[stamp].placed(Panel(camera.height, camera.width, 1.0, 1.0))
+        geometry = instants[stamp].geometry(Panel(camera.height, camera.width, 1.0, 1.0))
         sdd = float(geometry.sdd[0])
         pitch = [round(sdd / abs(float(focal)), 9) for focal in (camera.k[0], camera.k[4])]
     return parse_scenario(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.link.recording.reader import Said, instant_of, reader_of
+from twinct.link.recording.reader import Said, instants_of, reader_of
 from twinct.link.recording.recorder import Recorder
 from twinct.link.stamps import NANO, Stamp
 from twinct.link.topics import (
@@ -101,7 +101,7 @@ class GraphRecorder(Recorder):
             reader_of(part.kind)(part.raw.data)
             for part in (self._parts[REACHED, stamp], self._parts[JOINTS, stamp])
         )
-        where = instant_of(reached.poses)
+        where = instants_of(reached.poses[:3])
         self.write_frames(
             Stamp(*divmod(stamp, NANO)), where, joints.position, images[0].raw.received_ns
         )

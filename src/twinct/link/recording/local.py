@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry.wire import JointSample, Reached, Target
+from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.link import plain, topics
 from twinct.link.plain import Message
 from twinct.link.recording.recorder import Recorder
@@ -52,7 +52,7 @@ class LocalRecorder(Recorder):
         assert isinstance(rig, LocalRig)
         return _RecordedRig(rig, self)
 
-    def asked(self, view: int, target: Target) -> None:
+    def asked(self, view: int, target: PosePairs) -> None:
         """Record a target that was sent."""
         self._say(topics.TARGET, plain.targets(self._epoch.at(view), [target]))
 
@@ -75,7 +75,7 @@ class LocalRecorder(Recorder):
 
     def exposed(self, stamp: Stamp, got: Reached, image: NDArray[np.float32]) -> None:
         """Record the image of the view reached last."""
-        geometry, _ = got.executed.placed(self._panel)
+        geometry = got.executed.geometry(self._panel)
         self._say(topics.CAMERA, plain.camera(stamp, geometry))
         self._say(topics.DISPLAY_CAMERA, plain.camera(stamp, geometry, shown=True))
         self._say(topics.DISPLAY, plain.display(stamp, image))
@@ -106,7 +106,7 @@ class _RecordedRig(LocalRig):
         self.close = rig.close
         rig.listen(self._moving)
 
-    def move(self, view: int, target: Target) -> Reached:
+    def move(self, view: int, target: PosePairs) -> Reached:
         """See ``Rig.move``."""
         self._recorder.asked(view, target)
         reached = self._rig.move(view, target)

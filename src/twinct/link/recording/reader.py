@@ -18,7 +18,7 @@ from zstandard import ZstdError
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
-from twinct.geometry.wire import Instant, SevenNumbers
+from twinct.geometry.wire import PosePairs
 from twinct.link.definitions import definition
 from twinct.link.stamps import NANO
 from twinct.link.topics import STATE
@@ -175,12 +175,13 @@ class Recording:
             return ()
 
 
-def seven_of(pose: Any) -> SevenNumbers:
+def seven_of(pose: Any) -> tuple[float, ...]:
     """Return position, m, and quaternion (x, y, z, w) of a ``geometry_msgs/msg/Pose``."""
     p, q = pose.position, pose.orientation
     return p.x, p.y, p.z, q.x, q.y, q.z, q.w
 
 
-def instant_of(poses: Sequence[Any]) -> Instant:
-    """Return the instant of source, object and detector."""
-    return Instant(*map(seven_of, poses[:3]))
+def instants_of(poses: Sequence[Any]) -> PosePairs:
+    """Return the instants of poses of source, object and detector."""
+    numbers = list(map(seven_of, poses))
+    return PosePairs.from_sevens(numbers[i : i + 3] for i in range(0, len(numbers), 3))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.files.writing import require_space
-from twinct.geometry.wire import Instant
+from twinct.geometry.wire import PosePairs
 from twinct.link.plain import transforms
 from twinct.link.recording.bag import Bag
 from twinct.link.stamps import Stamp
@@ -115,7 +115,9 @@ class Recorder(ABC):
         if topic == IMAGE:
             self._bag.flush()
 
-    def write_frames(self, stamp: Stamp, instant: Instant, joints: ArrayLike, time_ns: int) -> None:
+    def write_frames(
+        self, stamp: Stamp, instant: PosePairs, joints: ArrayLike, time_ns: int
+    ) -> None:
         """Write ``/tf`` of a view."""
         links = self._links.at(joints) if self._links else None
         self.write(TF, transforms(stamp, instant, links), time_ns)

@@ -14,7 +14,7 @@ import numpy as np
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance, Gap
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.home import FLIP_RAD, home_off
@@ -55,7 +55,7 @@ class _JointPath:
         return int((~self.solved).sum() + self.flips.sum()), float(self.position_mm.max())
 
 
-def branch_path(cell_model: CellModel, motion: Motion, targets: Sequence[Target]) -> JointPath:
+def branch_path(cell_model: CellModel, motion: Motion, targets: Sequence[PosePairs]) -> JointPath:
     """Find a path through all targets on one branch of each arm.
 
     Args:
@@ -95,7 +95,7 @@ def branch_path(cell_model: CellModel, motion: Motion, targets: Sequence[Target]
 
 
 def _ways(
-    cell: CellModel, kinematics: Kinematics, targets: list[Target]
+    cell: CellModel, kinematics: Kinematics, targets: list[PosePairs]
 ) -> tuple[list[_JointPath], list[_JointPath]]:
     """Return both arms' paths on every detected branch, with both arms solved together."""
     middle, starts = _start_view(cell, kinematics, targets)
@@ -110,7 +110,7 @@ def _ways(
 
 
 def _start_view(
-    cell: CellModel, kinematics: Kinematics, targets: list[Target]
+    cell: CellModel, kinematics: Kinematics, targets: list[PosePairs]
 ) -> tuple[int, list[list[Floats]]]:
     """Return a view that both arms reach, the middle view if possible, and their branches there."""
     last = len(targets) - 1
@@ -126,7 +126,7 @@ def _start_view(
 
 
 def _starts(
-    cell: CellModel, kinematics: Kinematics, target: Target
+    cell: CellModel, kinematics: Kinematics, target: PosePairs
 ) -> tuple[list[list[Floats]], int]:
     """Return each arm's branches at a target, or its nearest miss, and the number of arms there."""
     rng = np.random.default_rng(0)
@@ -158,7 +158,7 @@ def _wrapped(joints: Floats, ranges: Floats) -> Floats:
 
 
 def _trace(
-    cell: CellModel, kinematics: Kinematics, targets: list[Target], middle: int, start: Floats
+    cell: CellModel, kinematics: Kinematics, targets: list[PosePairs], middle: int, start: Floats
 ) -> list[_JointPath]:
     views = len(targets)
     joints = np.zeros((views, len(start)))

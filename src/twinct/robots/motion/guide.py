@@ -9,7 +9,7 @@ import numpy as np
 
 from twinct.core.errors import NoPathError, TargetRefusedError, TrajectoryError
 from twinct.geometry import Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
@@ -47,7 +47,7 @@ class Guide:
         """Discard the stored paths after a move on an unknown path."""
         self._trail = []
 
-    def to(self, target: Target, here: Floats) -> MotionPlan:
+    def to(self, target: PosePairs, here: Floats) -> MotionPlan:
         """Plan a path to a target from joints ``here``, rad, (n,), and store it as taken.
 
         Raises:
@@ -80,7 +80,7 @@ class Guide:
             self._trail = list(ends) if direct else [*self._trail, way.joints[1:]]
         return plan
 
-    def _way_to(self, target: Target, here: Floats) -> JointPath:
+    def _way_to(self, target: PosePairs, here: Floats) -> JointPath:
         """Find a path to a target; if none is found and the path back is known, go through home."""
         found = partial(
             find_joint_path,

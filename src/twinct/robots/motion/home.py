@@ -8,7 +8,7 @@ import numpy as np
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.motion.kinematics import Kinematics
 
 WITHDRAWN_MM = (40.0, 20.0, 10.0, 5.0)
@@ -19,7 +19,7 @@ FLIP_RAD = 0.35
 
 
 def home_off(
-    first: Target,
+    first: PosePairs,
     joints: Floats,
     kinematics: Kinematics,
     clear: Callable[[Floats], bool],
@@ -37,7 +37,7 @@ def home_off(
     Raises:
         TrajectoryError: no home lies within reach and keeps the clearance.
     """
-    source, detector = first.source, first.detector
+    source, detector = first[0]
     beam = source.position - detector.position
     beam = beam / max(float(np.linalg.norm(beam)), 1e-9)
     u, v = detector.rotation[:, :2].T
@@ -47,7 +47,7 @@ def home_off(
             for way in ways:
                 step = distance * way
                 drawn = Pose(source.position + step, source.quat)
-                target = Target.from_poses(drawn, Pose(detector.position - step, detector.quat))
+                target = PosePairs.at(drawn, Pose(detector.position - step, detector.quat))
                 result, largest = kinematics.follow(joints, target)
                 if result.solved.all() and largest.max() <= FLIP_RAD and clear(result.joints):
                     return result.joints

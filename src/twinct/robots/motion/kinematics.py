@@ -11,7 +11,7 @@ import scipy
 from twinct.core.errors import MissingExtraError
 from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, mujoco_module
 from twinct.scenario import InverseKinematics
 
@@ -86,10 +86,10 @@ class Kinematics:
         source, detector = (site_pose(self._data, site) for site in self._cell.site_ids)
         return source, detector
 
-    def solve(self, start: Floats, target: Target) -> IkResult:
+    def solve(self, start: Floats, target: PosePairs) -> IkResult:
         """Solve both arms in one problem by Newton's method from ``start``, within joint limits."""
         mink, ik = self._mink, self._ik
-        for task, pose in zip(self._tasks, (target.source, target.detector), strict=True):
+        for task, pose in zip(self._tasks, target[0], strict=True):
             position, quat = pose.to_metres()
             turn = mink.SO3(np.roll(quat, 1))
             task.set_target(mink.SE3.from_rotation_and_translation(turn, position))
@@ -146,13 +146,13 @@ class Kinematics:
         solved = near & (rotation_deg <= self._ik.rotation_tolerance_deg)
         return IkResult(self._configuration.q.copy(), position_mm, rotation_deg, solved)
 
-    def follow(self, start: Floats, target: Target) -> tuple[IkResult, Floats]:
+    def follow(self, start: Floats, target: PosePairs) -> tuple[IkResult, Floats]:
         """Solve a distant target through intermediate poses, so that the branch stays the same.
 
         Returns:
             the result, and the largest step of each joint between successive poses, rad, (n,).
         """
-        waypoints = _between(self.poses(start), (target.source, target.detector))
+        waypoints = _between(self.poses(start), target[0])
         result, joints, largest = None, start, np.zeros(len(start))
         for waypoint in (*waypoints, target):
             result = self.solve(joints, waypoint)
@@ -162,7 +162,7 @@ class Kinematics:
         return result, largest
 
 
-def _between(here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
+def _between(here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[PosePairs]:
     pairs = list(zip(here, there, strict=True))
     far = [max(a.distance_mm(b) / FAR_MM, a.angle_deg(b) / FAR_DEG) for a, b in pairs]
     steps = int(max(far)) + 1
@@ -172,7 +172,7 @@ def _between(here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[Target]:
     for share in np.arange(1, steps) / steps:
         places = [(1 - share) * a.position + share * b.position for a, b in pairs]
         quats = [turn(share).as_quat() for turn in turns]
-        found.append(Target.from_poses(*map(Pose, places, quats)))
+        found.append(PosePairs.at(*map(Pose, places, quats)))
     return found
 
 

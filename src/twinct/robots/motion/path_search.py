@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import NoPathError, TrajectoryError
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, mujoco_module
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible, Flags, Indices
@@ -78,7 +78,7 @@ class JointPath:
 
     joints: Floats
     views: NDArray[np.intp]
-    targets: tuple[Target, ...]
+    targets: tuple[PosePairs, ...]
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -95,7 +95,7 @@ def required_gap_mm(motion: Motion) -> float:
 def find_joint_path(
     cell_model: CellModel,
     motion: Motion,
-    targets: Sequence[Target],
+    targets: Sequence[PosePairs],
     *,
     roll_free: tuple[bool, bool] = (False, False),
     start: Floats | None = None,
@@ -129,7 +129,7 @@ class _Finder:
         self,
         cell: CellModel,
         motion: Motion,
-        targets: list[Target],
+        targets: list[PosePairs],
         roll_free: tuple[bool, bool],
         seed: int,
         most_looks: float,
@@ -187,14 +187,14 @@ class _Finder:
                 source, detector = (
                     _rolled(pose, float(arm[layer].roll[pair]))
                     for pose, arm, pair in zip(
-                        (targets[view].source, targets[view].detector),
+                        targets[view][0],
                         layers,
                         chosen[layer],
                         strict=True,
                     )
                 )
                 if any(arm[layer].roll[p] for arm, p in zip(layers, chosen[layer], strict=True)):
-                    targets[view] = Target.from_poses(source, detector)
+                    targets[view] = PosePairs.at(source, detector)
         knots, exposed = [ways[0][:1]], [views[:1]]
         for way, view in zip(ways, views[1:], strict=False):
             knots.append(way[1:])
@@ -390,7 +390,9 @@ class _Finder:
                 return ways or [placed], 0
         return [], blocked
 
-    def _polished(self, joints: Floats, views: NDArray[np.intp], targets: list[Target]) -> Floats:
+    def _polished(
+        self, joints: Floats, views: NDArray[np.intp], targets: list[PosePairs]
+    ) -> Floats:
         """Return the knots, with mink's solution at each view."""
         joints = joints.copy()
         for knot in np.flatnonzero(views >= 0):
@@ -407,7 +409,7 @@ class _Finder:
             joints[knot] = result.joints
         return joints
 
-    def _home(self, first: Target, joints: Floats) -> Floats:
+    def _home(self, first: PosePairs, joints: Floats) -> Floats:
         def clear(home: Floats) -> bool:
             return bool(self._straight(home[None], joints[None], self._least_mm)[0])
 

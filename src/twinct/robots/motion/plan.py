@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats, lock
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance, Gap
 from twinct.robots.motion.follow import branch_path, gaps_along
 from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
@@ -66,7 +66,7 @@ class MotionPlan:
     time_s: Floats
     state: Floats
     views: NDArray[np.intp]
-    targets: tuple[Target, ...]
+    targets: tuple[PosePairs, ...]
     clearance_mm: Floats
     nearest: tuple[tuple[str, str], ...]
 
@@ -102,7 +102,7 @@ class MotionPlan:
     @cached_property
     def digest(self) -> str:
         """Hexadecimal SHA-256 of the joint names, targets and waypoints."""
-        told = hashlib.sha256(repr((self.joint_names, self.targets)).encode())
+        told = hashlib.sha256(repr((self.joint_names, tuple(map(_Said, self.targets)))).encode())
         for array in (self.time_s, self.state, self.views.astype(np.int64)):
             told.update(array.tobytes())
         return told.hexdigest()
@@ -127,10 +127,20 @@ class MotionPlan:
         return found
 
 
+class _Said:
+    """Text of a target in the digest of a plan, as version 0.1 wrote it."""
+
+    def __init__(self, target: PosePairs) -> None:
+        ((self._source, self._detector),) = target.sevens
+
+    def __repr__(self) -> str:
+        return f"Target(source_m={self._source}, detector_m={self._detector})"
+
+
 def plan_motion(
     cell: CellModel,
     motion: Motion,
-    targets: Sequence[Target],
+    targets: Sequence[PosePairs],
     *,
     roll_free: tuple[bool, bool] = (False, False),
     shutter: Shutter | None = None,

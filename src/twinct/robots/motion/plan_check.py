@@ -10,7 +10,7 @@ import numpy as np
 from twinct.core.errors import TrajectoryError
 from twinct.core.foreign_text import counted
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs, places_m
 from twinct.robots.cell import CellModel
 from twinct.robots.cell.rails import JOINT as RAIL_JOINT
 from twinct.robots.motion.branches import SIDES
@@ -46,7 +46,7 @@ class RequestedViews:
         shutter: duration of an exposure, and least time from view to view.
     """
 
-    targets: Sequence[Target]
+    targets: Sequence[PosePairs]
     roll_free: tuple[bool, bool] = (False, False)
     any_order: bool = False
     shutter: Shutter = Shutter()
@@ -92,19 +92,18 @@ def _other_views(plan: MotionPlan, requested: RequestedViews) -> list[str]:
         ]
     wanted = list(requested.targets)
     if requested.any_order:
-        places = np.array([(*t.source_m[:3], *t.detector_m[:3]) for t in wanted])
+        places = np.array([places_m(target) for target in wanted])
         wanted = []
         for target in plan.targets:
-            here = np.array((*target.source_m[:3], *target.detector_m[:3]))
-            nearest = int(np.linalg.norm(places - here, axis=1).argmin())
+            nearest = int(np.linalg.norm(places - places_m(target), axis=1).argmin())
             wanted.append(requested.targets[nearest])
             places[nearest] = np.inf
     other = [
         view
         for view, (has, want) in enumerate(zip(plan.targets, wanted, strict=True))
         if not (
-            _same(has.source, want.source, requested.roll_free[0])
-            and _same(has.detector, want.detector, requested.roll_free[1])
+            _same(has.source[0], want.source[0], requested.roll_free[0])
+            and _same(has.detector[0], want.detector[0], requested.roll_free[1])
         )
     ]
     return [
@@ -126,8 +125,7 @@ def _elsewhere(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
     kinematics, ik = Kinematics(cell, motion.ik), motion.ik
     off: dict[str, dict[int, tuple[float, float]]] = {side: {} for side in SIDES}
     for view, (joints, target) in enumerate(zip(plan.joints, plan.targets, strict=True)):
-        for side, here in zip(SIDES, kinematics.poses(joints), strict=True):
-            want: Pose = getattr(target, side)
+        for side, here, want in zip(SIDES, kinematics.poses(joints), target[0], strict=True):
             far = here.distance_mm(want), here.angle_deg(want)
             if far[0] > ik.position_tolerance_mm or far[1] > ik.rotation_tolerance_deg:
                 off[side][view] = far

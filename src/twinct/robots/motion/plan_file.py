@@ -15,7 +15,7 @@ from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import library_errors
 from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.motion.plan import MotionPlan
 
 FORMAT = "twinct plan 1"
@@ -36,8 +36,8 @@ def plan_arrays(plan: MotionPlan) -> dict[str, NDArray[Any]]:
         "time_s": plan.time_s,
         "state": plan.state,
         "views": plan.views.astype(np.int64),
-        "source": np.array([target.source_m for target in plan.targets]),
-        "detector": np.array([target.detector_m for target in plan.targets]),
+        "source": np.array([target.source[0].seven for target in plan.targets]),
+        "detector": np.array([target.detector[0].seven for target in plan.targets]),
         "clearance_mm": plan.clearance_mm,
         "nearest": np.array(plan.nearest),
     }
@@ -67,8 +67,8 @@ def plan_of_arrays(arrays: Mapping[str, Any], where: str) -> MotionPlan:
             state=state,
             views=views,
             targets=tuple(
-                Target(tuple(source), tuple(detector))
-                for source, detector in zip(*(side.tolist() for side in sides), strict=True)
+                PosePairs.from_sevens([pair])
+                for pair in zip(*(side.tolist() for side in sides), strict=True)
             ),
             clearance_mm=np.asarray(arrays["clearance_mm"], np.float64),
             nearest=tuple((str(a), str(b)) for a, b in arrays["nearest"]),

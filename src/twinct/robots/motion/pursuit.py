@@ -9,7 +9,7 @@ import numpy as np
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Floats
-from twinct.geometry.wire import Instant, Reached, Target
+from twinct.geometry.wire import PosePairs, Reached
 from twinct.robots.motion.joint_goal import ArmLimits, JointGoal, states_of
 from twinct.robots.motion.kinematics import mujoco
 from twinct.robots.motion.refusals import readable
@@ -28,7 +28,7 @@ class PursuingSimulation(RobotSimulation):
         return float(self._model.opt.timestep)
 
     @property
-    def instant(self) -> Instant:
+    def instant(self) -> PosePairs:
         """Present poses of source, specimen and panel."""
         return self._instant(None)
 
@@ -91,5 +91,5 @@ class PursuingSimulation(RobotSimulation):
         shut = max(len(lead), self._unready_steps)
         return self._run(
             lambda step: lead[step] if step < len(lead) else rest,
-            *(steps, Target(source, detector), "the exposure", None, shut, True),
+            *(steps, PosePairs.from_sevens([(source, detector)]), "the exposure", None, shut, True),
         )

@@ -6,7 +6,7 @@ import numpy as np
 
 from twinct.core.errors import TargetRefusedError
 from twinct.geometry import Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.follow import straight_path
@@ -32,7 +32,7 @@ class Reactive:
         self._clearance = Clearance(cell)
         self._scratch = mujoco.MjData(cell.model)
 
-    def solve(self, start: Floats, target: Target) -> Floats:
+    def solve(self, start: Floats, target: PosePairs) -> Floats:
         """Return joint positions for a target, after checks of reach and of collisions on the path.
 
         Args:

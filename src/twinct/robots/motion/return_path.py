@@ -6,7 +6,7 @@ import numpy as np
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible
 from twinct.robots.motion.kinematics import mujoco, site_pose
@@ -69,7 +69,7 @@ def path_home(
     data = mujoco.MjData(cell.model)
     data.qpos[:] = home
     mujoco.mj_kinematics(cell.model, data)
-    target = Target.from_poses(*(site_pose(data, site) for site in cell.site_ids))
+    target = PosePairs.at(*(site_pose(data, site) for site in cell.site_ids))
     return JointPath(knots, np.append(np.full(len(knots) - 1, -1), 0), (target,))
 
 

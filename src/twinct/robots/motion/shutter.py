@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct.geometry import Floats
-from twinct.geometry.wire import Instant
+from twinct.geometry.wire import PosePairs
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,7 @@ class Shutter:
         first, share = _between(len(steps), self.middle_s / timestep_s)
         return steps[first] if not share else (1 - share) * steps[first] + share * steps[first + 1]
 
-    def over(
-        self, steps: Sequence[Instant], timestep_s: float
-    ) -> tuple[Instant, tuple[Instant, ...]]:
+    def over(self, steps: Sequence[PosePairs], timestep_s: float) -> tuple[PosePairs, PosePairs]:
         """Return the middle of the exposure, and the middles of its equal parts.
 
         Args:
@@ -81,11 +79,11 @@ class Shutter:
             timestep_s: time between two steps.
         """
         if self.samples == 1:
-            return steps[0], ()
+            return steps[0], PosePairs()
         shares = (np.arange(self.samples) + 0.5) / self.samples
         times = [*(shares * self.exposure_s / timestep_s), self.middle_s / timestep_s]
         *instants, middle = (_at(steps, float(time)) for time in times)
-        return middle, tuple(instants)
+        return middle, PosePairs.joined(instants)
 
 
 def _between(steps: int, time: float) -> tuple[int, float]:
@@ -94,14 +92,14 @@ def _between(steps: int, time: float) -> tuple[int, float]:
     return first, time - first
 
 
-def _at(steps: Sequence[Instant], time: float) -> Instant:
+def _at(steps: Sequence[PosePairs], time: float) -> PosePairs:
     """Interpolate positions, and quaternions for the small turn of one step, linearly."""
     first, share = _between(len(steps), time)
     mixed = []
-    for one, two in zip(np.array(steps[first]), np.array(steps[first + 1]), strict=True):
+    for one, two in zip(*np.array([steps[k].sevens[0] for k in (first, first + 1)]), strict=True):
         if one[3:] @ two[3:] < 0:
             two[3:] = -two[3:]
         between = (1 - share) * one + share * two
         between[3:] /= np.linalg.norm(between[3:])
         mixed.append(tuple(between.tolist()))
-    return Instant(*mixed)
+    return PosePairs.from_sevens([mixed])

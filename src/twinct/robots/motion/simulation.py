@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from twinct.core.errors import MotionError, TargetRefusedError
-from twinct.geometry import MM_PER_M, Floats
-from twinct.geometry.wire import Instant, JointSample, Reached, Target, to_seven
+from twinct.geometry import MM_PER_M, Floats, Pose
+from twinct.geometry.wire import JointSample, PosePairs, Reached, places_m
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.guide import Guide
@@ -182,7 +182,7 @@ class RobotSimulation:
     def move(
         self,
         view: int | None,
-        target: Target,
+        target: PosePairs,
         on_step: Callable[[mujoco.MjData], None] | None = None,
     ) -> Reached:
         """Continue along the plan until the trigger of a view fires.
@@ -308,7 +308,10 @@ class RobotSimulation:
         return np.array([path.at(k * timestep) for k in range(1, steps + 1)])
 
     def drive(
-        self, goal: Floats, target: Target, on_step: Callable[[mujoco.MjData], None] | None = None
+        self,
+        goal: Floats,
+        target: PosePairs,
+        on_step: Callable[[mujoco.MjData], None] | None = None,
     ) -> Reached:
         """Move towards joint positions, without checks, until the trigger fires for ``target``.
 
@@ -331,7 +334,7 @@ class RobotSimulation:
         self,
         reference: Callable[[int], Floats],
         steps: int,
-        target: Target,
+        target: PosePairs,
         what: str,
         on_step: Callable[[mujoco.MjData], None] | None,
         shut: int = 0,
@@ -342,7 +345,7 @@ class RobotSimulation:
         The trigger cannot fire within the first ``shut`` steps.
         """
         model, data, motion, n = self._model, self._data, self._motion, self._n
-        wanted = np.array([target.source_m[:3], target.detector_m[:3]])
+        wanted = places_m(target).reshape(2, 3)
         # Views into MuJoCo's memory, because looking them up costs as much as a step.
         spots = [data.site_xpos[site] for site in self._cell.site_ids]
         joints, speeds, torques = data.qpos, data.qvel, data.qfrc_actuator
@@ -350,7 +353,7 @@ class RobotSimulation:
         settled = motion.trigger == "settled" if settled is None else settled
         open_steps = self._open_steps
         record = np.zeros((steps + open_steps + 1, 3, n))
-        instants: list[Instant] = []
+        instants: list[PosePairs] = []
         watch = self.watch = self._new_watch()
         mujoco.mj_step1(model, data)
         last = self._view - 1 if self._view else None
@@ -420,16 +423,19 @@ class RobotSimulation:
                 return False
         return True
 
-    def _instant(self, view: int | None) -> Instant:
+    def _instant(self, view: int | None) -> PosePairs:
         data, body = self._data, self._cell.specimen_body
-        source, detector = (to_seven(site_pose(data, site)) for site in self._cell.site_ids)
+        source, detector = (site_pose(data, site).as_sent() for site in self._cell.site_ids)
         quat = np.roll(data.xquat[body], -1)
-        told = Instant(source, (*data.xpos[body].tolist(), *quat.tolist()), detector)
+        stands = Pose.from_seven((*data.xpos[body].tolist(), *quat.tolist()))
+        nominal = PosePairs((source,), (detector,), (stands,))
         if self._true_cell is None:
-            return told
-        return self._true_cell.at(told, view, float(data.time), data.qpos, data.qvel)
+            return nominal
+        return self._true_cell.at(nominal, view, float(data.time), data.qpos, data.qvel)
 
-    def _reached(self, record: Floats, instants: list[Instant], before: Instant | None) -> Reached:
+    def _reached(
+        self, record: Floats, instants: list[PosePairs], before: PosePairs | None
+    ) -> Reached:
         model, data, timestep = self._model, self._data, self._model.opt.timestep
         middle, exposure = self._shutter.over(instants, timestep)
         joints = self._shutter.middle(record[-len(instants) :], timestep)

@@ -11,7 +11,7 @@ import numpy as np
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance, Gap, mujoco_module
 from twinct.robots.motion.branches import SIDES, Branches, matrices
 from twinct.robots.motion.feasible import Feasible
@@ -59,7 +59,7 @@ class ViewConfigurations:
         self,
         cell: CellModel,
         motion: Motion,
-        targets: list[Target],
+        targets: list[PosePairs],
         roll_free: tuple[bool, bool],
         least_mm: float,
         seed: int,
@@ -81,7 +81,7 @@ class ViewConfigurations:
 
     def of_arm(self, arm: int) -> tuple[list[Candidates], list[str], set[int]]:
         """Return every view's clear candidates; messages about views without; those views."""
-        poses = [(t.source, t.detector)[arm] for t in self._targets]
+        poses = [target[0][arm] for target in self._targets]
         branches = Branches(self._cell, arm, self._motion.ik, self._seed)
         step = REDUNDANT_ROLL_STEP_DEG if branches.redundant else ROLL_STEP_DEG
         rolls = np.radians(np.arange(0.0, 360.0 if self._roll_free[arm] else step, step))

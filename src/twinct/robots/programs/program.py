@@ -74,7 +74,8 @@ def triggers(program: Program) -> str:
     for view, (time_s, target) in enumerate(
         zip(program.plan.exposures_s.tolist(), program.plan.targets, strict=True)
     ):
-        rows.writerow([view, repr(time_s), *map(repr, (*target.source_m, *target.detector_m))])
+        numbers = (number for pose in target[0] for number in pose.seven)
+        rows.writerow([view, repr(time_s), *map(repr, numbers)])
     return stream.getvalue()
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import Target
+from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance, Gap, Marks
 from twinct.robots.motion import Kinematics
 from twinct.robots.motion.branches import SIDES
@@ -79,7 +79,7 @@ def _nearest(
 ) -> tuple[Floats, tuple[float, float]]:
     """Return an arm's configuration nearest to its pose, (1, k), and its error, mm and deg."""
     kinematics, cell = Kinematics(holder.cell, holder.motion.ik), holder.cell
-    target = Target.from_poses(*(Pose.from_matrix(m[:3, 3], m[:3, :3]) for m in both))
+    target = PosePairs.at(*(Pose.from_matrix(m[:3, 3], m[:3, :3]) for m in both))
     low, high = (
         np.maximum(cell.joint_ranges.T[0], -np.pi),
         np.minimum(cell.joint_ranges.T[1], np.pi),
