@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.geometry import Floats
-from twinct.recon.engine import Kernels, Singles
 
 FEWEST_PLANES, SLAB_SHARE = 64, 0.13
 """Smallest number of planes denoised at a time, and their share of the volume.
@@ -15,8 +17,8 @@ The share includes the planes around them; the iteration holds six slabs of this
 
 
 def lower_in_slabs(
-    kernels: Kernels,
-    x: Singles,
+    kernels: Any,
+    x: NDArray[np.float32],
     inverse: Floats,
     radius: float,
     step: float,
@@ -26,7 +28,7 @@ def lower_in_slabs(
     """Lower the total variation of ``x``, see ``Kernels.lower``, in slabs of planes.
 
     Each slab has as many planes around it as its result depends on: the result is as for the whole
-    volume, to the last bit.
+    volume, to the last bit. ``kernels`` are an engine's, which imports this module.
     """
     around = steps + 2
     below = x[:0].copy()
