@@ -1,23 +1,23 @@
 """Line integrals through voxels against those through the same bodies as meshes.
 
     python benchmarks/bench_voxels.py skull        # the built-in skull at 2, 1 and 0.5 mm
-    python benchmarks/bench_voxels.py skull --sharpened --finest 1
+    python benchmarks/bench_voxels.py skull --sharp
     python benchmarks/bench_voxels.py surface      # the surface in these voxels
     python benchmarks/bench_voxels.py rod          # titanium in a grey body, at 1 and 0.5 mm
 
 Voxels hold volume fractions. The meshes are those of the engine ``mesh``, whose path lengths are
-exact. Views are random: from any side, with tilted panels. ``--sharpened`` voxels are those whose
-trilinear field has the volume fractions as its means over voxels.
+exact. Views are random: from any side, with tilted panels. With ``--sharp``, each point is bone or
+nothing (``edges: sharp``), else the fractions are linear between the centres of voxels.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("what", choices=("skull", "surface", "rod"))
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--finest", type=float, default=0.5, help="smallest voxel of the skull")
-    parser.add_argument("--sharpened", action="store_true", help="against the blur of the field")
+    parser.add_argument("--sharp", action="store_true", help="sharp edges of the voxels")
     options = parser.parse_args()
     rng = np.random.default_rng(20261126)
     views = [random_view(rng) for _ in range(options.views)]
@@ -48,20 +48,7 @@ def main() -> None:
         return rod(views)
     if options.what == "surface":
         return surfaces(views, options.finest)
-    skull(views, options.finest, options.sharpened)
-
-
-def sharpened(part: GreyPart) -> GreyPart:
-    """Return voxels whose trilinear field has the amounts of the given ones as means."""
-    field, amounts = part.field, part.field.amounts.copy()
-    for _ in range(8):
-        means = amounts
-        for axis in range(3):
-            means = correlate1d(means, [1 / 8, 6 / 8, 1 / 8], axis, mode="constant")
-        amounts += field.amounts - means
-    return GreyPart(
-        part.name, part.material, part.mesh, GreyField(field.materials, amounts, field.grid)
-    )
+    skull(views, options.finest, options.sharp)
 
 
 def skull(views: list[ScanGeometry], finest: float, sharp: bool) -> None:
@@ -73,7 +60,7 @@ def skull(views: list[ScanGeometry], finest: float, sharp: bool) -> None:
     exact = lines_of(mesh, views)
     for voxel in (one for one in (2.0, 1.0, 0.5) if one >= finest):
         part = voxels({bone: [(mesh, 1.0)]}, mesh, voxel)
-        part = sharpened(part) if sharp else part
+        part = replace(part, field=replace(part.field, sharp=sharp))
         with PathRenderer([], PANEL, greys=[part]) as renderer:
             errors = [
                 errors_of(renderer.render(view, Pose.identity())[0], lengths)

@@ -9,7 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from twinct.link.recording.bag import Bag
+from twinct.link.recording.drive_file import NOTE, OUTCOME
+from twinct.link.recording.recorder import PLAN
+
 TOOL = Path(__file__).parents[1] / "tools" / "trials"
+
+sys.path.append(str(TOOL))
+from recordings import is_part, told_by  # noqa: E402 - a module of the tool
 
 FAKE = """
 import os, pathlib, sys
@@ -52,12 +59,42 @@ def test_what_a_fault_leaves_behind_is_found(tmp_path: Path, careful: bool) -> N
     for module in ("__init__.py", "cli/__init__.py", "cli/commands.py"):
         (program.parent / module).touch()
     words = ("--trials", "1", "--commands", "reach", "--faults", "Ctrl-C", "--seed", "1")
+    words = (*words, "--journal", str(tmp_path / "trials.jsonl"))
     done = trials(*words, path=tmp_path)
     assert done.returncode == (0 if careful else 1), done.stdout + done.stderr
     told = ["exit code 1", "neither as before nor complete", "left behind: .reach.json.partial"]
     for wrong in (*told, "again: python tools/trials"):
         assert (wrong in done.stdout) is not careful, done.stdout
     assert f"{int(careful)} of 1 passed; 0 were drawn again" in done.stdout
+    if careful:
+        (program.parent / "__main__.py").write_text("1 / 0")
+        assert trials(*words, path=tmp_path).stdout == done.stdout  # all of it by the journal
+
+
+def test_a_part_of_a_recording_says_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "drive.mcap"
+    bag = Bag(file, 100)
+    bag.note(NOTE, {"joints": "[]"})
+    bag.attach(PLAN, b"plan")
+    part = file.read_bytes()
+    bag.note(OUTCOME, {"ended": "all controllers succeeded", "start_ns": "1"})
+    bag.close()
+    whole = told_by(file)
+    assert whole == {
+        "topics": [],
+        "names": {"joints": "[]"},
+        PLAN: b"plan",
+        "ended": "all controllers succeeded",
+        "sent": True,
+    }
+    assert not is_part(whole, whole)
+    for cut in (b"", part, part[:-1]):
+        file.write_bytes(cut)
+        assert is_part(told_by(file), whole)
+    file.write_bytes(b"no recording")
+    assert not is_part(told_by(file), whole)
+    assert not is_part({"topics": ["/other"]}, whole)
+    assert not is_part({"topics": [], PLAN: b"another"}, whole)
 
 
 @pytest.mark.tutorial

@@ -126,6 +126,7 @@ def _twinct(arguments: list[str]) -> None:
         assert any(command.endswith(f"--out {scenario}") for command in COMMANDS)
         return
     assert command in ("run", "check", "reach")
-    rest = [word for word in rest if (command, word) != ("reach", "--connected")]
+    flags = {("reach", "--connected"), ("run", "--link=ros2")}
+    rest = [word for word in rest if (command, word) not in flags]
     load_scenario(ROOT / scenario, rest[1::2])
     assert set(rest[::2]) <= {"--set"}

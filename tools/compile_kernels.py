@@ -160,8 +160,8 @@ def _cast_shadows() -> None:
 
 
 def _cross() -> None:
-    from twinct.geometry import Panel, ScanGeometry, VolumeGrid
-    from twinct.specimen import GreyField
+    from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+    from twinct.specimen import GreyField, GreyPart
     from twinct.specimen.materials import material
     from twinct.xray.grey import GreyCaster
     from twinct.xray.mesh import MeshEngine
@@ -169,8 +169,12 @@ def _cross() -> None:
     panel, (x, y, z) = Panel(8, 9, 10.0, 10.0), np.eye(3)[:, None]
     _expose_mesh(MeshEngine())
     grid, substance = VolumeGrid((4, 5, 6), 10.0), material("water")
-    field = GreyField((substance,), np.ones((*grid.shape, 1), np.float32), grid)
-    GreyCaster(field, panel).cast(ScanGeometry(200 * x, -200 * x, y, z, panel))
+    amounts = np.ones((*grid.shape, 1), np.float32)
+    for sharp in (False, True):
+        field = GreyField((substance,), amounts, grid, sharp)
+        GreyCaster(field, panel).cast(ScanGeometry(200 * x, -200 * x, y, z, panel))
+        part = GreyPart("voxels", substance, _specimen().parts[0].mesh, field)
+        part.add_truth(grid, 80.0, Pose.identity(), np.zeros(grid.shape, np.float32))
 
 
 def _expose_mesh(engine) -> None:

@@ -3,7 +3,7 @@ A phantom for calibration
 =========================
 
 ``scenarios/balls.yaml``. 64 steel balls of 3 mm on a helix, along the paper's path. Their shadows
-tell where source and panel were.
+show where source and panel were.
 """
 
 from twinct import load_scenario, simulate

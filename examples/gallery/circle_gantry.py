@@ -20,4 +20,4 @@ volume = reconstruct(scan)
 volume.show("circle_gantry_volume.png")
 
 # %%
-# Any trajectory can be had on a gantry: ``helix``, ``saddle``, ``uniform`` or a file of poses.
+# A gantry takes any trajectory: ``helix``, ``saddle``, ``uniform`` or a file of poses.

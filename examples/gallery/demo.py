@@ -28,4 +28,4 @@ volume.show("demo_volume.png")
 
 # %%
 # Start here, and change one key at a time: ``twinct run scenarios/demo.yaml --out out/mine --set
-# trajectory.views=50``. ``scenarios/paper.yaml`` is the same at full size.
+# trajectory.views=50``. ``scenarios/paper.yaml`` is the experiment at full size.

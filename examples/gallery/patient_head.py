@@ -27,5 +27,5 @@ scan = simulate(scenario)
 scan.show("patient_head_scan.png")
 
 # %%
-# Replace ``phantom: head`` by the path of a CT of your own. ``scenarios/patient_spine.yaml`` is
-# the same for a spine.
+# Replace ``phantom: head`` by the path of a CT of your own. ``scenarios/patient_spine.yaml``
+# scans a spine.

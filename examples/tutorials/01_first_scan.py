@@ -14,8 +14,8 @@ coarser voxels. Here it has 40 views, so that it runs in seconds.
 # Load a scenario
 # ---------------
 #
-# A scenario is one YAML file. A second argument overrides keys of it, as ``--set`` does on the
-# command line.
+# A scenario is one YAML file. A second argument overrides some of its keys, as ``--set`` does
+# on the command line.
 
 import matplotlib.pyplot as plt
 
@@ -30,8 +30,8 @@ print(scenario.detector.columns, "x", scenario.detector.rows, "pixels")
 # The room
 # --------
 #
-# A builder makes the parts of both simulations when they are asked for. Here it plans the motion
-# of both arms, and draws the room at view 20.
+# A builder makes the parts of both simulations when they are needed. Here it plans the motion of
+# both arms, and draws the room at view 20.
 
 builder = SimulationBuilder(scenario)
 builder.draw("room.png", view=20, width=1000, height=560)
@@ -41,8 +41,7 @@ builder.draw("room.png", view=20, width=1000, height=560)
 # --------
 #
 # ``simulate`` moves the arms along the plan, and renders an image at each view, at the pose where
-# the arms really are. It runs in this process and writes no files; ``twinct run`` does the same on
-# disk.
+# the arms really are. It runs in this process and writes no files; ``twinct run`` writes a folder.
 
 scan = simulate(scenario)
 scan.show("scan.png")
@@ -73,9 +72,9 @@ print(f"{evaluate(scan, fast).rmse_bone_rel:.1%} error near bone")
 # What the robots cost
 # --------------------
 #
-# A scan holds three geometries. *Commanded* is asked for, *executed* is where source and panel
-# really were, and *believed* is what the system reports. Only a simulation knows the executed one,
-# and can reconstruct from it.
+# A scan holds three geometries. *Commanded* is what you ask for, *executed* is where source and
+# panel really were, and *believed* is what the system reports. Only a simulation knows the executed
+# geometry, and can reconstruct from it.
 
 ideal = reconstruct(scan, algorithm="fast", geometry="executed")
 print(f"{evaluate(scan, ideal).rmse_bone_rel:.1%} error near bone from the executed geometry")
@@ -98,7 +97,7 @@ for axis, (name, shown) in zip(
 # On the command line
 # -------------------
 #
-# The same, with a report::
+# These commands do all this, and write a report::
 #
 #     twinct run scenarios/demo.yaml --out out/demo --set trajectory.views=40
 #     twinct reconstruct out/demo --set reconstruction.algorithm=fast

@@ -54,7 +54,7 @@ reconstruction:
 scenario = load_scenario("part.yaml")
 
 # %%
-# ``twinct check part.yaml`` would now tell whether the part fits into the field of view, and warn
+# ``twinct check part.yaml`` would now say whether the part fits into the field of view, and warn
 # if its unit looks wrong. ``twinct specimen part.yaml --out out/part`` draws it.
 #
 # Scan and reconstruct

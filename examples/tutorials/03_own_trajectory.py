@@ -76,8 +76,8 @@ distance.set(xlabel="view", ylabel="source, distance from its command / mm")
 # The tolerance of the trigger is 1 mm: an image is taken as soon as both tools are within it,
 # while they are still moving.
 #
-# A path that cannot be
-# ---------------------
+# A path that is impossible
+# -------------------------
 #
 # A full circle is too much for these two arms. They say so before anything moves, view by view.
 
@@ -89,8 +89,8 @@ except TwinctError as error:
         print(line)
 
 # %%
-# ``twinct check`` prints the same, looks for the smallest change that cures it, and draws the
-# first view that fails.
+# ``twinct check`` prints these lines, too. It looks for the smallest change that cures them, and
+# draws the first view that fails.
 #
 # Built-in families
 # -----------------

@@ -59,7 +59,7 @@ for name in ("sphere_300.png", "room_300.png"):
 # A person in the room
 # --------------------
 #
-# Zones are kept clear by the arms, and do not appear in images. Here a nurse stands beside the
+# The arms keep out of zones, which do not appear in images. Here a nurse stands beside the
 # patient; the path is planned around her, with ``motion.clearance_mm`` to spare.
 
 nurse = {
@@ -81,5 +81,5 @@ except TwinctError as error:
         print(line)
 
 # %%
-# ``twinct place`` then searches better positions of the bases. See the how-to page *Where should
-# the arms stand?*
+# ``twinct place`` then searches for better positions of the bases. See the how-to page *Where
+# should the arms stand?*

@@ -75,9 +75,9 @@ axis.legend()
 # Photons
 # -------
 #
-# With ``noise: {kind: quantum}`` the number of photons counts: of a tube it follows from
-# ``current_ma`` times ``exposure_ms``. The scintillator's response says which share of them is
-# seen.
+# With ``noise: {kind: quantum}`` the number of photons counts. For a tube, it follows from
+# ``current_ma`` times ``exposure_ms``. The scintillator's response says which share of them the
+# detector absorbs.
 
 noisy = ideal.with_(
     {

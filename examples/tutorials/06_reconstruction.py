@@ -47,9 +47,9 @@ for name, volume in volumes.items():
     print(f"{name:16} {evaluate(scan, volume).rmse_bone_rel:.1%} error near bone")
 
 # %%
-# More passes help up to a point: after ten of them the error stands still, because 20 views do not
-# tell more. With noise it would rise again. An observer is a function that is told of each pass,
-# with its volume.
+# More passes help up to a point: after ten of them the error stands still, because 20 views hold no
+# more information. With noise it would rise again. An observer is a function that twinct calls
+# after each pass, with its volume.
 
 from twinct.observers import IterationDone
 
@@ -72,9 +72,9 @@ axis.set(xlabel="passes of SART", ylabel="error near bone / %")
 # An object larger than the field of view
 # ----------------------------------------
 #
-# The jaw and the top of the skull reach out of the grid. What lies there still adds to the line
-# integrals, and ends up at the border of the volume. ``surroundings`` reconstructs it coarsely and
-# takes it out.
+# The jaw and the top of the skull reach out of the grid. These parts still add to the line
+# integrals, and their effect ends up at the border of the volume. ``surroundings`` reconstructs
+# them coarsely and takes them out.
 
 more = simulate(few.with_({"trajectory.views": 60}))
 plain = reconstruct(more, algorithm="sart", iterations=5)

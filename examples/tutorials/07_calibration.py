@@ -2,8 +2,8 @@
 Calibration
 ===========
 
-Real arms are not where they believe to be. You will give a machine realistic errors, see what
-they do to the volume, and find the true poses with a phantom of steel balls.
+Real arms are not exactly where their encoders say. You will give a machine realistic errors, see
+what they do to the volume, and find the true poses with a phantom of steel balls.
 """
 
 # sphinx_gallery_thumbnail_number = 2
@@ -50,8 +50,8 @@ run(load_scenario("scenarios/balls.yaml", phantom), "balls", link="local")
 load_scan("balls").show("balls.png", views=[0, 9, 18, 27])
 
 # %%
-# Each shadow tells where a ball is seen. ``calibrate beads`` finds nine numbers for each view from
-# them, three of the source and six of the panel, and gives both scans the geometry ``beads``.
+# From the shadows, ``calibrate beads`` finds nine numbers for each view, three of the source and
+# six of the panel, and gives both scans the geometry ``beads``.
 
 run_command("calibrate beads balls --to skull".split())
 

@@ -11,8 +11,8 @@ taking? You will say what counts, have views chosen, and see how they compare wi
 # --------
 #
 # A ball of 15 mm about the screw in the petrous bone is of interest. Rays through metal count
-# against a view, and the planes through the region should be covered (completeness). The gantry
-# stands for arms here, so that all directions can be had.
+# against a view, and the planes through the region should be covered (completeness). A gantry
+# replaces the arms here, so that every direction is within reach.
 
 import json
 from pathlib import Path
@@ -39,8 +39,8 @@ task:
 # The plan
 # --------
 #
-# ``twinct plan`` takes candidates all over the sphere, and adds the view that is worth most, again
-# and again.
+# ``twinct plan`` takes candidates all over the sphere, and again and again adds the view that is
+# worth most.
 
 run_command("plan task.yaml --out plan".split())
 
@@ -60,5 +60,5 @@ for name, value in json.loads(Path("plan/plan.json").read_text()).items():
     print(f"{name}: {str(value)[:90]}")
 
 # %%
-# ``--try`` also images and reconstructs the chosen views and the scenario's path, and tells the
+# ``--try`` also images and reconstructs the chosen views and the scenario's path, and reports the
 # error of both around the screw. A plan foresees what it was asked for, not everything: try it.

@@ -49,8 +49,8 @@ study = run_study("passes.yaml", "passes", jobs=1)
 # The table
 # ---------
 #
-# A row for each trial. ``results.parquet`` in the folder holds the same, and ``study.html`` is a
-# page for people.
+# The table has a row for each trial. ``results.parquet`` in the folder holds it, too, and
+# ``study.html`` is a page for people.
 
 table = study.results
 print(len(table), "trials,", sorted({one for one in table.columns if "rmse_bone" in one}))

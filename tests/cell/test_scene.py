@@ -13,11 +13,21 @@ import trimesh
 
 from twinct.core.errors import InputError, MemoryShortageError, ScenarioError, StorageError
 from twinct.geometry import Pose
-from twinct.robots.cell import CellModel, Clearance, build_cell, build_gantry, render_cell
-from twinct.robots.cell.render import _add_names, _shown
+from twinct.robots.cell import (
+    CellModel,
+    Clearance,
+    build_cell,
+    build_gantry,
+    paint_specimen,
+    render_cell,
+    whole_camera,
+)
+from twinct.robots.cell.render import _add_names, _corners, _shown
 from twinct.robots.cell.scene import _compile
 from twinct.robots.cell.standing import VISUAL_GROUP
 from twinct.scenario import Cell, Detector, GantryCell
+from twinct.specimen.colours import BONE, METAL, PLASTIC, SKIN, WATER, colour_of
+from twinct.specimen.materials import material
 
 ROUNDING_M = 1e-6
 """GJK's own tolerance, with room."""
@@ -219,3 +229,32 @@ def test_a_camera_knows_how_much_of_the_panel_other_bodies_hide(head: trimesh.Tr
     behind, beside = (_shown(room.model, data, "detector_panel", np.array(eye)) for eye in eyes)
     assert behind < 0.8
     assert beside == 1
+
+
+@pytest.mark.parametrize("base_z_mm", [0, 1400])
+def test_a_picture_shows_arms_of_any_height(head: trimesh.Trimesh, base_z_mm: float) -> None:
+    base = {"base_position_mm": [850, 0, base_z_mm], "base_rotation_deg": [180, 0, 0]}
+    section = Cell.model_validate({"source_arm": base if base_z_mm else {}})
+    room = build_cell(section, head, Pose.identity(), Detector().panel)
+    joints = np.tile(np.radians([0, -120, 120, 0, 90, 0]), 2)
+    aspect, camera = 1.6, whole_camera(room, joints, 1.6)
+    data = mujoco.MjData(room.model)
+    data.qpos[:] = joints
+    mujoco.mj_forward(room.model, data)
+    a, e = np.radians([camera.azimuth, camera.elevation])
+    forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.cross(forward, [0, 0, 1]) / np.cos(e)
+    seen = _corners(room.model, data) - (camera.lookat - camera.distance * forward)
+    half = np.tan(np.radians(room.model.vis.global_.fovy) / 2) * (seen @ forward)
+    assert np.all(abs(seen @ right) < aspect * half)
+    assert np.all(abs(seen @ np.cross(right, forward)) < half)
+
+
+def test_the_specimen_has_the_colour_of_its_material(head: trimesh.Trimesh) -> None:
+    names = "bone", "aluminium", "soft_tissue", "water", "pmma", "Bone, Cortical (ICRP)"
+    colours = [colour_of(material(name)) for name in names]
+    assert colours == [BONE, METAL, SKIN, WATER, PLASTIC, BONE]
+    room = build_cell(Cell(), head, Pose.identity(), Detector().panel)
+    paint_specimen(room, METAL)
+    drawn = room.model.geom_matid[room.model.geom("specimen_look").id]
+    assert room.model.mat_rgba[drawn][:3].tolist() == pytest.approx(METAL)

@@ -156,6 +156,7 @@ def test_macros_need_xacro_and_find_packages(tmp_path: Path, monkeypatch) -> Non
     monkeypatch.setitem(sys.modules, "xacro", stand_in)
     monkeypatch.setitem(sys.modules, "xacro.substitution_args", inner)
     write_arm(file, {"package": "maker"}, tmp_path / "own")
+    assert [one.name for one in (tmp_path / "own").iterdir()] == ["arm.urdf"], "it has no meshes"
     assert inner.found == str(here)  # type: ignore[attr-defined]
     assert inner._eval_find is None  # type: ignore[attr-defined]
     with pytest.raises(ScenarioError, match="needs the package 'none', which was not found"):

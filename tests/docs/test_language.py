@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import re
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "site"))
+
+from generated_pages import commands, figures  # noqa: E402
+
+PROGRAMS = sorted((ROOT / "examples").glob("[tg]*/*.py"))
 PAGES = [
     *(ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")),
     *sorted(
@@ -63,6 +70,20 @@ def _hits(text: str) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_a_page_holds_no_bad_pattern(page: Path) -> None:
     found = _hits(page.read_text(encoding="utf-8"))
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("program", PROGRAMS, ids=lambda program: program.name)
+def test_a_program_of_the_gallery_holds_none(program: Path) -> None:
+    head, *cells = program.read_text(encoding="utf-8").split("\n# %%\n")
+    prose = [re.sub(r"\n(?!#)[^\n]*", "", cell).replace("#", "") for cell in cells]
+    found = _hits("\n\n".join([head.split('"""')[1], *prose]))
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("made", [commands, figures], ids=lambda made: made.__name__)
+def test_a_generated_page_holds_none(made: Callable[[], str]) -> None:
+    found = _hits(made())
     assert not found, "\n".join(found)
 
 

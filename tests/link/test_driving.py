@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,10 +19,12 @@ from stand_in import StandIn
 from waiting import HANG_S, until
 
 from twinct.cli import run_command
-from twinct.core.errors import InputError
+from twinct.cli.drive import drive
+from twinct.core.errors import InputError, StorageError
 from twinct.link.driving import Drive, DriveSettings, names_of
 from twinct.link.follow import ControllerError, courses
 from twinct.link.participant import Station
+from twinct.link.recording.bag import Bag
 from twinct.link.recording.drive_file import DriveFile
 from twinct.robots.motion import MotionPlan
 from twinct.robots.programs import Program, program_of
@@ -222,6 +225,42 @@ def test_the_names_of_the_joints_are_in_the_file(arms, run, plan) -> None:
     with run.path.open("rb") as stream:
         notes = {note.name: note.metadata for note in make_reader(stream).iter_metadata()}
     assert list(json.loads(notes["twinct drive"]["joints"]).values()) == list(plan.joint_names)
+
+
+def full(*_: Any, **__: Any) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def stopped(*_: Any, **__: Any) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("where", "does", "error"),
+    [
+        ("twinct.link.recording.drive_file.save_plan", stopped, KeyboardInterrupt),
+        ("twinct.link.participant.Station", stopped, KeyboardInterrupt),
+        ("twinct.link.driving.Drive.run", stopped, KeyboardInterrupt),
+        ("twinct.link.recording.drive_file.save_plan", full, StorageError),
+        ("twinct.link.driving.Drive.run", full, StorageError),
+    ],
+)
+def test_a_command_that_ends_before_it_sent_leaves_no_file(
+    scenario, program, domain, tmp_path, monkeypatch, where: str, does: Any, error: type
+) -> None:
+    monkeypatch.setattr("twinct.cli.drive.planned", lambda *_: (scenario, program))
+    monkeypatch.setattr(where, does)
+    with pytest.raises(error):
+        drive(Path("s.yaml"), out=tmp_path / "d.mcap", source=ACTIONS[0], detector=ACTIONS[1])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_closes_the_file(tmp_path, monkeypatch) -> None:
+    bag = Bag(tmp_path / "d.mcap", 100)
+    monkeypatch.setattr(bag._writer, "finish", full)
+    with pytest.raises(OSError, match="No space"):
+        bag.close()
+    assert bag._file.closed
 
 
 @pytest.mark.tutorial

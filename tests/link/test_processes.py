@@ -300,15 +300,18 @@ def test_a_hold_ends_with_the_last_process_that_has_it(with_children):
 def test_shared_memory_of_the_dead_is_swept_and_of_the_living_kept(tmp_path):
     import fcntl
 
-    for name in ("fastrtps_port7778", "sem.fastrtps_port7778_mutex"):
+    for name in ("fastrtps_port7778", "sem.fastrtps_port7778_mutex", "fastrtps_8d3ea874a08bf714"):
         (tmp_path / name).write_text("")
         os.utime(tmp_path / name, (1, 1))
     for name in ("fastrtps_port7777", "fastrtps_dead", "fastrtps_alive"):
         for path in (tmp_path / name, tmp_path / f"{name}_el"):
             path.write_text("")
             os.utime(path, (1, 1))
+    about_to_be_locked = tmp_path / "fastrtps_0123456789abcdef"
+    about_to_be_locked.write_text("")
+    os.utime(about_to_be_locked, (2**33, 2**33))
     with (tmp_path / "fastrtps_alive_el").open() as alive:
         fcntl.flock(alive, fcntl.LOCK_EX)
         sweep_shared_memory(tmp_path)
         left = sorted(path.name for path in tmp_path.iterdir())
-    assert left == ["fastrtps_alive", "fastrtps_alive_el"]
+    assert left == ["fastrtps_0123456789abcdef", "fastrtps_alive", "fastrtps_alive_el"]

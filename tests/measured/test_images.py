@@ -16,6 +16,7 @@ from twinct.measured.stack import open_stack
 from twinct.scan import ScanStore
 
 SHAPE = (VIEWS, ROWS, COLUMNS)
+LINES = ball_images(orbit())
 COUNTS = np.random.default_rng(0).integers(0, 60000, (3, 5, 7)).astype(np.uint16)
 
 
@@ -201,7 +202,7 @@ RAW = np.full(SHAPE, 30000, np.uint16)
         (FULL, r"flats.0.*image 0 is saturated: 100.0% of its pixels are 65535"),
         (np.zeros_like(LIT), "100.0% of the pixels are no brighter than 0"),
         (LIT[:5], "5 x 26 pixels, but the projections have 20 x 26"),
-        (np.full_like(LIT, 100), "do the flat images belong to these images"),
+        (np.full_like(LIT, 100), "does images.flats belong to these images"),
     ],
 )
 def test_bad_flats_are_named(flat, message, circle, stored, imported, tmp_path):
@@ -219,6 +220,8 @@ def test_bad_flats_are_named(flat, message, circle, stored, imported, tmp_path):
     [
         (RAW, "line_integrals", "are they intensities"),
         (RAW, "transmissions", "are they intensities"),
+        (LINES, "transmissions", "of the pixels are 0 or below.*are they line integrals"),
+        (-np.exp(-LINES), "transmissions", "100% of the pixels are 0 or below"),
         (np.full(SHAPE, np.nan), "transmissions", "image 0: 520 pixels are not finite"),
         (np.ones(SHAPE)[:7], "transmissions", "not full"),
         (np.ones(SHAPE)[0, 0], "transmissions", r"shape \(26,\); expected 3 axes"),
@@ -231,6 +234,39 @@ def test_bad_images_are_named(array, values, message, circle, stored, imported):
         circle |= {"angles": {"values": list(range(0, 360, 15))}}
     with pytest.raises(InputError, match=message):
         imported({"images": stored(array, values), "geometry": circle})
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"white": 900.0}, "divided by images.white, numbers reach 33"),
+        ({"white": 4e6}, "does images.white belong to these images"),
+        ({"white": 4e4, "every": 24}, "images.every: 24 leaves one of 24 views"),
+        ({"flats": [{"path": "LIT", "view": 200}]}, "flats.0.view: 200 is none of the views 0 to"),
+    ],
+)
+def test_intensities_fit_their_white_and_their_views(
+    keys, message, circle, stored, imported, tmp_path
+):
+    np.save(tmp_path / "LIT.npy", LIT)
+    for flat in keys.get("flats", ()):
+        flat["path"] = str(tmp_path / "LIT.npy")
+    with pytest.raises(InputError, match=message):
+        imported({"images": stored(RAW, "intensities", **keys), "geometry": circle})
+
+
+@pytest.mark.parametrize(
+    ("images", "angles", "grid", "message"),
+    [
+        ({}, 0.0, None, "all 24 views have the same pose"),
+        ({"rings": {"width": 5}}, 2.0, None, "images.rings: the views must cover a turn.* 0.9"),
+        ({}, 15.0, {"voxels": 8, "voxel_mm": 1, "centre_mm": [0, 0, 5e3]}, "no view sees its vox"),
+    ],
+)
+def test_views_that_show_nothing_are_named(images, angles, grid, message, circle, stored, imported):
+    told = {"images": stored(LINES, **images), "geometry": circle | {"angles": {"step": angles}}}
+    with pytest.raises(InputError, match=message):
+        imported(told | ({"grid": grid} if grid else {}))
 
 
 def test_bad_stacks_are_named(tmp_path):

@@ -202,6 +202,10 @@ def test_the_command_says_what_is_left(scan, ball, capfd, tmp_path) -> None:
     ):
         assert run_command(["predict", str(folder), *wrong]) == 2, wrong
         assert words in " ".join(capfd.readouterr().err.split())
+    tiny = [*keys[:4], "--mesh", str(tmp_path / "metres.stl")]
+    trimesh.creation.icosphere(1, 0.001 * RADIUS).export(tiny[-1])
+    assert run_command(["predict", str(folder), *tiny]) == 0
+    assert "(metres) would make it" in " ".join(capfd.readouterr().err.split())
     assert run_command(["predict", str(tmp_path)]) == 2
     assert "is not a run folder" in capfd.readouterr().err
 

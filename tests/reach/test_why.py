@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 import trimesh
 
+from twinct.core.progress import WorkSpentError, counted
 from twinct.geometry import Pose
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import Kinematics
-from twinct.robots.reach import Holder, Poses, poses_of, reasons, shown
+from twinct.robots.motion.feasible import Feasible
+from twinct.robots.reach import CureSearch, Holder, Poses, poses_of, reasons, shown
 from twinct.scenario import Capsule, Cell, Detector, DetectorArm, Motion, SourceArm, Zone
 from twinct.trajectory import on_sphere
 
@@ -24,6 +27,14 @@ FIRST = Cell(
 """The paper's."""
 
 
+NURSE = Zone(
+    name="nurse",
+    shape=Capsule(kind="capsule", radius_mm=200, length_mm=1300),
+    position_mm=(200.0, 700.0, -350.0),
+)
+WITH_NURSE = FIRST.model_copy(update={"zones": (NURSE,)})
+
+
 @pytest.fixture(scope="module")
 def build(head: trimesh.Trimesh) -> Callable[[Cell], CellModel]:
     return lambda cell: build_cell(cell, head, Pose.identity(), Detector().panel)
@@ -33,6 +44,12 @@ def at(*longitudes_deg: float, latitude_deg: float = 0.0) -> Poses:
     latitudes = np.full(len(longitudes_deg), np.radians(latitude_deg))
     directions = on_sphere(np.radians(longitudes_deg), latitudes, 1.0)
     return poses_of(directions, 300, 300, np.zeros(3), Detector().panel)
+
+
+def search(
+    cell: Cell, build: Callable[[Cell], CellModel], poses: Poses, motion: Motion = MOTION
+) -> CureSearch:
+    return CureSearch(cell, build(cell), (build,), motion, FIXED, len(poses), poses.__getitem__)
 
 
 def test_a_pose_out_of_reach_is_a_ghost(cell: CellModel) -> None:
@@ -51,16 +68,11 @@ def test_a_view_that_can_be_held_is_shown_as_it_is(cell: CellModel) -> None:
 
 
 def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellModel]) -> None:
-    nurse = Zone(
-        name="nurse",
-        shape=Capsule(kind="capsule", radius_mm=200, length_mm=1300),
-        position_mm=(200.0, 700.0, -350.0),
-    )
-    cell, poses = FIRST.model_copy(update={"zones": (nurse,)}), at(0, 30, 60)
+    cell, poses = WITH_NURSE, at(0, 30, 60)
     view = shown(Holder(build(cell), MOTION, roll_free=FIXED), poses, 2)
     assert view.marks.red[0].startswith("source_") and view.marks.red[1] == "zone nurse"
     assert "zone nurse" in view.words[0]
-    views, words = reasons(cell, build, MOTION, poses, FIXED)
+    views, words = reasons(search(cell, build, poses), None)
     assert views == [2]
     assert words[0].startswith("cure: cell.source_arm.")
     key, _, value = words[0].removeprefix("cure: cell.source_arm.").partition(": ")
@@ -74,15 +86,37 @@ def test_what_collides_is_red_and_a_cure_is_named(build: Callable[[Cell], CellMo
     assert held.held(poses).all()
 
 
+def test_a_search_without_work_left_says_what_was_not_tried(
+    build: Callable[[Cell], CellModel],
+) -> None:
+    one = search(WITH_NURSE, build, at(0, 30, 60))
+    with counted(1):
+        views, words = reasons(one, [2])
+    assert views == [2]
+    assert re.search(r"0 of \d\d changes were tried.* --all-cures", words[0])
+
+
+def test_work_is_counted_and_ends_a_block(cell: CellModel) -> None:
+    check, joints = Feasible(cell, "source"), np.zeros((20, 12))
+    with counted() as work:
+        check.clear(joints, 10.0)
+    assert 20 <= work.units < 40
+    before = work.units
+    with pytest.raises(WorkSpentError), counted(before - 1):
+        check.clear(joints, 10.0)
+    check.clear(joints, 10.0)
+    assert work.units == before, "nobody counts outside a block"
+
+
 @pytest.mark.tutorial
 def test_no_single_change_turns_an_arm_round(build: Callable[[Cell], CellModel]) -> None:
-    views, words = reasons(FIRST, build, MOTION, at(0, 180), FIXED)
+    views, words = reasons(search(FIRST, build, at(0, 180)), [1])
     assert views == [1]
     assert words[0].startswith("no single change cures the 1 tested views (of 1")
 
 
 def test_the_way_between_is_told_apart(build: Callable[[Cell], CellModel]) -> None:
     motion = Motion(scheme="reactive", trigger="settled")
-    views, words = reasons(FIRST, build, motion, at(0, 10), FIXED)
+    views, words = reasons(search(FIRST, build, at(0, 10), motion), None)
     assert not views
     assert "each view alone can be held" in words[0] and "motion.scheme: planned" in words[0]

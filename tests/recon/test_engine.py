@@ -14,6 +14,7 @@ from twinct.core.card import DEVICE_VARIABLE
 from twinct.core.errors import InputError, MemoryShortageError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, engine, fast, fdk, fista_tv, os_sart, sart
+from twinct.recon.blocks import Blocks
 from twinct.recon.engine import Ratio
 
 DEVICE = os.environ.get(DEVICE_VARIABLE) or "cpu"
@@ -85,6 +86,26 @@ def test_engines_agree_on_an_update(against_plain, masked):
     for one, plain in zip(*results, strict=True):
         close(one, plain)
     assert (results[0][0] == 0).any(), "the floor was reached"
+
+
+def test_engines_agree_within_blocks(against_plain):
+    rng = np.random.default_rng(2)
+    start = rng.random(against_plain[0].domain_shape, dtype=np.float32)
+    blocks = Blocks(np.uint8(rng.random([-(-n // 8) for n in start.shape]) < 0.3))
+    blocks.clear(start)
+    measured = rng.random(against_plain[0].range_shape, dtype=np.float32) * 30
+    results = []
+    for A in against_plain:
+        whole, part, x = A(start), A.within(blocks), start.copy()
+        close(part(start), whole)
+        for view in range(len(A)):
+            part.update(x, view, measured[view], relaxation=0.5, floor=0)
+        results.append(x)
+        blocks.clear(x)
+        np.testing.assert_array_equal(x, results[-1])
+    close(*results)
+    assert 0 < blocks.share < 1
+    assert np.abs(results[0] - start).max() > 0.1
 
 
 def test_engines_agree_on_back_projection_and_total_variation(against_plain):

@@ -13,6 +13,7 @@ from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.denoise import lower_variation, noise
 from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
+from twinct.recon.levels import QUIET_SHARE
 from twinct.report import with_results
 
 
@@ -75,6 +76,31 @@ def test_what_lies_around_is_taken_out(bodies):
     assert error(fast(A, p)) < 0.18 * error(fast(A, p, margin=0))
 
 
+def test_leaving_out_air_costs_nothing(bodies, monkeypatch):
+    A, p, error = bodies
+    left_out = error(fast(A, p))
+    monkeypatch.setattr(Projector, "leaves_out", False)
+    assert left_out < 1.02 * error(fast(A, p))
+
+
+@pytest.mark.parametrize("value", [0.012, 0.1])
+def test_what_is_left_out_is_not_lost(circle, ellipsoid_integrals, value):
+    """A body of an attenuation that is too low to go on, beside a dense one."""
+    geometry, grid = circle(60, Panel(60, 100, 2.0, 2.0)), VolumeGrid((40, 40, 96), 1.0)
+    places = ((-30, 0, 0), (9, 9, 9)), ((28, 3, 2), (9, 8, 9))
+    dense, faint = (ellipsoid_integrals(geometry, *place) for place in places)
+    seen = []
+
+    def watch(step):
+        seen.append(step.volume.shape == grid.shape and step.volume[20:24, 21:25, 73:79].max())
+
+    volume = fast(Projector(geometry, grid), dense + np.float32(value) * faint, callback=watch)
+    left_out = seen[-1] == 0
+    assert left_out == (value < QUIET_SHARE)
+    assert volume.array[20:24, 21:25, 73:79].mean() == pytest.approx(value, rel=0.1)
+    assert volume.array[4:8, 4:8, 73:79].max() < 0.2 * value
+
+
 def test_updates_are_those_that_were_promised(bodies):
     A, p, _ = bodies
     seen = []
@@ -120,11 +146,22 @@ def test_variation_is_lowered_as_by_another_solver(ball):
 def test_slabs_are_the_whole(ball, monkeypatch):
     _, noisy = ball
     whole, slabs, grid = noisy.copy(), noisy.copy(), VolumeGrid(noisy.shape, 1.0)
-    lower_variation(whole, grid, kernels(), 0.1, 0.0)
-    monkeypatch.setattr("twinct.recon.denoise.FEWEST_PLANES", 4)
-    lower_variation(slabs, grid, kernels(), 0.1, 0.0)
+    lower_variation(whole, grid, kernels("plain"), 0.1, 0.0)
+    monkeypatch.setattr("twinct.recon.slabs.FEWEST_PLANES", 4)
+    lower_variation(slabs, grid, kernels("plain"), 0.1, 0.0)
     np.testing.assert_array_equal(slabs, whole)
     assert whole.min() == 0
+
+
+@pytest.mark.parametrize("shape", [(3, 150, 9), (40, 64, 2), (2, 65, 33)])
+def test_one_walk_lowers_variation_as_step_after_step(shape):
+    """With strips of rows side by side, ends of slabs, and lines shorter than a vector."""
+    noisy = np.random.default_rng(4).normal(0.1, 0.3, shape).astype(np.float32)
+    results = []
+    for name in ("vector", "plain"):
+        results.append(noisy.copy())
+        lower_variation(results[-1], VolumeGrid(shape, (1.0, 1.5, 0.7)), kernels(name), 0.1, 0.0)
+    np.testing.assert_allclose(*results, atol=1e-5)
 
 
 def test_noise_is_that_of_the_even_parts(ball):

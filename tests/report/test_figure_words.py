@@ -7,7 +7,7 @@ import pytest
 
 from twinct.evaluation import IMAGE_FIGURES, figure_kinds
 from twinct.evaluation.figure import BADNESS
-from twinct.report.figure_words import figure_words
+from twinct.report.figure_words import axis_words, figure_words
 
 RECORDED = json.loads(Path(__file__).with_name("figure_words.json").read_text())
 
@@ -43,3 +43,16 @@ def test_badness_is_lower_for_better_values(best, order):
     assert sorted([1, 3, 0], key=BADNESS[best]) == order
     assert sorted([3, 0.9, 0], key=BADNESS["one"]) == [0.9, 0, 3]
     assert BADNESS[""](7) == BADNESS[""](-7)
+
+
+def test_axes_of_a_study_are_named_by_their_keys():
+    sigma = ("uncertainty.source.sigma_mm", "uncertainty.detector.sigma_mm")
+    parts = [(f"specimen.parts.{part}.material",) for part in (0, 1)]
+    axes = [("reconstruction.iterations",), sigma, ("source.current_ma",), *parts]
+    assert axis_words(axes) == [
+        ("iterations", ""),
+        ("sigma", "mm"),
+        ("current", "mA"),
+        ("0 material", ""),
+        ("1 material", ""),
+    ]

@@ -279,7 +279,7 @@ def test_the_table_has_each_combination_with_mean_interval_and_n():
     trials[3] = replace(trials[3], done=False, message="no <b>way</b>", figures={})
     html = render_study(study(trials, "noise", "algorithm"))
     head, *rows = table_of(html, "Combinations")
-    assert head == ["noise", "algorithm", "RMSE / %", "±", "n", "failed", "reports"]
+    assert head == ["noise", "algorithm", "RMSE / %", "± 95 %", "n", "failed", "reports"]
     assert [row[:2] for row in rows] == [["0", "sart"], ["0", "–"], ["0.25", "sart"], ["0.25", "–"]]
     assert [row[4:] for row in rows] == [
         ["2", "", "0"],

@@ -57,10 +57,9 @@ def test_stretches_go_on_past_the_last_view() -> None:
 
 def test_a_stretch_is_split_where_problems_lie() -> None:
     stretch = range(6, 16)
-    assert _split(stretch, ["views 2 to 3: out of reach", "view 7: too near"]) == [
+    assert _split(stretch, [2, 3, 7], False) == [
         *(range(6, 8), range(9, 9)),
         *(range(10, 13), range(14, 16)),
     ]
-    way = "from view 3 to view 4: no path found in 3 searches"
-    assert _split(stretch, [way]) == [range(6, 10), range(11, 16)]
-    assert _split(stretch, ["found no timing"]) == [range(7, 15)]
+    assert _split(stretch, [4], True) == [range(6, 10), range(10, 16)]
+    assert _split(stretch, [], False) == [range(7, 15)]

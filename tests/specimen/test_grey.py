@@ -94,6 +94,41 @@ def test_means_on_a_turned_grid(figure: Callable[[str], None]) -> None:
     assert found.sum() == pytest.approx(exact.sum(), rel=5e-3)
 
 
+TABLE = {
+    "kind": "table",
+    "rows": [
+        {"hu": -1000, "density_g_cm3": 0, "material": "water"},
+        {"hu": 40, "density_g_cm3": 1.04, "material": "water"},
+        {"hu": 1000, "density_g_cm3": 1.6, "material": "bone"},
+    ],
+}
+
+
+def test_sharp_edges_have_materials_of_the_rows(file: Path, tmp_path: Path) -> None:
+    """The truth on a turned grid, against points that are each of one row."""
+    built = build(file, calibration=TABLE, edges="sharp")
+    field = grey_of(built).field
+    assert [m.density_g_cm3 for m in field.materials] == [1.04, 1.6]
+    grid = VolumeGrid((9, 9, 9), 5.0, Pose.from_euler((1, 2, 3), (10, 20, 30)))
+    truth = built.truth(grid, KEV)
+    fine = VolumeGrid(np.array(grid.shape) * 10, grid.voxel / 10, grid.world_from_grid)
+    x, y, z = fine.axes()
+    local = np.stack(np.meshgrid(z, y, x, indexing="ij"), axis=-1)[..., ::-1].reshape(-1, 3)
+    points = fine.world_from_grid.apply(local)
+    shares = [linear(points, one, field.grid) for one in np.moveaxis(field.amounts, -1, 0)]
+    largest = np.argmax([*shares, 1 - np.sum(shares, axis=0)], axis=0)
+    mus = np.array([*(m.mu_per_mm(KEV) for m in field.materials), 0.0])
+    exact = mus[largest].reshape(9, 10, 9, 10, 9, 10).mean(axis=(1, 3, 5))
+    assert np.ptp(exact) > 0.9 * mus[1]
+    assert np.sqrt(np.mean((truth - exact) ** 2)) < 0.01 * mus[1]
+    save_built(built, tmp_path / "built.npz")
+    told = section(file, calibration=TABLE, edges="sharp")
+    again = load_built(told, tmp_path / "built.npz")
+    assert again.digest == built.digest != build(file, calibration=TABLE).digest
+    with pytest.raises(ValidationError, match="sharp needs a calibration of kind table"):
+        section(file, edges="sharp")
+
+
 def test_a_mesh_displaces_voxels_by_fractions(file: Path) -> None:
     rod = {"shape": {"kind": "cylinder", "radius_mm": 2.3, "height_mm": 12}, "material": "titanium"}
     built = build(file, rod | {"position_mm": [-3.1, 0.4, 0.2]})
@@ -300,3 +335,27 @@ def test_voxels_in_a_file_are_the_same_voxels(monkeypatch, tmp_path):
     field.spill(tmp_path)
     assert isinstance(field.amounts.base, np.memmap) and not list(tmp_path.iterdir())
     assert np.array_equal(field.amounts, amounts) and not field.amounts.flags.writeable
+
+
+def test_unknown_names_are_refused_before_voxels_are_read(file, tmp_path, monkeypatch):
+    from twinct.core.errors import InputError
+    from twinct.scan import SimulationBuilder, builder
+
+    monkeypatch.setattr(builder, "build_specimen", lambda _: pytest.fail("read the voxels"))
+    masks = tmp_path / "masks"
+    masks.mkdir()
+    write(masks / "skull.nii", Truth((head().values == 1000).astype(float), head().affine), "<u1")
+    of_file = {"kind": "volume", "path": str(file)}
+    told = "evaluation.regions.0.shape.part: no part or label is called 'liver'; there are .*"
+    for shape, name in (
+        ({"kind": "volume", "phantom": "head"}, "brain"),
+        (of_file | {"labels": {"path": str(masks)}}, "skull"),
+        (of_file | {"labels": {"path": str(labels(tmp_path))}}, "and label_1, label_2"),
+    ):
+        keys = {
+            "specimen": {"parts": [{"name": "head", "shape": shape}], "reference": "skul"},
+            "evaluation": {"regions": [{"name": "a", "shape": {"kind": "part", "part": "liver"}}]},
+        }
+        with pytest.raises(InputError, match=told + name) as caught:
+            _ = SimulationBuilder(load_scenario(DEMO, keys)).specimen
+        assert "specimen.reference: no part or label is called 'skul'" in str(caught.value)

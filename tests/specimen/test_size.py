@@ -57,6 +57,11 @@ def test_a_mesh_in_another_unit_is_told_with_the_unit_that_fits(block, edge, uni
     assert f"specimen.parts.0.shape.unit_mm is 1; {unit} would make it 8" in warning
 
 
+def test_a_table_larger_than_the_beam_is_no_mistake(block):
+    table = {"shape": {"kind": "box", "size_mm": [300, 4, 600]}, "position_mm": [0, -60, 0]}
+    assert not size_of(block(80, 60, 40), table).warnings
+
+
 def test_a_tiny_part_beside_others_is_told_and_a_thin_one_is_not(block):
     ball = {"shape": {"kind": "sphere", "radius_mm": 0.2}, "position_mm": [50, 0, 0]}
     foil = {"shape": {"kind": "box", "size_mm": [0.01, 40, 40]}, "position_mm": [60, 0, 0]}

@@ -3,6 +3,7 @@
     python tools/trials --trials 400 --seed 1
     python tools/trials --trials 20 --commands run study --faults SIGKILL Ctrl-C
     python tools/trials --seed 1 --only 17
+    python tools/trials --seed 1 --journal out/trials.jsonl
 
 Each trial runs a command on a tiny scenario until a fault meets it at a drawn moment (a signal to
 the command or to a process of it, a disk that fills up, a clock that jumps), or under a condition
@@ -13,10 +14,12 @@ nothing again that is there already, and end with the bytes of an undisturbed co
 is 1 otherwise, and the words that repeat a failed trial are printed. A trial whose fault comes too
 late to disturb the command is drawn again; if that does not help, it does not count. Conditions
 that need the right to mount disks are skipped without it, and so is the look into /dev/shm. A study
-on a cluster, by Ray, is tried only if it is named, and has no other trial beside it.
+on a cluster, by Ray, is tried only if it is named, and has no other trial beside it. With a
+journal, trials that are in it already are not done again, but count in the report.
 """
 
 import argparse
+import json
 import multiprocessing
 import random
 import shlex
@@ -66,6 +69,33 @@ def work(index):
     """Do one call of ``in_processes``."""
     function, arguments = WORK[index]
     return function(*arguments)
+
+
+class Journal:
+    """A file with a line of JSON for each done trial; without a path, nothing is kept."""
+
+    def __init__(self, path, seed):
+        """Take the trials of an earlier call."""
+        self.path, self.seed, self.done = path, seed, {}
+        if path and path.exists():
+            rows = [json.loads(line) for line in path.read_text().splitlines()]
+            self.done = {told[0]: told for own, *told in rows if own == seed}
+
+    def add(self, told):
+        """Keep a trial."""
+        if self.path:
+            with self.path.open("a") as file:
+                file.write(json.dumps([self.seed, *told]) + "\n")
+
+    def known(self, number, command, kind):
+        """Return True if a trial is done.
+
+        Raises:
+            SystemExit: the journal has other trials by these numbers.
+        """
+        if (told := self.done.get(number)) and told[1:3] != [command, kind]:
+            raise SystemExit(f"{self.path}: trial {number} was {told[1]}, {told[2]}: take another")
+        return number in self.done
 
 
 class Report:
@@ -119,6 +149,7 @@ def main():
     parser.add_argument("--minutes", type=float, help="begin no trial after so long")
     parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
     parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first")
+    parser.add_argument("--journal", type=Path, metavar="FILE", help="goes on from what it holds")
     parser.add_argument("--only", type=int, metavar="N", help="number of the only trial to do")
     options = parser.parse_args()
     for number in (signal.SIGINT, signal.SIGTERM):  # a job in the background ignores Ctrl-C, one of
@@ -133,6 +164,10 @@ def main():
         pairs, jobs = pairs_of(options, trials.can_mount), 1 if trials.cluster else options.jobs
         numbers = [options.only] if options.only is not None else range(options.trials)
         chosen = [(n, *pairs[n % len(pairs)]) for n in numbers if n >= options.first]
+        journal = Journal(options.journal, options.seed)
+        for told in [journal.done[one[0]] for one in chosen if journal.known(*one)]:
+            report.add(*told)
+        chosen = [one for one in chosen if one[0] not in journal.done]
         used = dict.fromkeys((command,) for _, command, _ in chosen)
         trials.whole = dict(in_processes(jobs, trials.undisturbed, used))
 
@@ -144,6 +179,7 @@ def main():
         with suppress(KeyboardInterrupt):
             for told in in_processes(jobs, one, chosen):
                 if told:
+                    journal.add(told)
                     report.add(*told)
     report.conclude([k for k in options.faults if FAULTS[k].mounts and not trials.can_mount])
     return 1 if report.wrong.total() else 0

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from recordings import told_by
+
 ROOT = Path(__file__).parents[2]
 HOOK = Path(__file__).parent / "hook"
 VIEWS = 6
@@ -47,6 +49,8 @@ class Command:
         of: name in the prepared inputs of what OUT is a copy of; empty: OUT is new.
         over: the command may also run over its earlier results.
         victims: processes of the command that a trial may kill or stop.
+        beside: words of a command that runs beside it, and outlives it; it ends with 0.
+        grows: its result is a recording, of which an interrupted command leaves a readable part.
     """
 
     words: str
@@ -56,6 +60,8 @@ class Command:
     of: str = ""
     over: bool = False
     victims: tuple[str, ...] = ()
+    beside: str = ""
+    grows: bool = False
 
     @property
     def of_cluster(self):
@@ -111,6 +117,11 @@ COMMANDS = {
     "import": Command("import MADE/run/scan.mcap --out OUT", ("scan.zarr/**/*", "scenario.yaml")),
     "export": Command("export MADE/run --to rtk --out OUT/rtk", ("rtk/*",)),
     "motion": Command("motion MADE/arms.yaml --to csv --out OUT/plan", ("plan/*",)),
+    "drive": Command(
+        "drive MADE/arms.yaml --out OUT/drive.mcap --both /arms/follow_joint_trajectory "
+        "--source-prefix source_ --detector-prefix detector_ --patience-s 600", ("drive.mcap",),
+        beside="node robots MADE/arms.yaml", grows=True,
+    ),
     "specimen": Command("specimen MADE/gantry.yaml --out OUT", ("*.stl", "truth.nii"), over=True),
     "uncertainty": Command(
         "uncertainty MADE/arms.yaml --draws 20 --out OUT", ("uncertainty.json",), over=True
@@ -195,7 +206,9 @@ def contents(out, patterns):
 
 
 def content(file):
-    """Return the bytes of a file; of a journal, the rows of done trials without their seconds."""
+    """Return the bytes of a file, of a drive or a journal without what depends on the time."""
+    if file.name == "drive.mcap":
+        return told_by(file)
     if file.suffix != ".jsonl":
         return file.read_bytes()
     rows = [json.loads(row) for row in file.read_text().splitlines(True) if row.endswith("\n")]

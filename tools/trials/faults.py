@@ -2,6 +2,7 @@
 
 import os
 import resource
+import signal
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -29,6 +30,8 @@ class Fault:
         shared_kib: size of /dev/shm.
         unread: nobody reads the command's output.
         twice: the command starts a second time at the drawn moment.
+        any_time: signal that comes at a drawn time since the start of the process, instead of a
+            moment that the process counts; so it also meets the first imports.
         outside: called with a cluster, a generator, and a function that returns True when the
             command has ended, at the drawn moment.
     """
@@ -46,6 +49,7 @@ class Fault:
     shared_kib: int = 64 * 1024
     unread: bool = False
     twice: bool = False
+    any_time: int = 0
     outside: Callable | None = None
 
     @property
@@ -106,6 +110,8 @@ FAULTS = {
     "Ctrl-C twice": sent("2,2", (130, -2)),
     "SIGTERM": sent("15", (143,), "interrupted: "),
     "SIGHUP": sent("1", (129,), "interrupted: "),
+    "Ctrl-C at any time": Fault((130,), "interrupted: ", any_time=signal.SIGINT),
+    "SIGTERM at any time": Fault((143,), "interrupted: ", any_time=signal.SIGTERM),
     "disk full": Fault((2,), FULL, "fill", lambda rng, disk: f"{disk}/filler", disk=112),
     "read-only folder": Fault((2,), "cannot be written", disk=112, read_only=True),
     "odd path": Fault((0,), name=ODD_NAME),

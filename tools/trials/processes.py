@@ -10,7 +10,7 @@ from pathlib import Path
 MARK = "TWINCT_TRIAL_MARK"
 LOOK_S = 0.02
 PATIENCE_S = 600.0
-TO_END_S = 15.0
+TO_END_S = 120.0
 
 
 def alive(mark, variable=MARK):

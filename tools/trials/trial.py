@@ -11,6 +11,7 @@ import signal
 import subprocess
 import time
 
+from beside import Beside, domain
 from commands import COMMANDS, begin, contents, environment, line, prepare
 from faults import FAULTS
 from processes import (
@@ -25,6 +26,7 @@ from processes import (
     until,
     with_shared_memory,
 )
+from recordings import is_part
 from simulated_cluster import SimulatedCluster
 
 DRAFT = re.compile(r"partial|\.new$|lock$|lifeline")
@@ -46,7 +48,7 @@ class Trials:
     Attributes:
         can_mount: disks can be mounted for a trial.
         whole: of each command, the results when nothing disturbs it, and the times of the moments
-            of its processes.
+            of its processes, and those of its start and end.
     """
 
     def __init__(self, folder, names, stack):
@@ -67,15 +69,22 @@ class Trials:
         place.mkdir(parents=True)
         out = place / "results"
         begin(COMMANDS[name], self.made, out)
-        done = subprocess.run(
-            self.line(COMMANDS[name], out),
-            env=environment({"TWINCT_TRIAL": f"any|0|0|||{place}"}),
-            capture_output=True,
-            text=True,
-        )
+        with domain(COMMANDS[name]) as own:
+            beside = self.beside(COMMANDS[name], out, environment(own), place / "beside.log")
+            begun = time.monotonic()
+            done = subprocess.run(
+                self.line(COMMANDS[name], out),
+                env=environment({"TWINCT_TRIAL": f"any|0|0|||{place}", **own}),
+                capture_output=True,
+                text=True,
+            )
+            whole_s = time.monotonic() - begun
+            if wrong := beside and beside.end():
+                raise SystemExit(f"{name}: {wrong}")
         if done.returncode:
             raise SystemExit(f"{name} ended with {done.returncode}:\n{done.stderr}")
         times = {p.stem: json.loads(p.read_text()) for p in place.glob("[!.]*.json")}
+        times["whole"] = [0.0, whole_s]
         results = contents(out, COMMANDS[name].results)
         shutil.rmtree(place)
         return name, (results, times)
@@ -83,6 +92,12 @@ class Trials:
     def line(self, command, out):
         """Return the command line of a command."""
         return line(command.words, self.made, out, self.cluster.address if self.cluster else "")
+
+    def beside(self, command, out, own, log, wrapped=list):
+        """Start what runs beside a command, if anything does; return it or None."""
+        if not command.beside:
+            return None
+        return Beside(wrapped(line(command.beside, self.made, out)), own, log)
 
     def trial(self, name, kind, seed):
         """Do one trial; draw it again while its fault comes too late and nothing goes wrong.
@@ -115,6 +130,12 @@ def drawn_moment(rng, times):
     return number, time_s - times[number - 1]
 
 
+def met_python(code, words, number):
+    """Return True if a signal came before the first line of twinct, to Python or the shell."""
+    told = not words or "KeyboardInterrupt" in words
+    return "twinct: " not in words and (code == -number or code == 1 and told)
+
+
 class Trial:
     """A trial in a folder of its own."""
 
@@ -133,6 +154,8 @@ class Trial:
         if self.fault.disk:
             stack.enter_context(mounted(self.disk, 1024 * self.fault.disk))
         stack.callback(end_all, self.mark)
+        self.domain, self.beside = stack.enter_context(domain(self.command)), None
+        stack.callback(lambda: self.beside and self.beside.kill())
         self.out = self.disk / self.fault.name / "results"
         begin(self.command, trials.made, self.out)
         if self.command.over and rng.random() < 0.5:  # over earlier results
@@ -142,8 +165,10 @@ class Trial:
     def run(self, times):
         """Run the command with its fault, then to its end; see ``Trials.trial``."""
         before, fault = self.results(), self.fault
+        self.wrong_beside = []
         expected = times.get(fault.victim, [0, 0])
         moment, wait_s = drawn_moment(self.rng, expected)
+        self.later_s = self.rng.uniform(*times["whole"])
         self.early = moment < EARLY * len(expected)
         argument = fault.argument(self.rng, self.disk)
         plan = f"{fault.victim}|{moment}|{wait_s:.3f}|{fault.kind}|{argument}|{self.place}"
@@ -155,14 +180,25 @@ class Trial:
         (self.disk / "filler").unlink(missing_ok=True)
         now, command = self.results(), self.command
         for file in before.keys() | (now.keys() if not command.again else set()):
-            if now.get(file) not in (before.get(file), self.expected.get(file)):
+            if now.get(file) in (before.get(file), self.expected.get(file)):
+                continue
+            if command.grows and is_part(now[file], self.expected[file]):
+                wrong += self.unsent(now[file])
+                (self.out / file).unlink()  # a user chooses another name
+            else:
                 wrong.append(f"{file} is neither as before nor complete")
         if now != self.expected or command.again:
             wrong += self.gone_on()
         there = [p.name for p in self.shared.glob("*")]
         if left := [name for name in there if not name.startswith(TRACER)]:
             wrong.append(f"left in /dev/shm: {', '.join(left)}")
-        return self.in_time, self.codes, wrong, self.gone_s
+        return self.in_time, self.codes, wrong + self.wrong_beside, self.gone_s
+
+    def unsent(self, told):
+        """Return that a signal left the recording of a plan that was not sent, if it did."""
+        if not self.fault.ends_surely or self.killed or told.get("sent"):
+            return []
+        return [f"a recording is left although nothing was sent: {sorted(told)}"]
 
     @property
     def fired(self):
@@ -172,6 +208,8 @@ class Trial:
     @property
     def in_time(self):
         """True if the fault met the command while it had something to lose."""
+        if self.fault.any_time:
+            return self.codes[0] in self.fault.codes
         ended = self.fault.codes and 0 not in self.fault.codes and self.fault.kind
         return self.fired and not (ended and 0 in self.codes)
 
@@ -192,6 +230,9 @@ class Trial:
         def over():
             return first.poll() is not None
 
+        if fault.any_time:
+            until(over, self.later_s)
+            first.send_signal(fault.any_time)
         if fault.twice or fault.stops or fault.outside:
             until(lambda: self.fired or over())
         if fault.twice:
@@ -206,6 +247,8 @@ class Trial:
         for process, name in zip(processes, ("first", "second"), strict=False):
             code, words = self.end(process, name)
             codes.append(code)
+            if fault.any_time and met_python(code, words, fault.any_time):
+                return self.leftovers()
             said += words
             if BUG.search(words):
                 wrong.append(f"it said {words}")
@@ -254,10 +297,10 @@ class Trial:
 
     def start(self, name, changes, more=(), *, disturbed=False):
         """Start the command with its words into files; ``disturbed`` by what is there all along."""
-        words = [*self.trials.line(self.command, self.out), *more]
-        if self.trials.can_mount:
-            words = with_shared_memory(self.shared, words)
-        own = {MARK: self.mark, "TMPDIR": str(self.temporary)}
+        words = self.wrapped([*self.trials.line(self.command, self.out), *more])
+        log, own = self.place / "beside.log", environment(self.domain)
+        self.beside = self.trials.beside(self.command, self.out, own, log, self.wrapped)
+        own = {MARK: self.mark, "TMPDIR": str(self.temporary), **self.domain}
         unread = disturbed and self.fault.unread
         with (self.place / f"{name}.err").open("wb") as told, contextlib.ExitStack() as stack:
             out = stack.enter_context((self.place / f"{name}.out").open("wb"))
@@ -274,13 +317,20 @@ class Trial:
                 preexec_fn=(lambda: self.fault.limit(self.rng)) if disturbed else None,
             )
 
+    def wrapped(self, words):
+        """Return a command line whose processes see the trial's shared memory."""
+        return with_shared_memory(self.shared, words) if self.trials.can_mount else words
+
     def end(self, process, name):
-        """Wait for a process; return its exit code and its message."""
+        """Wait for a process, and end the one beside it; return its exit code and its message."""
         try:
             code = process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
             process.kill()
             return process.wait(), f"hung for {PATIENCE_S:.0f} s"
+        finally:
+            if self.beside:
+                self.wrong_beside += self.beside.end()
         return code, (self.place / f"{name}.err").read_text(errors="replace")
 
     def running(self):

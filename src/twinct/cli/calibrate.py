@@ -232,7 +232,7 @@ def circle(
         folder: Folder of twinct import --out or twinct run --out.
         sigma_px: Expected error of the axis, and of the panel's height, px.
         sigma_deg: Expected error of roll, tilt and slant, degrees.
-        sigma_sdd: Expected error of the distance from source to panel, as a share of it.
+        sigma_sdd: Expected error of the distance from source to panel, relative to it.
     """
     from twinct.calibration import CircularPrior
     from twinct.calibration.circle_calibration import calibrate_circle

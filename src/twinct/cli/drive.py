@@ -38,8 +38,8 @@ def drive(
     """Send the plan of a scenario to controllers of arms, and record what their drivers say.
 
     The controllers are servers of control_msgs/action/FollowJointTrajectory, in the domain
-    ROS_DOMAIN_ID. The arms stand at the start of the plan already. No arm was moved by it yet: try
-    it in the controller's own simulation first. Ctrl-C tells all controllers to stop.
+    ROS_DOMAIN_ID. The arms must already stand at the start of the plan. This has not moved a real
+    arm yet: try it in the controller's own simulation first. Ctrl-C tells all controllers to stop.
 
     Args:
         out: Recording to write, which must not exist; twinct import reads it.
@@ -95,6 +95,7 @@ def _drive(
     from twinct.cli.progress import say
     from twinct.core.errors import InputError, ScanExistsError
     from twinct.core.extras import require
+    from twinct.core.files.writing import storage_errors
     from twinct.link import require_ros
 
     if out.suffix.lower() != ".mcap":
@@ -112,16 +113,19 @@ def _drive(
 
     parts = courses(program, actions, speed)
     names = names_of(parts, program.plan.joint_names)
+    run: Drive | None = None
     with (
+        storage_errors(out, "the drive has ended"),
         closing(DriveFile(out, loaded, program.plan, names, choices[0])) as file,
-        closing(Station("twinct_drive", ros_arguments=ROS_ARGUMENTS)) as station,
     ):
-        say(f"{parts[0].duration_s:.1f} s of motion; controllers of ROS domain {station.domain_id}")
-        run = Drive(station, parts, DriveSettings(*choices), file)
         try:
-            run.run()
+            with closing(Station("twinct_drive", ros_arguments=ROS_ARGUMENTS)) as station:
+                domain = station.domain_id
+                say(f"{parts[0].duration_s:.1f} s of motion; controllers of ROS domain {domain}")
+                run = Drive(station, parts, DriveSettings(*choices), file)
+                run.run()
         except BaseException:
-            if not run.sent:  # nothing moved, so the recording tells nothing
+            if run is None or not run.sent:  # nothing moved, so the recording tells nothing
                 out.unlink(missing_ok=True)
             else:
                 say(f"{out} holds what was heard until then", warning=True)

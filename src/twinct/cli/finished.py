@@ -48,7 +48,7 @@ def import_(
 
     Args:
         out: Folder to write, without a run in it.
-        try_: Of a measured scan: import nothing, but try other conventions (direction of rotation,
+        try_: For a measured scan: import nothing, but try other conventions (direction of rotation,
             flips, transposed images, sign and unit of offsets), rank them, and show them in
             DIR/tried.png.
     """
@@ -155,9 +155,9 @@ def export(
 ) -> None:
     """Write a scan in a form that another toolkit can reconstruct directly, or one of its volumes.
 
-    Of a scan, PATH gets the projections, the geometry, the scenario's voxel grid, a script load.py
-    that loads them into the toolkit and reconstructs, and a README. Of a scan in progress, the
-    existing views are written. With --volume, PATH is the file or folder of the volume.
+    For a scan, PATH gets the projections, the geometry, the scenario's voxel grid, a script load.py
+    that loads them into the toolkit and reconstructs, and a README. For a scan in progress,
+    it gets the existing views. With --volume, PATH is the file or folder of the volume.
 
     Args:
         volume: Write a volume instead of the scan: volume (of the run), truth, or a result of
@@ -169,7 +169,7 @@ def export(
         water: Attenuation of water in the volume, 1/mm, which becomes 0 HU; that of the scenario's
             beam unless given. A measured scan needs it for HU.
         air: Attenuation of air in the volume, 1/mm, which becomes -1000 HU; 0 unless given.
-        out: What to write; export-NAME beside the scan unless given. It must not exist.
+        out: File or folder to write; export-NAME beside the scan unless given. It must not exist.
     """
     if volume is not None:
         _export_volume(scan, volume, to, geometry, values, water, air, out)
@@ -245,7 +245,7 @@ def report(
 ) -> None:
     """Evaluate a finished run again and rewrite its metrics.json and report.html.
 
-    --set evaluation.KEY=VALUE adds measurements in its volumes; none is reconstructed again. Of
+    --set evaluation.KEY=VALUE adds measurements in its volumes; none is reconstructed again. For
     a measured scan, all volumes are judged again, as far as that needs no truth.
 
     Args:
@@ -372,7 +372,7 @@ def reconstruct(
         folder: Folder of twinct run --out, or of twinct import of a measured scan.
         geometry: commanded, executed, believed, or one made by twinct geometry.
         as_: Name of the result, below DIR/reconstructions; after its algorithm unless given.
-        halves: Of a measured scan: also reconstruct every other view, for the noise.
+        halves: For a measured scan: also reconstruct every other view, for the noise.
     """
     from twinct.core.errors import InputError
     from twinct.core.threads import limit_threads

@@ -24,7 +24,7 @@ def predict(
     """Render a scan again and show what is left of its images, view by view.
 
     The even views are reconstructed and predict the odd ones; with --mesh, the mesh predicts all
-    views. Poses are those of a geometry, the beam is the scenario's. The residuals tell what
+    views. Poses are those of a geometry, the beam is the scenario's. The residuals show what
     calibration, spectrum and scatter leave: prediction.png, prediction.json, views.csv and
     residuals.tif in DIR/predictions. After an interruption the same command goes on from the last
     checkpoint, if the algorithm has any.

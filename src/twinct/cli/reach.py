@@ -13,13 +13,16 @@ from rich.table import Table
 
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.time_limit import TimeUpError
-from twinct.core.errors import InputError, TrajectoryError
+from twinct.core.errors import InputError, NoPathError, TrajectoryError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, check_picture, storage_errors
+from twinct.core.progress import SILENT, Progress, Work, WorkSpentError, counted
 from twinct.geometry import fibonacci_directions
 from twinct.robots.cell import overlaps
+from twinct.robots.motion.feasible import Indices
 from twinct.robots.reach import (
     Bounds,
+    CureSearch,
     Holder,
     Poses,
     place,
@@ -28,9 +31,10 @@ from twinct.robots.reach import (
     reasons,
     shown,
 )
+from twinct.robots.reach.cures import MORE
 from twinct.robots.reach.results import draw_room, draw_sphere, shares, write_tables
 from twinct.robots.reach.sphere import check_reach_request
-from twinct.runs.longest_arc import longest_arc
+from twinct.runs.longest_arc import PATH_VIEWS, longest_arc
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Scenario, load_scenario, named_places, write_scenario
 from twinct.trajectory import OrbitSettings
@@ -43,6 +47,12 @@ SEARCHED_VIEWS = 60
 
 SEARCHED_DIRECTIONS = 150
 """Number of directions that a search for most of the sphere uses."""
+
+SHARE = 0.75
+"""Work of a search for a remedy as a share of the planning's, whose units are a little cheaper."""
+
+LEAST_WORK = 12_000
+"""Work of a search for a remedy, less than the room takes to build, where planning took less."""
 
 JUDGED_DIRECTIONS = 1000
 """Number of directions by which the result of a search is evaluated."""
@@ -206,50 +216,94 @@ def _views_to_serve(
     return builder.roll_free, poses[some], poses
 
 
-def _requested(builder: SimulationBuilder) -> Poses:
-    return Poses.of(builder.requested.source_poses(), builder.requested.detector_poses())
+def _requested(builder: SimulationBuilder, views: Indices | slice = slice(None)) -> Poses:
+    geometry = builder.requested[views]
+    return Poses.of(geometry.source_poses(), geometry.detector_poses())
 
 
 @contextmanager
-def explained(builder: SimulationBuilder, picture: Path) -> Iterator[None]:
+def explained(
+    builder: SimulationBuilder, picture: Path, *, all_cures: bool = False
+) -> Iterator[None]:
     """Add a remedy, and a picture of one view, to an error about infeasible views.
 
-    The problem is reported before the search for a remedy, which takes seconds and may be
-    interrupted.
+    The problem is reported before the search for a remedy, which may be interrupted. It does no
+    more work than the planning did, or LEAST_WORK, unless all changes should be tried.
 
     Raises:
         TrajectoryError: the same error, with more sentences.
     """
+    planning = Work()
     try:
-        yield
+        with counted() as planning:
+            yield
     except TrajectoryError as error:
         scenario = builder.scenario
         if not isinstance(scenario.cell, Cell) or scenario.motion.plan is not None:
             raise  # no search was made for a plan from a file
-        poses, free = _requested(builder), builder.roll_free
         first, *others = list[str](error.problems)
         more = f", and {len(others)} more" if others else ""
         say(f"{first}{more}; looking for a remedy (Ctrl-C skips this)", warning=True)
         try:
+            most = np.inf if all_cures else max(SHARE * planning.units, LEAST_WORK)
             with on_terminal() as audience:
-                views, words = reasons(
-                    scenario.cell,
-                    builder.cell_of,
-                    scenario.motion,
-                    poses,
-                    free,
-                    rough=builder.rough_cell_of,
-                    progress=audience,
-                )
-                if views and (arc := longest_arc(builder, views)):
-                    words.append(arc)
+                views, words = remedies(builder, error, most, audience)
         except KeyboardInterrupt:
             raise error from None
         except TimeUpError as over:
             raise TrajectoryError([*error.problems, str(over)]) from None
         if views:
-            words += _pictured(builder, picture, views[0])
+            words += pictured(builder, picture, views[0])
         raise TrajectoryError([*error.problems, *words]) from error
+
+
+def remedies(
+    builder: SimulationBuilder,
+    error: TrajectoryError,
+    most: float = np.inf,
+    progress: Progress = SILENT,
+) -> tuple[list[int], list[str]]:
+    """Search for remedies of an error about infeasible views.
+
+    Args:
+        builder: simulations of the refused scenario.
+        error: the refusal of its plan.
+        most: largest work of the search, in units of ``core.progress``.
+        progress: progress display.
+
+    Returns:
+        the views that cannot be held, and sentences about remedies.
+    """
+    try:
+        with counted(most):
+            return _remedies(builder, error, most, progress)
+    except WorkSpentError:
+        return [], [f"no remedy was found in the time of planning; {MORE}"]
+
+
+def _remedies(
+    builder: SimulationBuilder, error: TrajectoryError, most: float, progress: Progress
+) -> tuple[list[int], list[str]]:
+    scenario, lost, words = builder.scenario, None, list[str]()
+    assert isinstance(scenario.cell, Cell)
+    if scenario.motion.scheme != "reactive":
+        if not error.views:
+            return [], []  # its message says what to change
+        lost = () if isinstance(error, NoPathError) else error.views
+    views = PATH_VIEWS if np.isfinite(most) else None
+    if lost and (arc := longest_arc(builder, lost, views)):
+        words.append(arc)
+    search = CureSearch(
+        scenario.cell,
+        builder.cell,
+        (builder.rough_cell_of, builder.cell_of),
+        scenario.motion,
+        builder.roll_free,
+        len(builder.requested),
+        lambda some: _requested(builder, some),
+    )
+    found, more = reasons(search, lost, progress)
+    return found, [*more, *words]
 
 
 def draw_anyway(
@@ -274,7 +328,7 @@ def draw_anyway(
         return list(one.words or error.problems)
 
 
-def _pictured(builder: SimulationBuilder, picture: Path, view: int) -> list[str]:
+def pictured(builder: SimulationBuilder, picture: Path, view: int) -> list[str]:
     """Draw a view, and return a sentence with the path of the picture."""
     from twinct.robots.cell import render_cell
 

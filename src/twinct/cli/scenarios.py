@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
@@ -29,6 +30,7 @@ def check(
     save: Annotated[Path | None, tyro.conf.arg(metavar="NPZ")] = None,
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
     no_cures: Flag = False,
+    all_cures: Flag = False,
     time_limit: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     threads: Threads = None,
     as_json: Json = False,
@@ -36,7 +38,7 @@ def check(
 ) -> None:
     """Validate a scenario, build its specimen, plan its motion and rehearse it, without running it.
 
-    The arms' motion is simulated without images, so that a view that a run would miss is told.
+    Simulates the arms' motion without images, so that it finds every view that a run would miss.
     Lists every view that an arm cannot reach or that would collide, suggests a remedy, and draws
     the first of these views.
 
@@ -44,6 +46,7 @@ def check(
         save: File for the plan; a scenario follows it with the key motion.plan.
         picture: File for the picture of an infeasible view.
         no_cures: Report infeasible views without a remedy and a picture.
+        all_cures: Try all changes that may be a remedy, even if that takes longer than planning.
         time_limit: Largest time of the check; what is known by then is reported.
     """
     from twinct.core.threads import limit_threads
@@ -51,13 +54,14 @@ def check(
     limit_threads(threads)
     with answering(as_json) as answer, limited(time_limit, "--time-limit"):
         answer |= {"scenario": str(scenario), "can_be_run": False, "warnings": []}
-        _check(scenario, save, None if no_cures else picture, set_, answer)
+        _check(scenario, save, None if no_cures else picture, all_cures, set_, answer)
 
 
 def _check(
     scenario: Path,
     save: Path | None,
     picture: Path | None,
+    all_cures: bool,
     set_: Overrides,
     answer: dict[str, Any],
 ) -> None:
@@ -82,11 +86,7 @@ def _check(
     with named_places(scenario, set_):
         require_extras(loaded)
     builder = SimulationBuilder(loaded)
-    remedy = nullcontext
-    if loaded.cell.kind == "arms" and picture is not None:  # a gantry needs no MuJoCo
-        from twinct.cli.reach import explained
-
-        remedy = partial(explained, builder, picture)
+    remedy = _remedy(builder, picture, all_cures)
     with named_places(scenario, set_):
         require_memory(loaded)
         check_geometries(loaded)
@@ -104,9 +104,7 @@ def _check(
             rehearse(builder, audience)
         found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
         doubt = ", with the warnings above" if answer["warnings"] else ""
-        table = Table(title=f"{loaded.name}: can be run{doubt}", show_header=False)
-        for name, words in found.items():
-            table.add_row(name, words)
+        table = _findings_table(f"{loaded.name}: can be run{doubt}", found)
         if save is not None:
             from twinct.robots.motion import save_plan
 
@@ -114,6 +112,25 @@ def _check(
             save_plan(builder.followed, save)
     answer |= {"can_be_run": True, "findings": found}
     Console().print(table)
+
+
+def _findings_table(title: str, found: dict[str, str]) -> Table:
+    """Return the findings; long words, such as a digest, go on in the next line."""
+    table = Table("", Column(overflow="fold"), title=title, show_header=False)
+    for name, words in found.items():
+        table.add_row(name, words)
+    return table
+
+
+def _remedy(
+    builder: SimulationBuilder, picture: Path | None, all_cures: bool
+) -> Callable[[], AbstractContextManager[None]]:
+    """Return contexts that search for a remedy of a refused plan."""
+    if builder.scenario.cell.kind != "arms" or picture is None:  # a gantry needs no MuJoCo
+        return nullcontext
+    from twinct.cli.reach import explained
+
+    return partial(explained, builder, picture, all_cures=all_cures)
 
 
 def _planned(builder: SimulationBuilder) -> None:

@@ -59,11 +59,23 @@ class SpecimenError(InputError):
 
 
 class TrajectoryError(InputError):
-    """Views that an arm cannot reach, or that would collide."""
+    """Views that an arm cannot reach, or that would collide.
+
+    Attributes:
+        views: indices of the views that the arms cannot hold, as far as known, in ascending order.
+    """
+
+    def __init__(self, problems: str | Iterable[str], views: Iterable[int] = ()) -> None:
+        """Store every problem and the views."""
+        super().__init__(problems)
+        self.views = tuple(sorted(views))
 
 
 class NoPathError(TrajectoryError):
-    """No path was found from one view to the next, although the arms can reach both."""
+    """No path was found from one view to the next, although the arms can reach both.
+
+    ``views`` holds the second one of the two.
+    """
 
 
 class CalibrationError(InputError):

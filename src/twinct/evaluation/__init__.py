@@ -24,7 +24,7 @@ from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
 from twinct.evaluation.observer import detectability
 from twinct.evaluation.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
-from twinct.evaluation.region import region_of_interest
+from twinct.evaluation.region import region_of_interest, views_needed
 from twinct.evaluation.region_voxels import (
     Voxels,
     ball,
@@ -36,7 +36,7 @@ from twinct.evaluation.region_voxels import (
     whole,
 )
 from twinct.evaluation.streaks import around_axis, streak_index
-from twinct.evaluation.visibility import Sight, sight
+from twinct.evaluation.visibility import Sight, coarse, sight
 
 __all__ = [
     "DEPTHS_MM",
@@ -54,6 +54,7 @@ __all__ = [
     "around_axis",
     "ball",
     "centres",
+    "coarse",
     "contrast",
     "cuboid",
     "cylinder",
@@ -77,6 +78,7 @@ __all__ = [
     "sight",
     "streak_index",
     "tool_speeds",
+    "views_needed",
     "Figure",
     "Curve",
     "FigureKind",

@@ -44,7 +44,7 @@ def sight(geometry: ScanGeometry, points: ArrayLike, grid: VolumeGrid) -> Sight:
     fronts = [(corners - view.detector[0]) @ view.normal[0] > 0 for view in views]
     before = [_on_panel(view, corners[front]) for view, front in zip(views, fronts, strict=True)]
     beyond = [_on_panel(view, corners[~front]) for view, front in zip(views, fronts, strict=True)]
-    lattice = _coarse(grid)
+    lattice = coarse(grid)
     if views_needed(geometry, lattice) < len(views):  # a thin region needs the fine voxels
         lattice = grid
     region = region_of_interest(geometry, lattice)
@@ -82,7 +82,7 @@ def _bounds_meet(points: Floats, grid: VolumeGrid, region: NDArray[np.bool_]) ->
     return bool((below & above).all())
 
 
-def _coarse(grid: VolumeGrid) -> VolumeGrid:
+def coarse(grid: VolumeGrid) -> VolumeGrid:
     """Return the same box with fewer voxels."""
     shape = tuple(min(n, COARSE_VOXELS) for n in grid.shape)
     return VolumeGrid(shape, grid.size_mm / np.array(shape[::-1]), grid.world_from_grid)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import random
+import re
 import socket
 import sys
 import sysconfig
@@ -26,6 +27,9 @@ ROS_ARGUMENTS: list[str] = []
 """Arguments after ``--ros-args`` of the command line: names that nodes by themselves remap."""
 
 _YOUNG_S = 1.0
+_SHARED = re.compile(r"fastrtps_(port[0-9]+|[0-9a-f]{16})")
+"""Names of a port and a segment in shared memory."""
+
 _PORT_BASE, _PORTS_PER_DOMAIN, _FIRST_PARTICIPANT, _LAST_PROBED = 7400, 250, 10, 50
 
 
@@ -219,7 +223,8 @@ def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
     """Remove shared memory of killed DDS participants.
 
     A live participant locks the ``_el`` file beside each of its segments, and every port with a
-    listener has such a file.
+    listener has such a file. A segment for which there was no space has none, and Fast DDS leaves
+    it: ``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` tries shared memory whatever the settings say.
     """
     for guard in folder.glob("fastrtps_*_el"):
         try:
@@ -234,11 +239,11 @@ def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
             pass
         finally:
             os.close(descriptor)
-    for port in folder.glob("fastrtps_port*"):
+    for path in folder.glob("fastrtps_*"):
         with suppress(OSError):
-            if whole_number(port.name.rpartition("port")[2]) is not None and not _young(port):
-                if not port.with_name(f"{port.name}_el").exists():
-                    _remove_segment(folder, port.name)
+            if _SHARED.fullmatch(path.name) and not _young(path):
+                if not path.with_name(f"{path.name}_el").exists():
+                    _remove_segment(folder, path.name)
 
 
 def _young(file: Path) -> bool:

@@ -25,7 +25,7 @@ from rclpy.subscription import Subscription
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import shortened
-from twinct.link.environment import middleware_settings, settle
+from twinct.link.environment import middleware_settings, settle, sweep_shared_memory
 from twinct.link.senders import Sender, SenderExecutor, participant, participant_of
 from twinct.link.topics import Topic
 
@@ -287,3 +287,4 @@ class Station:
             action.destroy()
         self._node.destroy_node()
         self._context.try_shutdown()
+        sweep_shared_memory()

@@ -35,6 +35,9 @@ LEAST_UNLIKE = 0.02
 MOST_FOR_MEAN = 24
 """Largest number of views in the mean image in which bad pixels are found."""
 
+OPAQUE = 0.2
+"""Largest share of the pixels of transmissions that may be 0 or below."""
+
 LIMITS = {
     "transmissions": (5.0, "a transmission is at most about 1"),
     "line_integrals": (50.0, "a line integral is at most about 15"),
@@ -195,12 +198,20 @@ def _check_values(found: Corrections) -> None:
             f"{stack.where}: images.values: {values}, but numbers reach {highest:.4g}, and {why}: "
             "are they intensities?"
         )
-    if values == "intensities" and found.flat is not None:
+    if values == "transmissions":
+        shares = [np.mean(stack.image(int(v)) <= 0) for v in few]
+        if (share := float(np.median(shares))) > OPAQUE:
+            raise InputError(
+                f"{stack.where}: images.values: transmissions, but {share:.0%} of the pixels are 0 "
+                f"or below; at most {OPAQUE:.0%} are allowed: are they line integrals?"
+            )
+    field = "images.flats" if found.flat is not None else "images.white"
+    if values == "intensities" and (found.flat is not None or found.section.white is not None):
         lit = float(np.median([_bright(found._uncorrected(int(v))) for v in few]))
         if not 0.05 < lit < LIMITS["transmissions"][0]:
             raise InputError(
-                f"{stack.where}: divided by images.flats, numbers reach {lit:.4g}; the brightest "
-                "parts must be near 1: do the flat images belong to these images?"
+                f"{stack.where}: divided by {field}, numbers reach {lit:.4g}; the brightest parts "
+                f"must be near 1: does {field} belong to these images?"
             )
 
 
@@ -228,7 +239,11 @@ def _fields(
         mean = next(images)
         for image in images:
             mean += image
-        found.append((section.view or 0.0, mean / stack.count))
+        if not -1 <= (at := section.view or 0.0) <= like.count:
+            raise InputError(
+                f"{key}.{index}.view: {at:g} is none of the views 0 to {like.count - 1}"
+            )
+        found.append((at, mean / stack.count))
     if not found:
         return None
     found.sort(key=lambda one: one[0])

@@ -17,6 +17,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, draft_of, remove_folder, storage_errors
+from twinct.evaluation import coarse, views_needed
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.measured.corrections import Corrections, corrections
@@ -36,6 +37,9 @@ NO_TRUTH = "A measured scan: there is no truth."
 
 MOST_DOTS = 72
 """Largest number of views whose places a picture shows: more dots would run together."""
+
+ONE_WAY = 0.4
+"""Largest length of the mean direction of views that cover a turn; 240 degrees of it have 0.41."""
 
 _RESERVED = ("name", "description", "trajectory", "specimen", "cell", "uncertainty")
 
@@ -80,7 +84,12 @@ def import_measured(
     images = corrections(told.images)
     placement, views = _placed(told, images)
     geometry = placement.geometry[:: told.images.every]
+    _check_views(told, placement.geometry, geometry)
     scenario = _scenario(told, folder, geometry, bad=bool(images.bad.any()))
+    if not views_needed(geometry, coarse(scenario.reconstruction.volume_grid)):
+        raise InputError(
+            "grid: no view sees its voxels; leave grid out, and it holds what they see"
+        )
     check_space(folder.path, scenario, len(geometry))
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
@@ -128,6 +137,22 @@ def _placed(told: Measured, images: Corrections) -> tuple[Placement, tuple[str, 
     stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
     views = told.geometry.views(ImageFacts(stack.count, rows, columns, *stated))
     return Placement(section, views), views.told
+
+
+def _check_views(told: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
+    """Raise if there is nothing to reconstruct from, or a correction needs other views."""
+    if len(used) == 1 < len(stored):
+        raise InputError(f"images.every: {told.images.every} leaves one of {len(stored)} views")
+    poses = np.concatenate([used.source, used.detector, used.u, used.v], axis=1)
+    if len(used) > 1 and (poses == poses[0]).all():
+        raise InputError(f"geometry: all {len(used)} views have the same pose")
+    beams = used.detector - used.source
+    one_way = np.linalg.norm((beams / np.linalg.norm(beams, axis=1, keepdims=True)).mean(axis=0))
+    if told.images.rings is not None and one_way > ONE_WAY:
+        raise InputError(
+            "images.rings: the views must cover a turn, but they look one way: the mean of their "
+            f"directions is {one_way:.2f} long; 0 is a turn, at most {ONE_WAY:g} is allowed"
+        )
 
 
 def _scenario(told: Measured, folder: Folder, geometry: ScanGeometry, *, bad: bool) -> Scenario:

@@ -43,6 +43,7 @@ from twinct.runs.reconstruction_folder import free_name
 from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.specimen import BuiltSpecimen
+from twinct.specimen.size import specimen_size
 
 log = logging.getLogger(__name__)
 
@@ -163,6 +164,9 @@ def _predicted(
     if scan.scenario.specimen.parts:
         specimen = SimulationBuilder(scan.scenario).specimen
         check_seen(specimen, views)
+        grid = scan.scenario.reconstruction.volume_grid
+        for warning in specimen_size(scan.scenario.specimen, specimen, views, grid).warnings:
+            audience.say(warning, warning=True)
         words = f"meshes, as {', '.join(one.name for one in specimen.materials)}"
         counts = np.ones((len(scan), *views.panel.shape), bool)
     else:

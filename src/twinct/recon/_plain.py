@@ -8,8 +8,12 @@ operations are described in ``engine``; the forward model is Joseph's, see ``pro
 # pyright: basic
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 from numba import njit, prange
+
+from twinct.recon.blocks import EDGE, EVERYWHERE
 
 OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
 """Options of all kernels, without fast mathematics: sums keep their order."""
@@ -36,6 +40,13 @@ def bring(held, out):
     """Copy what is held to ``out``, if it is not ``out`` itself."""
     if held is not out:
         out[:] = held
+
+
+def lower(x, inverse, radius, step, floor, steps):
+    """Lower the total variation of ``x``, see ``engine``."""
+    from twinct.recon.slabs import lower_in_slabs
+
+    lower_in_slabs(sys.modules[__name__], x, inverse, radius, step, floor, steps)
 
 
 def leave_out(length, mask):
@@ -76,8 +87,15 @@ def _cell(source, way, axis, plane, other, size):
     return low, at - low
 
 
+def forward(x, rays, out, blocks=EVERYWHERE, lengths=None):
+    """Write the line integrals of ``x``, see ``engine``."""
+    _forward(x, rays, out)
+    if lengths is not None:
+        chords(rays, x.shape, lengths)
+
+
 @njit(parallel=True, **OPTIONS)
-def forward(x, rays, out):
+def _forward(x, rays, out):
     """Write line integrals: bilinear samples in each plane along a ray, times mm per plane."""
     nz, ny, nx = x.shape
     sizes, strides, voxels = (nx, ny, nz), (1, nx, nx * ny), x.reshape(-1)
@@ -169,14 +187,21 @@ def _bilinear(image, row, column):
     return (1 - g) * low + g * ((1 - f) * image[r + 1, c] + f * image[r + 1, c + 1])
 
 
-@njit(parallel=True, **OPTIONS)
-def update(x, matrix, image, counts, missing, floor):
+def update(x, pixels, image, counts, missing, floor, blocks=EVERYWHERE):
     """Update the voxels, see ``engine``; ``missing`` is for engines that skip weights."""
+    _update(x, pixels, image, counts, floor, blocks.filled)
+
+
+@njit(parallel=True, **OPTIONS)
+def _update(x, matrix, image, counts, floor, filled):
+    """Update the voxels of filled blocks, or all voxels if ``filled`` is empty."""
     nz, ny, nx = x.shape
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
     for k in prange(nz):
         for j in range(ny):
             for i in range(nx):
+                if len(filled) > 0 and filled[k // EDGE, j // EDGE, i // EDGE] == 0:
+                    continue
                 m = matrix
                 depth = m[2, 0] * i + m[2, 1] * j + m[2, 2] * k + m[2, 3]
                 column = (m[0, 0] * i + m[0, 1] * j + m[0, 2] * k + m[0, 3]) / depth

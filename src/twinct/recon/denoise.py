@@ -19,12 +19,6 @@ STEPS = 15
 STEP = 1.8
 """Step size of the dual iteration, which no longer converges at 2."""
 
-FEWEST_PLANES, SLAB_SHARE = 64, 0.13
-"""Smallest number of planes denoised at a time, and their share of the volume.
-
-The share includes the planes around them; the iteration holds six slabs of this size.
-"""
-
 SHARE = 0.85
 """Strength per noise and voxel edge, from skulls with 0 to 1e3 photons a pixel, 25 to 399 views.
 
@@ -49,8 +43,7 @@ def lower_variation(
 ) -> None:
     """Replace x by the minimiser of 0.5 |x' - x|^2 + strength * TV(x'), x' >= floor.
 
-    Chambolle's dual iteration (2004) works slab by slab, with as many planes around each slab as
-    its result depends on: the result is as for the whole volume, to the last bit.
+    The iteration is Chambolle's dual one (2004).
 
     Args:
         x: (z, y, x), changed in place.
@@ -60,26 +53,7 @@ def lower_variation(
         floor: lower bound of all voxels.
         steps: steps of the dual iteration; few are enough for small strengths.
     """
-    around = steps + 2
-    inverse = 1.0 / grid.voxel
-    below = x[:0].copy()
-    planes = max(FEWEST_PLANES, int(SLAB_SHARE * len(x)) - 2 * around)
-    for first in range(0, len(x), planes):
-        last = min(first + planes, len(x))
-        slab = np.concatenate([below, x[first : min(last + around, len(x))]])
-        lowered = np.empty_like(slab)
-        held, lowering = kernels.hold(slab), kernels.hold(lowered)
-        weight = kernels.hold(np.ones_like(slab))
-        dual = kernels.hold(np.zeros((3, *slab.shape), np.float32))
-        for _ in range(steps):
-            kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)
-            kernels.ascend(lowering, weight, inverse, strength, STEP, dual)
-        kernels.primal(held, weight, dual, inverse, np.float32(floor), lowering)
-        kernels.bring(lowering, lowered)
-        own = slice(len(below), len(below) + last - first)
-        below = slab[max(own.stop - around, 0) : own.stop].copy()
-        x[first:last] = lowered[own]
-        del slab, lowered, held, lowering, weight, dual  # free memory for the next slab
+    kernels.lower(x, 1.0 / grid.voxel, strength, STEP, np.float32(floor), steps)
 
 
 def noise(x: Singles) -> float | None:

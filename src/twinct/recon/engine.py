@@ -21,6 +21,7 @@ from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.geometry import Floats
+from twinct.recon.blocks import EVERYWHERE, Blocks
 
 log = logging.getLogger(__name__)
 
@@ -84,8 +85,18 @@ class Kernels(Protocol):
     def bring(self, held: Any, out: NDArray[Any]) -> None:
         """Copy what is held to ``out``, if it is not ``out`` itself."""
 
-    def forward(self, x: Singles, rays: Floats, out: Singles) -> None:
-        """Write the line integrals of ``x`` (z, y, x) to ``out`` (rows, columns)."""
+    def forward(
+        self,
+        x: Singles,
+        rays: Floats,
+        out: Singles,
+        blocks: Blocks = EVERYWHERE,
+        lengths: Singles | None = None,
+    ) -> None:
+        """Write the line integrals of ``x`` (z, y, x) to ``out`` (rows, columns).
+
+        Voxels outside the blocks are 0. ``lengths`` gets what ``chords`` writes.
+        """
 
     def adjoint(self, y: Singles, rays: Floats, out: Singles) -> None:
         """Add the exact transpose of ``forward`` applied to ``y`` (rows, columns) to ``out``."""
@@ -117,8 +128,11 @@ class Kernels(Protocol):
         counts: Singles,
         missing: NDArray[np.int32],
         floor: np.float32,
+        blocks: Blocks = EVERYWHERE,
     ) -> None:
         """Add the image at its projection to each voxel of ``x``, with ``floor`` as lower bound.
+
+        Voxels outside the blocks stay as they are.
 
         The image is interpolated bilinearly between pixel centres, as a mean of the pixels that
         count. It adds nothing to voxels whose pixels count less than 0.001, or that project beside
@@ -150,6 +164,20 @@ class Kernels(Protocol):
 
         Each voxel's vector is projected into a ball of ``radius``. ``step``, below 2, is a factor
         on the inverse of the dual Hessian's largest row sum.
+        """
+
+    def lower(
+        self,
+        x: Singles,
+        inverse: Floats,
+        radius: float,
+        step: float,
+        floor: np.float32,
+        steps: int,
+    ) -> None:
+        """Replace ``x``, in memory, by the primal after so many dual steps (``ascend``) from zero.
+
+        All voxels have the weight 1.
         """
 
 

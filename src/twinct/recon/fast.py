@@ -39,17 +39,17 @@ from twinct.core.errors import InputError
 from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
-from twinct.recon.checks import Checks, Mask, mask_of, masked_image
+from twinct.recon.checks import Checks, Mask
 from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.engine import Singles
+from twinct.recon.levels import Level, with_margin
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
-from twinct.recon.projector import LOWEST, Projector, check_grid
-from twinct.recon.resolution import binned, interpolated, resampled
+from twinct.recon.projector import LOWEST, Projector
+from twinct.recon.resolution import interpolated
 from twinct.recon.shared_keys import Stop
-from twinct.recon.steps import Callback, Listener, residual_of
+from twinct.recon.steps import Callback, Listener
 from twinct.recon.stopping import BestPass, StopName
-from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -317,12 +317,10 @@ def _from_coarse_to_fine(
     """Return the volume, and False if the callback stopped it."""
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
-    done, x, grid = 0, np.zeros((2, 2, 2), np.float32), A.grid
-    outside = level = None
+    done, before, x = 0, None, np.zeros((2, 2, 2), np.float32)
     for factor in factors:
-        level = _level(A, p, pixels, factor, steps.margin, outside)
-        x = interpolated(x, grid, level.A.grid) if done else np.zeros(level.A.domain_shape, "f4")
-        grid = level.A.grid
+        level = Level.of(A, p, pixels, factor, steps.margin, before)
+        before, x = None, level.start()
         shares = steps.shares(level.A, factor, x)
         views = np.tile(spread_order(len(A)), steps.number(factor))
         work, since = WorkingVolume(level.A.kernels, x), 0.0
@@ -330,16 +328,15 @@ def _from_coarse_to_fine(
             square, rays = level.update(work, int(view), float(share), steps.floor, listener.wanted)
             since, ended = since + float(share), factor == 1 and used % len(A) == 0
             if steps.strength and factor == 1 and (ended or since > MOST_BETWEEN):
-                work, since = _lowered(A, work, since * steps.strength, steps.floor), 0.0
+                work, since = _lowered(level.A, work, since * steps.strength, steps.floor), 0.0
             if best.watches and ended and best.is_over(work.array):
                 break
             if listener(0, done, square, rays, work):
-                return interpolated(work.array, grid, A.grid), False
+                return interpolated(level.whole(work.array), level.A.grid, A.grid), False
             done += 1
-        x = work.array
+        x = level.whole(work.array)
         del work  # frees the card
-        if factor == 2:
-            outside = _outside(A, level, x)
+        before = level, x
     return x, True
 
 
@@ -348,6 +345,7 @@ def _lowered(A: Projector, work: WorkingVolume, strength: float, floor: float) -
     x = work.array
     del work
     lower_variation(x, A.grid, A.kernels, strength, floor, steps=TV_STEPS)
+    A.blocks.clear(x)
     return WorkingVolume(A.kernels, x)
 
 
@@ -372,98 +370,15 @@ def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> l
     return [factor for factor in factors if factor == 1 or least // factor >= SMALLEST]
 
 
-@dataclass(frozen=True, eq=False)
-class _Outside:
-    """Line integrals of the grid's surroundings, in pixels that are twice as large."""
-
-    images: Singles
-
-    def at(self, view: int, shape: tuple[int, ...]) -> Singles:
-        """Return one view in the scan's own pixels, bilinear."""
-        image = self.images[view]
-        for axis, pixels in enumerate(shape):
-            middles = np.arange(0.5, pixels) / 2 - 0.5
-            image = resampled(image, middles, axis)
-        return image
-
-
-@dataclass(frozen=True, eq=False)
-class _Level:
-    """Scan in voxels and pixels that may be larger by a factor."""
-
-    A: Projector
-    p: NDArray[Any]
-    pixels: Mask | None
-    outside: _Outside | None
-
-    def update(
-        self, work: WorkingVolume, view: int, relaxation: float, floor: float, wanted: bool
-    ) -> tuple[float, int]:
-        """Apply SART's update in place; return the previous sum of squared residuals, and the rays.
-
-        Both are 0 unless ``wanted``.
-        """
-        measured, mask = masked_image(self.p, view, self.pixels), mask_of(self.pixels, view)
-        if self.outside is not None:
-            measured = measured - self.outside.at(view, measured.shape)
-        estimate, counts = self.A.update(
-            work.held, view, measured, relaxation=relaxation, mask=mask, floor=floor
-        )
-        work.changed()
-        if not wanted:
-            return 0.0, 0
-        return residual_of(measured, estimate, counts)
-
-
-def _level(
-    A: Projector,
-    p: NDArray[Any],
-    pixels: Mask | None,
-    factor: int,
-    margin: float,
-    outside: _Outside | None,
-) -> _Level:
-    if factor == 1:
-        return _Level(A, p, pixels, outside)
-    views = A.geometry.binned(factor, factor)
-    coarse = A.on(_with_margin(views, A.grid, factor, margin), views)
-    return _Level(coarse, *binned(p, pixels, (factor, factor)), None)
-
-
-def _with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: float) -> VolumeGrid:
-    """Return the grid of a level; raise InputError unless it lies in front of all sources."""
-    size = margin * grid.size_mm
-    wide = coarse_grid(grid, size, factor * grid.voxel)
-    try:
-        check_grid(views, wide)
-    except InputError as error:
-        text = f"with a margin of {margin:g} ({size.max():.0f} mm)"
-        raise InputError(f"{text}, {one}" for one in error.problems) from None
-    return wide
-
-
 def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
     """Check the coarsest grid."""
     factor = _factors(grid.shape, views.panel.shape, settings.levels)[0]
     if factor == 1:
         return
     try:
-        _with_margin(views, grid, factor, settings.margin or 0.0)
+        with_margin(views, grid, factor, settings.margin or 0.0)
     except InputError as error:
         raise InputError(f"reconstruction.margin: {one}" for one in error.problems) from None
-
-
-def _outside(A: Projector, level: _Level, x: Singles) -> _Outside:
-    """Return the contribution of the last coarse level's margin to the line integrals."""
-    inner = level.A.on(coarse_grid(A.grid, 0.0, 2 * A.grid.voxel))
-    images = level.A(x)
-    middle = [
-        slice((n - m) // 2, (n + m) // 2) for n, m in zip(x.shape, inner.domain_shape, strict=True)
-    ]
-    own = np.ascontiguousarray(x[tuple(middle)])
-    for view, image in enumerate(images):
-        image -= inner[view](own)[0]
-    return _Outside(images)
 
 
 def _solve(problem: Problem, settings: Fast) -> Volume:

@@ -130,6 +130,7 @@ class MovingProjector(Projector):
     """
 
     own_volumes = 2.0
+    leaves_out = False
 
     def __init__(
         self,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.recon.blocks import EVERYWHERE, Blocks
 from twinct.recon.engine import Kernels, Ratio, Singles, kernels
 
 LOWEST = float(np.finfo(np.float32).min)
@@ -31,10 +32,13 @@ class Projector:
         range_shape: (views, rows, columns).
         engine: ``vector`` or ``plain``, if one was requested.
         kernels: kernels of the engine.
+        blocks: blocks outside of which volumes hold zeros, and updates change nothing.
         own_volumes: float32 volumes that it allocates itself.
+        leaves_out: whether ``within`` is supported.
     """
 
     own_volumes = 0.0
+    leaves_out = True
 
     def __init__(self, geometry: ScanGeometry, grid: VolumeGrid, engine: str | None = None) -> None:
         """Express the views in voxel indices of the grid.
@@ -50,6 +54,7 @@ class Projector:
         self._pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
         self._room: _Room | None = None
         self.engine, self.kernels = engine, kernels(engine)
+        self.blocks = EVERYWHERE
 
     def __call__(self, x: ArrayLike, out: Singles | None = None) -> Singles:
         """Return the line integrals (views, rows, columns) of ``x`` (z, y, x), mm times its unit.
@@ -60,7 +65,7 @@ class Projector:
         y = writable(out, self.range_shape)
         held = self.kernels.hold(x)
         for rays, image in zip(self._rays, y, strict=True):
-            self.kernels.forward(held, rays, image)
+            self.kernels.forward(held, rays, image, self.blocks)
         return y
 
     def T(self, y: ArrayLike, out: Singles | None = None) -> Singles:  # noqa: N802 - its usual name
@@ -91,6 +96,12 @@ class Projector:
     def on(self, grid: VolumeGrid, geometry: ScanGeometry | None = None) -> Projector:
         """Return the operator of another grid and, if given, other views, with the same engine."""
         return Projector(geometry or self.geometry, grid, self.engine)
+
+    def within(self, blocks: Blocks) -> Self:
+        """Return the operator of volumes that hold zeros outside these blocks."""
+        part = copy(self)
+        part.blocks, part._room = blocks, None
+        return part
 
     def __len__(self) -> int:
         """Return the number of views."""
@@ -148,18 +159,17 @@ class Projector:
         if self._room is None:
             self._room = _Room.of(self.kernels, *self.range_shape[1:])
         estimate, length, ratio = self._room.estimate, self._room.length, self._room.ratio
-        self.kernels.forward(x, self._rays[view], estimate)
-        self.kernels.chords(self._rays[view], self.domain_shape, length)
+        self.kernels.forward(x, self._rays[view], estimate, self.blocks, length)
         if mask is not None:
             self.kernels.leave_out(length, mask)
         shortest = np.float32(self.grid.voxel.min())
         self.kernels.ratio(measured, estimate, length, np.float32(relaxation), shortest, *ratio)
         to, pixels = (x if change is None else change), self._pixels[view]
-        self.kernels.update(to, pixels, *ratio, np.float32(floor))
+        self.kernels.update(to, pixels, *ratio, np.float32(floor), self.blocks)
         if seen is not None:
             # The counting pixels hold 1, and so does their mean where a view sees the voxel.
             counts = ratio._replace(image=ratio.counts)
-            self.kernels.update(seen, pixels, *counts, np.float32(LOWEST))
+            self.kernels.update(seen, pixels, *counts, np.float32(LOWEST), self.blocks)
         shown, counts = self._room.shown
         self.kernels.bring(estimate, shown)
         self.kernels.bring(ratio.counts, counts)

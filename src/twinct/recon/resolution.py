@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -55,6 +56,15 @@ def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
 
     Beyond the volume its outermost voxels continue.
     """
+    fine = np.empty(at.shape, np.float32)
+    each_plane(volume, of, at, fine.__setitem__)
+    return fine
+
+
+def each_plane(
+    volume: Singles, of: VolumeGrid, at: VolumeGrid, use: Callable[[int, Singles], None]
+) -> None:
+    """Call ``use`` with number and values of each plane of ``interpolated``, in threads."""
     away = at.world_from_grid.position - of.world_from_grid.position
     shift = of.world_from_grid.rotation.T @ away
     z, y, x = (
@@ -63,17 +73,15 @@ def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
             at.axes()[::-1], shift[::-1], of.voxel[::-1], of.shape, strict=True
         )
     )
-    fine = np.empty(at.shape, np.float32)
 
-    def fill(k: int) -> None:
+    def found(k: int) -> None:
         below = int(np.clip(z[k], 0, max(of.shape[0] - 2, 0)))
         plane = resampled(volume[below : below + 2], z[k : k + 1] - below, 0)[0]
-        fine[k] = resampled(resampled(plane, y, 0), x, 1)
+        use(k, resampled(resampled(plane, y, 0), x, 1))
 
     # numpy releases the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
-        list(pool.map(fill, range(len(fine))))
-    return fine
+        list(pool.map(found, range(at.shape[0])))
 
 
 def resampled(values: Singles, places: Floats, axis: int) -> Singles:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES, Figure, figure_kinds
@@ -19,7 +19,10 @@ _BEST_OF_RUN: Mapping[str, Best] = {
 }
 """Better values of the figures of a run, by the sections of ``metrics.json``."""
 
-_UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_deg": "deg"}
+_UNITS = {"_mm_s": "mm/s", "_per_mm": "1/mm", "_mm": "mm", "_deg": "deg"}
+_UNITS |= {"_kev": "keV", "_ma": "mA", "_ms": "ms", "_s": "s"}
+"""Units by the endings of names, longer endings first."""
+
 _STATISTICS = {"min": "smallest", "max": "largest", "mean": "mean", "std": "spread"}
 
 
@@ -44,6 +47,30 @@ def figure_words(name: str, reference: str = "bone") -> Figure:
     return replace(shown, key=name, title=title, best=shown.best if comparable else "")
 
 
+def axis_words(axes: Sequence[Sequence[str]]) -> list[tuple[str, str]]:
+    """Return name and unit of each axis of a study, from the scenario keys that it sets.
+
+    The last part of a key names it, with the part before where two axes would have equal names.
+    """
+    short = [_of_keys(keys, 1) for keys in axes]
+    return [
+        words if short.count(words) == 1 else _of_keys(keys, 2)
+        for words, keys in zip(short, axes, strict=True)
+    ]
+
+
+def _of_keys(keys: Sequence[str], parts: int) -> tuple[str, str]:
+    words = dict.fromkeys(_without_unit(" ".join(key.split(".")[-parts:])) for key in keys)
+    units = {unit for _, unit in words}
+    return ", ".join(name for name, _ in words), units.pop() if len(units) == 1 else ""
+
+
+def _without_unit(name: str) -> tuple[str, str]:
+    """Return a name in words without its unit, and the unit."""
+    ending = next((end for end in _UNITS if name.endswith(end)), "")
+    return name.removesuffix(ending).replace("_", " "), _UNITS.get(ending, "")
+
+
 def _of_image(parts: list[str]) -> Figure | None:
     """Return a figure of a volume; None if it is unknown."""
     kind = figure_kinds().get(parts[0]) if len(parts) == 3 else None
@@ -59,9 +86,9 @@ def _of_run(parts: list[str]) -> Figure:
         return Figure("", f"time: {stage_title(parts[1])}", "s", digits=1, best=best)
     unit, words = "", list[str]()
     for part in parts:
-        ending = next((end for end in _UNITS if part.endswith(end)), "")
-        unit = _UNITS.get(ending, unit)
-        words.append(part.removesuffix(ending).replace("_", " "))
+        word, own = _without_unit(part)
+        unit = own or unit
+        words.append(word)
     if words[-1] in _STATISTICS:
         words.append(_STATISTICS[words.pop()])
     return Figure("", ", ".join(words), unit, best=best)

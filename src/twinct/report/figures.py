@@ -243,24 +243,6 @@ def pose_errors_over_views(
         return svg(figure)
 
 
-def convergence(residuals: Mapping[str, Sequence[float]]) -> Picture:
-    """Plot the residual, root mean square of p - A x, over the iterations for each geometry."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(5.6, 2.6), layout="constrained")
-        axes: Any = figure.subplots()
-        colours = SOURCE_COLOUR, DETECTOR_COLOUR, LIMIT_COLOUR
-        for (geometry, course), colour in zip(residuals.items(), colours, strict=False):
-            numbers = np.arange(1, len(course) + 1)
-            axes.semilogy(numbers, course, color=colour, marker="o", ms=3, lw=1.1, label=geometry)
-        axes.set_xlabel("iteration")
-        axes.set_ylabel("RMS of p − A x")
-        axes.xaxis.set_major_locator(MaxNLocator(10, integer=True))
-        axes.grid(axis="y", which="both", color="#e4e7eb", lw=0.7)
-        axes.set_axisbelow(True)
-        axes.legend(loc="upper right", borderpad=0)
-        return svg(figure)
-
-
 def _limit(axes: Any, value: float, label: str) -> None:
     axes.axhline(value, color=LIMIT_COLOUR, lw=1, ls=(0, (4, 3)))
     shift = {"xycoords": ("axes fraction", "data"), "xytext": (0, 2), "textcoords": "offset points"}

@@ -53,9 +53,13 @@ class _ColumnText(NamedTuple):
 
 FIGURES = {
     "residual_rel": _ColumnText(
-        "residual", "%", "root mean square of p − A x over the rays, relative to that of p", 100, 2
+        "residual",
+        "%",
+        "line integrals of images less volume (RMS), relative to the images",
+        100,
+        2,
     ),
-    "residual": _ColumnText("residual", "", "the same as a line integral", 1, 4),
+    "residual": _ColumnText("residual", "", "this difference as a line integral", 1, 4),
     "consistency_rel": _ColumnText(
         "consistency",
         "%",
@@ -100,6 +104,7 @@ def write_measured_report(
         predictions: predicted views in words, and their picture.
     """
     from twinct.report import figures
+    from twinct.report.convergence import convergence
 
     courses = {one.name: one.residuals for one in columns if len(one.residuals) > 1}
     source = np.asarray(geometry.source)
@@ -113,7 +118,7 @@ def write_measured_report(
         rows=[_row(key, columns) for key in FIGURES],
         slices=[(one.name, picture.data_uri) for one, picture in _slices(columns)],
         residuals=_by_view(columns).data_uri,
-        convergence=figures.convergence(courses).data_uri if courses else "",
+        convergence=convergence(courses).data_uri if courses else "",
         predictions=[(words, picture.data_uri) for words, picture in predictions],
         projections=figures.projection_strip(projections, geometry.panel).data_uri,
         path=figures.source_path(source, source, np.zeros(3)).data_uri,

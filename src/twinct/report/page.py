@@ -145,6 +145,7 @@ def _beside(report: ReportData) -> dict[str, Any]:
 def draw_pictures(report: ReportData) -> Pictures:
     """Draw the pictures of a report, which takes longest; they do not depend on its metrics."""
     from twinct.report import figures
+    from twinct.report.convergence import convergence
 
     scenario = report.scenario
     commanded, executed = (
@@ -171,7 +172,7 @@ def draw_pictures(report: ReportData) -> Pictures:
         )
         if scenario.cell.kind == "arms"
         else None,
-        "convergence": figures.convergence(courses)
+        "convergence": convergence(courses)
         if any(len(course) > 1 for course in courses.values())
         else None,
         "slices": figures.cross_section_grid(report.slices, mu or 1.0, compared)

@@ -38,16 +38,31 @@ _MOST_TOLD = 12
 
 @dataclass(frozen=True)
 class StudyAxis:
-    """Varied parameter: its label in trials, its unit, and True if it is logarithmic."""
+    """Varied parameter.
+
+    Attributes:
+        label: its label in trials and in the table of results.
+        unit: its unit.
+        log: True if it is logarithmic.
+        name: its name on the page; the label if empty.
+        keys: the scenario keys that it sets, as text.
+    """
 
     label: str
     unit: str = ""
     log: bool = False
+    name: str = ""
+    keys: str = ""
 
     @property
     def title(self) -> str:
-        """Label and unit."""
-        return f"{self.label} / {self.unit}" if self.unit else self.label
+        """Name and unit."""
+        name = self.name or self.label
+        return f"{name} / {self.unit}" if self.unit else name
+
+    def with_value(self, value: str) -> str:
+        """Return the name with a value and the unit."""
+        return f"{self.name or self.label} {value} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,8 +180,8 @@ def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTri
     ]
 
 
-def _varied(axis: StudyAxis, trials: Sequence[StudyTrial]) -> tuple[str, int, str]:
-    """Return an axis, the number of its values, and the values as text."""
+def _varied(axis: StudyAxis, trials: Sequence[StudyTrial]) -> tuple[str, str, int, str]:
+    """Return an axis, its keys, the number of its values, and the values as text."""
     data = {in_words(v): v for one in trials if (v := one.axes.get(axis.label)) is not None}
     values = list(data.values())
     if numeric(values):
@@ -177,7 +192,8 @@ def _varied(axis: StudyAxis, trials: Sequence[StudyTrial]) -> tuple[str, int, st
         text = f"{in_words(values[0])} to {in_words(values[-1])}"
     else:
         text = ", ".join(map(in_words, values[:_MOST_TOLD])) + ", …"
-    return axis.title, len(values), text + (", logarithmic" if axis.log else "")
+    keys = axis.keys if axis.keys != axis.title else ""
+    return axis.title, keys, len(values), text + (", logarithmic" if axis.log else "")
 
 
 class _Trend(NamedTuple):
@@ -212,7 +228,7 @@ def _pictures(
         if shown.left_out:
             notes.append(f"without {shown.left_out} combinations to which it does not apply")
         picture = trend_picture(shown, axis.title, words.label, others, words.factor, axis.log)
-        pictures.append(_Trend(picture.data_uri, axis.label, notes))
+        pictures.append(_Trend(picture.data_uri, axis.name or axis.label, notes))
     return pictures
 
 
@@ -284,11 +300,10 @@ def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) 
                 ]
             title = f"{plane}, {section.position}".rstrip(", ")
             pictures.append((title, side_by_side(columns, "truth", looks, dpi=100).data_uri))
-    labels = [axis.title for axis in study.axes]
     captions: list[tuple[StudyTrial, str, str]] = []
     for one in having:
-        values = [in_words(one.axes.get(axis.label)) for axis in study.axes]
-        in_line = "; ".join(f"{k} {v}" for k, v in zip(labels, values, strict=True) if v != "–")
+        values = [(axis, in_words(one.axes.get(axis.label))) for axis in study.axes]
+        in_line = "; ".join(axis.with_value(value) for axis, value in values if value != "–")
         captions.append((one, in_line, quote(one.report)))
     return _Shown(pictures, captions, notes)
 

@@ -2,55 +2,82 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
-from twinct.core.errors import InputError, TrajectoryError
+import numpy as np
+
+from twinct.core.errors import InputError, NoPathError, TrajectoryError
+from twinct.core.progress import WorkSpentError
+from twinct.geometry.wire import targets_of
+from twinct.robots.motion import find_joint_path
 from twinct.scan import SimulationBuilder
 from twinct.trajectory import OrbitSettings
 
 TRIES = 6
-"""Largest number of arcs that are planned, the longest first."""
+"""Largest number of arcs that are tried, the longest first."""
+
+PATH_VIEWS = 72
+"""Largest number of views that the path through an arc has to pass, evenly spaced."""
 
 SHORTEST = 3
 """Smallest number of views of an arc."""
 
 
-def longest_arc(builder: SimulationBuilder, lost: Iterable[int]) -> str | None:
-    """Return a sentence that names the longest arc of a circle of which a plan was made.
+def longest_arc(
+    builder: SimulationBuilder, lost: Iterable[int], most_views: int | None = PATH_VIEWS
+) -> str | None:
+    """Return a sentence that names the longest arc of a circle through which a path was found.
 
     Args:
         builder: simulations of the refused scenario.
         lost: views of the circle that the arms cannot hold.
+        most_views: largest number of views that the path has to pass, evenly spaced; None for all.
 
     Returns:
         None if the trajectory is no circle, or no arc was found.
     """
+    try:
+        return _longest(builder, set(lost), most_views)
+    except WorkSpentError:
+        return (
+            "no arc with a path was found in the time of planning; twinct check --all-cures goes on"
+        )
+
+
+def _longest(builder: SimulationBuilder, lost: set[int], most_views: int | None) -> str | None:
     section = builder.scenario.trajectory
     if section.kind != "circle" or not isinstance(section, OrbitSettings):
         return None
     count, kept = section.views, section.model_dump(mode="json", exclude={"kind", "views"})
     if any(isinstance(kept[key], list) for key in ("sod_mm", "sdd_mm")):
         return None  # distances that change along the circle
-    stretches = _stretches(set(lost), count)
+    stretches = _stretches(lost, count)
     for _ in range(TRIES):
         stretch = max(stretches, key=len, default=range(0))
         if len(stretch) < SHORTEST:
             return None
         arc = _arc(kept, stretch, count)
+        passed = np.arange(len(stretch))
+        if most_views is not None and len(stretch) > most_views:
+            passed = np.linspace(0, len(stretch) - 1, most_views).astype(int)
         try:
-            _ = SimulationBuilder(
-                builder.scenario.with_({"trajectory": arc}), given_specimen=builder.specimen
-            ).plan
+            shorter = SimulationBuilder(builder.scenario.with_({"trajectory": arc}))
+            targets, motion = targets_of(shorter.requested[passed]), shorter.scenario.motion
+            find_joint_path(builder.cell, motion, targets, roll_free=shorter.roll_free)
         except TrajectoryError as error:
             stretches.remove(stretch)
-            stretches += _split(stretch, list(error.problems))
+            bad = [int(passed[view]) for view in error.views]
+            stretches += _split(stretch, bad, isinstance(error, NoPathError))
             continue
         except InputError:
             return None
         text = ", ".join(f"{key}: {arc[key]}" for key in _TOLD)
-        return f"the longest arc that works, planned: trajectory: {{kind: arc, {text}}}"
+        which = "its views" if len(passed) == len(stretch) else f"{len(passed)} of its views"
+        return (
+            f"the longest arc that works, by a path through {which}: trajectory: "
+            f"{{kind: arc, {text}}}"
+        )
     return None
 
 
@@ -82,17 +109,19 @@ def _stretches(lost: set[int], count: int) -> list[range]:
     return stretches
 
 
-def _split(stretch: range, problems: list[str]) -> list[range]:
-    """Return the parts of a stretch without the views that problems name."""
-    told = re.findall(r"views? (\d+)(?: to (?:view )?(\d+))?", " ".join(problems))
-    bad = {view for a, b in told for view in range(int(a), int(b or a) + 1)}
-    if any("no path found" in problem for problem in problems):
-        bad = {max(bad)}  # the way to this view is blocked, not the views
-    if not bad or max(bad) >= len(stretch):
+def _split(stretch: range, bad: list[int], on_the_way: bool) -> list[range]:
+    """Return the parts of a stretch between some views.
+
+    Args:
+        stretch: views of the circle.
+        bad: indices within the stretch of views that cannot be held or reached.
+        on_the_way: whether only the way to these views is blocked.
+    """
+    if not bad:
         less = len(stretch) // 20 + 1
         return [stretch[less:-less]]
     parts, first = list[range](), 0
-    for view in [*sorted(bad), len(stretch)]:
+    for view in [*bad, len(stretch)]:
         parts.append(stretch[first:view])
-        first = view + 1
+        first = view if on_the_way else view + 1
     return parts

@@ -76,6 +76,9 @@ class SimulationBuilder:
                 "specimen.unknown: of a measured scan nothing can be simulated, and there is no "
                 "truth to judge by; 'twinct reconstruct' makes and judges its volumes"
             )
+        from twinct.specimen.known_names import require_known_names
+
+        require_known_names(self.scenario)
         section = self.scenario.specimen
         names = [part.label for part in section.parts]
         digest = json.dumps([specimen_digest(self.scenario), names])
@@ -182,14 +185,20 @@ class SimulationBuilder:
     @cached_property
     def room(self) -> CellModel:
         """Operating room with the true surface of the specimen, for pictures."""
-        return self._cell_with(self.specimen.hulls, self.specimen.surface())
+        return self._painted(self._cell_with(self.specimen.hulls, self.specimen.surface()))
 
     @cached_property
     def sketched_room(self) -> CellModel:
         """Operating room with a coarse surface of the specimen, for pictures in a hurry."""
         from twinct.specimen.sketch import sketch
 
-        return self._cell_with((), sketch(self.specimen.surface()))
+        return self._painted(self._cell_with((), sketch(self.specimen.surface())))
+
+    def _painted(self, room: CellModel) -> CellModel:
+        from twinct.robots.cell import paint_specimen
+
+        paint_specimen(room, self.specimen.colour)
+        return room
 
     def urdf(self, meshes: Path | None = None) -> str:
         """Return the room's robot description, with the camera at the first view's source.
@@ -317,13 +326,14 @@ class SimulationBuilder:
             StorageError: the file cannot be written.
             TrajectoryError: views are out of reach, or would collide.
         """
-        from twinct.robots.cell import build_gantry, render_cell
+        from twinct.robots.cell import build_gantry, paint_specimen, render_cell
 
         cell = self.scenario.cell
         if isinstance(cell, GantryCell):
             specimen, panel = self.specimen, self.scenario.detector.panel
             place, poses = specimen.world_from_specimen, self.commanded_poses[view]
             room = build_gantry(cell, specimen.surface(), place, panel, *poses)
+            paint_specimen(room, specimen.colour)
             render_cell(room, Path(path), None, width, height)
         else:
             assert self.plan is not None

@@ -150,6 +150,11 @@ class GreyVolume(Section):
     calibration: Annotated[Calibration, Field(discriminator="kind")] = setting(
         Tissues(kind="tissues"), "Meaning of the values."
     )
+    edges: Literal["soft", "sharp"] = setting(
+        "soft",
+        "Between voxel centres: soft is linear; sharp takes voxels as volume fractions of the rows "
+        "of a table, and each point as the row with the largest one.",
+    )
     above_hu: Finite | None = setting(
         None, "Voxels up to this value are left out; null: only those without attenuation."
     )
@@ -180,6 +185,8 @@ class GreyVolume(Section):
             self._fits_a_phantom()
         elif wrong := [n for n in ("seed", "voxel_mm") if getattr(self, n) != _default(n)]:
             raise ValueError(f"{' and '.join(wrong)}: only allowed with phantom")
+        if self.edges == "sharp" and self.calibration.kind != "table":
+            raise ValueError("edges: sharp needs a calibration of kind table, whose rows are pure")
         if self.keep == "labelled" and not self.labelled:
             raise ValueError("keep: labelled needs labels")
         if self.hu is not None and self.calibration.kind == "attenuation":

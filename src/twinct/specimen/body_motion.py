@@ -116,7 +116,7 @@ class BodyMotion:
         """Return a field in a state of breathing: each voxel reads where its material was."""
         amounts = np.empty_like(field.amounts)
         self.pull(field, breath, amounts)
-        return GreyField(field.materials, amounts, field.grid)
+        return replace(field, amounts=amounts)
 
     def pull(self, field: GreyField, breath: Breath, out: NDArray[np.float32]) -> None:
         """Write the amounts of a moved field to ``out``, of the shape of its amounts."""

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from twinct.specimen.body_motion import BodyMotion
     from twinct.specimen.breathing import Breath
+    from twinct.specimen.colours import Rgb
 
 HULL_DIRECTIONS = 4000
 """Directions in which the collision hull touches the specimen, about 3 degrees apart."""
@@ -296,6 +297,14 @@ class BuiltSpecimen:
     def surface(self) -> trimesh.Trimesh:
         """Return all parts' surfaces as one mesh in the specimen's frame, mm, for pictures."""
         return joined([part.mesh for part in self.parts])
+
+    @property
+    def colour(self) -> Rgb:
+        """Colour of the largest part in pictures of the room."""
+        from twinct.specimen.colours import SKIN, colour_of
+
+        largest = self.largest_part
+        return SKIN if isinstance(largest, GreyPart) else colour_of(largest.material)
 
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None

@@ -91,7 +91,7 @@ def _part(
             CutFace(axis, high, arrays[f"{name}.cut{k}"])
             for k, (axis, high) in enumerate(data["cuts"])
         )
-        field = GreyField(basis, amounts, grid)
+        field = GreyField(basis, amounts, grid, data["sharp"])
         return GreyPart(section.label, substance, mesh, field, labels, cuts)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{where}: part {name} is damaged: {error}") from None
@@ -108,6 +108,7 @@ def _voxels(part: GreyPart) -> dict[str, NDArray[Any]]:
             [m.name, m.density_g_cm3, dict(m.mass_fractions)] for m in part.field.materials
         ],
         "labels": part.label_names,
+        "sharp": part.field.sharp,
         "cuts": [[cut.axis, cut.high] for cut in part.cuts],
     }
     arrays: dict[str, NDArray[Any]] = {f"cut{k}": cut.tissue for k, cut in enumerate(part.cuts)}

@@ -241,7 +241,8 @@ def _require_even(gaps: Floats, names: list[str], where: str) -> None:
         worst = int(np.abs(gaps - gap).argmax())
         raise SpecimenError(
             f"{where}: slices are not evenly spaced: {gaps[worst]:.4g} mm between {names[worst]} "
-            f"and {names[worst + 1]}, {gap:.4g} mm elsewhere; is a slice missing or duplicated?"
+            f"and {names[worst + 1]}, {gap:.4g} mm elsewhere; is a slice missing or duplicated? "
+            "A part of kind: volume interpolates them with interpolate_slices: true"
         )
 
 

@@ -27,17 +27,20 @@ class GreyField:
     An amount is the density of a basis material in a voxel, relative to the material's own density.
     So mu = sum_m amounts[..., m] mu_m(E), with the same amounts for all photon energies. Between
     the centres of voxels, amounts are linear; outside the grid there is nothing. Noise and streaks
-    of a reconstruction are amounts below 0.
+    of a reconstruction are amounts below 0. In a sharp field, amounts are volume fractions, and
+    each point is wholly of the material with the largest one there, or of nothing.
 
     Attributes:
         materials: basis materials.
         amounts: (nz, ny, nx, materials), float32, C-contiguous, finite.
         grid: grid of the voxels; its world is the specimen's frame.
+        sharp: True for volume fractions with sharp edges.
     """
 
     materials: tuple[Material, ...]
     amounts: NDArray[np.float32]
     grid: VolumeGrid
+    sharp: bool = False
 
     def __post_init__(self) -> None:
         """Check shape and values, and lock the amounts.

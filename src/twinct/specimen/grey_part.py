@@ -197,20 +197,31 @@ class GreyPart:
         out: NDArray[np.float32],
     ) -> None:
         """Add the mean attenuation in each voxel of a grid, 1/mm, to ``out`` (nz, ny, nx)."""
-        values = self.field.mu_per_mm(energy_kev)
-        add_means(values, self.field.grid, grid, world_from_specimen, out)
+        weights = [m.mu_per_mm(energy_kev) for m in self.field.materials]
+        self._add_weighted(np.array(weights), grid, world_from_specimen, out)
 
     def shares(
         self, grid: VolumeGrid, world_from_specimen: Pose
     ) -> list[tuple[Material, NDArray[np.float32]]]:
         """Return the mean amount of each basis material in the voxels of a grid."""
         found = []
-        for m, substance in enumerate(self.field.materials):
+        for substance, weights in zip(
+            self.field.materials, np.eye(len(self.field.materials)), strict=True
+        ):
             share = np.zeros(grid.shape, dtype=np.float32)
-            values = np.ascontiguousarray(self.field.amounts[..., m])
-            add_means(values, self.field.grid, grid, world_from_specimen, share)
+            self._add_weighted(weights, grid, world_from_specimen, share)
             found.append((substance, share))
         return found
+
+    def _add_weighted(
+        self, weights: Floats, grid: VolumeGrid, pose: Pose, out: NDArray[np.float32]
+    ) -> None:
+        """Add the mean of the weighted sum of amounts in each voxel of a grid to ``out``."""
+        field = self.field
+        if field.sharp:
+            _add_sharp_means(field, weights, grid, pose, out)
+        else:
+            add_means(field.amounts @ weights.astype(np.float32), field.grid, grid, pose, out)
 
     def label_on(self, name: str, grid: VolumeGrid, world_from_specimen: Pose) -> NDArray[np.bool_]:
         """Return the voxels of a grid that a label fills by half at least."""
@@ -230,7 +241,7 @@ class GreyPart:
         facts += [
             [m.name, m.density_g_cm3, sorted(m.mass_fractions.items())] for m in field.materials
         ]
-        digest.update(repr(facts).encode())
+        digest.update(repr([*facts, "sharp"] if field.sharp else facts).encode())
         digest.update(field.amounts.data)
         if self.labels:
             digest.update(np.ascontiguousarray(self.labels.values).data)
@@ -254,18 +265,9 @@ def add_means(
         world_from_field: pose of the specimen.
         out: (nz, ny, nx) float32.
     """
-    field_from_grid = (world_from_field @ of.world_from_grid).inverse() @ grid.world_from_grid
-    # Index coordinates of the field: rows are the steps along x, y and z of the grid.
-    steps = (field_from_grid.rotation * grid.voxel).T / of.voxel
-    corner = grid.first_voxel_mm - grid.voxel / 2
-    first = (field_from_grid.apply(corner) - of.first_voxel_mm) / of.voxel
-    spanned = np.abs(steps).max(axis=1)
-    counts = np.maximum(FEW_SAMPLES * np.minimum(spanned, 1), SAMPLES_PER_VOXEL * spanned)
-    counts = np.ceil(counts - 1e-9).astype(np.int64)
-    box = _touched(values.shape, first, steps, grid.shape)
-    if any(side.start >= side.stop for side in box):
+    first, steps, counts, box = _sampling(of, grid, world_from_field)
+    if not out[box].size:
         return
-    first = first + np.array([side.start for side in box[::-1]]) @ steps
     if add_aligned_means(values, first, steps, counts.tolist(), out[box]):
         return
     found = np.zeros(out[box].shape, dtype=np.float32)
@@ -274,6 +276,42 @@ def add_means(
     values = np.require(values, requirements=["C", "W"])  # one type for numba
     _grey_kernels.add_means(values, first, steps, counts, found)
     out[box] += found
+
+
+def _add_sharp_means(
+    field: GreyField,
+    weights: Floats,
+    grid: VolumeGrid,
+    world_from_field: Pose,
+    out: NDArray[np.float32],
+) -> None:
+    """Add the mean weight of the materials of a sharp field in each voxel of a grid to ``out``."""
+    from twinct.specimen import _grey_kernels
+
+    first, steps, counts, box = _sampling(field.grid, grid, world_from_field)
+    amounts = np.require(field.amounts, requirements=["C", "W"])  # one type for numba
+    found = np.zeros(out[box].shape, dtype=np.float32)
+    _grey_kernels.add_sharp_means(amounts, np.append(weights, 0.0), first, steps, counts, found)
+    out[box] += found
+
+
+def _sampling(
+    of: VolumeGrid, grid: VolumeGrid, world_from_field: Pose
+) -> tuple[Floats, Floats, NDArray[np.int64], tuple[slice, slice, slice]]:
+    """Return a voxel's lowest corner, steps and samples in a field, and the voxels that it fills.
+
+    Steps are in index coordinates of the field; their rows are those along x, y and z of the grid.
+    The corner is that of the first voxel of the box outside of which the field is 0.
+    """
+    field_from_grid = (world_from_field @ of.world_from_grid).inverse() @ grid.world_from_grid
+    steps = (field_from_grid.rotation * grid.voxel).T / of.voxel
+    corner = grid.first_voxel_mm - grid.voxel / 2
+    first = (field_from_grid.apply(corner) - of.first_voxel_mm) / of.voxel
+    spanned = np.abs(steps).max(axis=1)
+    counts = np.maximum(FEW_SAMPLES * np.minimum(spanned, 1), SAMPLES_PER_VOXEL * spanned)
+    counts = np.ceil(counts - 1e-9).astype(np.int64)
+    box = _touched(of.shape, first, steps, grid.shape)
+    return first + np.array([side.start for side in box[::-1]]) @ steps, steps, counts, box
 
 
 def _touched(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,7 +77,8 @@ def grey_part(
         SpecimenError: a file cannot be used, or nothing of it counts; names the part.
     """
     where = f"part {name!r}: {shape.source}"
-    line = line_of(shape.calibration, f"{key}.calibration")
+    sharp = shape.edges == "sharp"
+    line = line_of(shape.calibration, f"{key}.calibration", pure=sharp)
     voxels = _counting(*_read(shape, where), shape, where)
     if shape.extend_mm:
         voxels = _extended(voxels, shape.extend_mm)
@@ -88,7 +89,7 @@ def grey_part(
         specimen_from_part = specimen_from_part @ Pose(shift, np.array([0.0, 0.0, 0.0, 1.0]))
     skin = surface(specimen_from_part.apply(skin.vertices), skin.faces)
     field, labels, cuts = _field(voxels, line, cuts, specimen_from_part, where)
-    return GreyPart(name, reference, skin, field, labels, cuts)
+    return GreyPart(name, reference, skin, replace(field, sharp=sharp), labels, cuts)
 
 
 def _read(

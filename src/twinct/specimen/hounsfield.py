@@ -15,7 +15,7 @@ so that the line is valid for one tube voltage. Air is nothing.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -87,8 +87,13 @@ class TissueLine:
         return self(hu).astype(np.float64) @ of_materials
 
 
-def line_of(section: scenario.Calibration, key: str) -> TissueLine:
+def line_of(section: scenario.Calibration, key: str, pure: bool = False) -> TissueLine:
     """Return the line that a part's key ``calibration`` describes.
+
+    Args:
+        section: the calibration.
+        key: its key, for messages.
+        pure: True if each row of a table is a material of its own, with the density of the row.
 
     Raises:
         SpecimenError: a material is unknown; begins with the key.
@@ -100,7 +105,7 @@ def line_of(section: scenario.Calibration, key: str) -> TissueLine:
         case scenario.AttenuationValues():
             return tissue_line(section.energy_kev)
         case scenario.TissueTable():
-            return _table_line(section, key)
+            return _table_line(section, key, pure)
         case scenario.ElectronDensities():
             return _electron_line(section)
 
@@ -157,17 +162,20 @@ def _amounts_of(tissue: Material, basis: Sequence[Material]) -> Floats:
     return found
 
 
-def _table_line(section: scenario.TissueTable, key: str) -> TissueLine:
+def _table_line(section: scenario.TissueTable, key: str, pure: bool) -> TissueLine:
     """Return a user's table: each row has one material at one density."""
-    named = {}
+    of_rows = []
     for i, row in enumerate(section.rows):
-        if row.material not in named:
-            named[row.material] = material(row.material, f"{key}.rows.{i}.material")
-    basis = tuple(named.values())
+        substance = material(row.material, f"{key}.rows.{i}.material")
+        if pure and row.density_g_cm3:
+            substance = replace(substance, density_g_cm3=row.density_g_cm3)
+        of_rows.append(substance)
+    filled = (m for m, row in zip(of_rows, section.rows, strict=True) if row.density_g_cm3)
+    basis = tuple(dict.fromkeys(filled if pure else of_rows))
     amounts = np.zeros((len(section.rows), len(basis)))
-    for i, row in enumerate(section.rows):
-        substance = named[row.material]
-        amounts[i, basis.index(substance)] = row.density_g_cm3 / substance.density_g_cm3
+    for i, (row, substance) in enumerate(zip(section.rows, of_rows, strict=True)):
+        if row.density_g_cm3:
+            amounts[i, basis.index(substance)] = row.density_g_cm3 / substance.density_g_cm3
     return TissueLine(basis, np.array([row.hu for row in section.rows]), amounts)
 
 

@@ -15,7 +15,10 @@ FEW_VOXELS = 4
 """Minimum number of voxels along a part's longest edge; smaller parts are invisible in a volume."""
 
 MANY_FIELDS = 3
-"""Maximum size in fields of view; a head exceeds the paper's, a larger part is a mistake."""
+"""Maximum size of a file's part in fields of view; a head exceeds the paper's.
+
+Shapes that state their edges in mm may be larger, such as a table under a patient.
+"""
 
 UNITS_MM = {"micrometres": 1e-3, "millimetres": 1, "centimetres": 10, "inches": 25.4, "metres": 1e3}
 
@@ -53,7 +56,7 @@ def specimen_size(
         largest, voxel = float(edges.max()), float(grid.voxel.max())
         if largest < FEW_VOXELS * voxel:
             beside = f"less than {FEW_VOXELS} voxels of {voxel:.3g} mm"
-        elif largest > MANY_FIELDS * field.max():
+        elif getattr(part.shape, "path", None) and largest > MANY_FIELDS * field.max():
             beside = f"more than {MANY_FIELDS} times the field of view, {_edges(field)}"
         else:
             continue

@@ -44,7 +44,7 @@ def read_labels(
     there = [int(n) for n in np.flatnonzero(np.bincount(found.ravel())) if n]
     names = dict(section.names)
     if not names:
-        stated = _header_names(section.path)
+        stated = header_names(section.path)
         names = {stated.get(n, f"label_{n}"): n for n in there}
     if lost := [f"{quoted(name)} ({n})" for name, n in names.items() if n not in there]:
         raise SpecimenError(f"{where} has no voxel of {', '.join(lost)}; its labels are {there}")
@@ -69,12 +69,17 @@ def read_mask(path: Path, image: CtImage, where: str) -> NDArray[np.bool_]:
     return found
 
 
+def mask_files(folder: Path) -> dict[str, Path]:
+    """Return the NIfTI files of a folder by their names without suffix, sorted."""
+    files = {SUFFIX.sub("", p.name): p for p in sorted(folder.iterdir())}
+    return {name: p for name, p in files.items() if SUFFIX.search(p.name)}
+
+
 def _of_folder(
     section: scenario.Labels, image: CtImage, where: str
 ) -> tuple[tuple[str, ...], NDArray[np.uint16]]:
     """Read one mask for each name; where masks overlap, the later name wins."""
-    files = {SUFFIX.sub("", p.name): p for p in sorted(section.path.iterdir())}
-    files = {name: p for name, p in files.items() if SUFFIX.search(p.name)}
+    files = mask_files(section.path)
     if section.names:
         raise SpecimenError(f"{where} is a folder, whose files state the names; leave names out")
     if not files:
@@ -119,7 +124,7 @@ def _in_words(image: CtImage) -> str:
     return f"{size} voxels of {edges} mm from ({first})"
 
 
-def _header_names(path: Path) -> dict[int, str]:
+def header_names(path: Path) -> dict[int, str]:
     """Return the names in the header's extension, as TotalSegmentator and Connectome write them."""
     import nibabel
 

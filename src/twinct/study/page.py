@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from twinct.report.figure_words import axis_words
 from twinct.report.repetitions import StudyTrial
 from twinct.report.study_page import StudyAxis, StudyData, best_trials, write_study
 from twinct.study.design import Design
@@ -26,13 +27,11 @@ def write_page(
     study = design.study
     ranked, better = study.ranked_by
     figures = (ranked, *(name for name in study.figures if name != ranked))
-    log = {part.name for a in study.axes for part in a.paired or (a,) if _is_log(part)}
-    log |= {d.name for d in (study.search.keys if study.search else ()) if d.scale == "log"}
     data = StudyData(
         title=study.name,
         description=study.description,
         best=better,
-        axes=[StudyAxis(label, log=label in log) for label in design.labels],
+        axes=_axes(design),
         figures=figures,
         trials=[
             StudyTrial(
@@ -57,6 +56,24 @@ def write_page(
     mu_reference = next((mu for _, mu in shown.values()), None)
     sections = {number: found for number, (found, _) in shown.items()}
     write_study(folder.page, replace(data, sections=sections, mu_reference=mu_reference))
+
+
+def _axes(design: Design) -> list[StudyAxis]:
+    """Return the axes in the order of their labels; without a label, its keys name an axis."""
+    study = design.study
+    parts = [part for axis in study.axes for part in axis.paired or (axis,)]
+    dimensions = study.search.keys if study.search else ()
+    log = {part.name for part in parts if _is_log(part)}
+    log |= {one.name for one in dimensions if one.scale == "log"}
+    keys = {one.name: one.keys for one in (*parts, *dimensions)}
+    found = [
+        StudyAxis(label, log=label in log, keys=", ".join(keys[label])) for label in design.labels
+    ]
+    words = axis_words([keys[label] for label in design.labels])
+    return [
+        replace(one, name=name, unit=unit) if one.label == one.keys else one
+        for one, (name, unit) in zip(found, words, strict=True)
+    ]
 
 
 def _is_log(axis: Axis) -> bool:

@@ -20,7 +20,15 @@ from twinct.core.files.writing import complete, storage_errors
 from twinct.core.foreign_text import shortened
 from twinct.core.progress import Progress
 from twinct.geometry import MM_PER_M, Floats, Pose
-from twinct.robots.cell import Marks, Moment, build_cell, build_gantry, room_pictures
+from twinct.robots.cell import (
+    Marks,
+    Moment,
+    build_cell,
+    build_gantry,
+    paint_specimen,
+    room_pictures,
+    whole_camera,
+)
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
 from twinct.viewer.filling import specimen_as_it_looks
@@ -150,7 +158,9 @@ def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]
                 places |= _tools(show, view, *moved)
             yield Moment(show.joints_at(view), marks, places)
 
-    yield from room_pictures(model, moments(), ROOM_WIDTH, HEIGHT)
+    paint_specimen(model, builder.specimen.colour)
+    camera = whole_camera(model, show.joints_at(len(show) // 2), ROOM_WIDTH / HEIGHT)
+    yield from room_pictures(model, moments(), ROOM_WIDTH, HEIGHT, camera)
 
 
 def _object(show: Show, view: int) -> Iterator[tuple[str, Pose]]:

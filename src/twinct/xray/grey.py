@@ -15,7 +15,7 @@ class GreyCaster:
     """Rays through the voxels of a grey field, by Joseph's method as in ``recon.Projector``.
 
     Rays begin at the source and end at the pixel's centre. The outermost voxels extend over their
-    outer half, and nothing is outside.
+    outer half, and nothing is outside. In a sharp field, rays find the places where materials meet.
     """
 
     def __init__(self, field: GreyField, panel: Panel) -> None:
@@ -45,8 +45,6 @@ class GreyCaster:
             into: image of each basis material.
             out: receives the integrals, (images, rows, columns), mm.
         """
-        from twinct.xray._grey_rays import add_amounts
-
         grid, panel = self.field.grid, self.panel
         local = grid.world_from_grid.inverse()
         column, row = panel.first_pixel_mm
@@ -56,4 +54,8 @@ class GreyCaster:
         steps = local.rotate(np.stack([panel.pitch_u * u, panel.pitch_v * v]))
         rays = np.vstack([np.vstack([points, steps]) / grid.voxel, grid.voxel])
         count, images = len(self.field.materials), np.array(into, np.int64)
+        if self.field.sharp:
+            from twinct.xray._sharp_rays import add_lengths as add_amounts
+        else:
+            from twinct.xray._grey_rays import add_amounts
         add_amounts(self._flat, grid.shape, count, rays, images, out)

@@ -89,5 +89,7 @@ class Bag:
     def close(self) -> None:
         """Complete the file; a second call does nothing."""
         if not self._file.closed:
-            self._writer.finish()
-            self._file.close()
+            try:
+                self._writer.finish()
+            finally:  # on a full disk too
+                self._file.close()

@@ -61,13 +61,17 @@ class DriveFile:
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._bag = Bag(path, CHUNK_BYTES)
-            data = {"joints": dict(names), "joint_states": list(joint_states)}
-            facts = {key: json.dumps(value) for key, value in data.items()}
-            self._bag.note(NOTE, {"format": DRIVE_FORMAT, **facts})
-            self._bag.attach(SCENARIO, scenario.resolved().encode())
-            with tempfile.TemporaryDirectory(prefix="twinct-") as name:
-                save_plan(plan, Path(name) / PLAN)
-                self._bag.attach(PLAN, (Path(name) / PLAN).read_bytes())
+            try:
+                data = {"joints": dict(names), "joint_states": list(joint_states)}
+                facts = {key: json.dumps(value) for key, value in data.items()}
+                self._bag.note(NOTE, {"format": DRIVE_FORMAT, **facts})
+                self._bag.attach(SCENARIO, scenario.resolved().encode())
+                with tempfile.TemporaryDirectory(prefix="twinct-") as name:
+                    save_plan(plan, Path(name) / PLAN)
+                    self._bag.attach(PLAN, (Path(name) / PLAN).read_bytes())
+            except BaseException:
+                path.unlink(missing_ok=True)
+                raise
 
     def write(self, topic: str, kind: str, raw: Raw, sender: Sender) -> None:
         """Write a message as it came."""

@@ -5,18 +5,21 @@ It is fast because one piece of vector code reads and blends sixteen samples (``
 voxels that they cross (``brick``). No result depends on the number of threads.
 """
 
+import numpy as np
 from numba import get_num_threads
 
 from twinct.recon._vector.cache import kernels_from_disk
+from twinct.recon.blocks import EVERYWHERE
 
 with kernels_from_disk():
     from twinct.recon import _plain
     from twinct.recon._plain import bring, hold, leave_out, require, room
     from twinct.recon._vector import adjoint as _adjoint
-    from twinct.recon._vector.forward import forward
+    from twinct.recon._vector.forward import forward as _forward
+    from twinct.recon._vector.lowering import lower
     from twinct.recon._vector.options import CUBE, IMAGE, MATRICES, STACK, kernel
     from twinct.recon._vector.rays import chords
-    from twinct.recon._vector.update import update
+    from twinct.recon._vector.update import update as _update
     from twinct.recon._vector.variation import ascend
 
     # The plain engine's code is fast already; here it gets fast mathematics.
@@ -37,12 +40,26 @@ __all__ = [
     "forward",
     "hold",
     "leave_out",
+    "lower",
     "primal",
     "ratio",
     "require",
     "room",
     "update",
 ]
+
+
+_NO_LENGTHS = np.empty((0, 0), np.float32)
+
+
+def forward(x, rays, out, blocks=EVERYWHERE, lengths=None):
+    """Write the line integrals of ``x``, see ``engine``."""
+    _forward(x, rays, out, _NO_LENGTHS if lengths is None else lengths, blocks.sums)
+
+
+def update(x, pixels, image, counts, missing, floor, blocks=EVERYWHERE):
+    """Update the voxels, see ``engine``."""
+    _update(x, pixels, image, counts, missing, floor, blocks.filled)
 
 
 def adjoint(y, rays, out):

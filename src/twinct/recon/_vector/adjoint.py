@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit, prange
 
 from twinct.recon._vector.brick import fits, in_brick, in_volume, move
-from twinct.recon._vector.groups import TILE_COLUMNS, TILE_ROWS, box_of, load, room, slab_of
+from twinct.recon._vector.groups import (
+    TILE_COLUMNS,
+    TILE_GROUPS,
+    TILE_ROWS,
+    box_of,
+    load,
+    mark,
+    room,
+    slab_of,
+)
 from twinct.recon._vector.march import (
     BLOCK,
     LANES,
@@ -50,6 +60,7 @@ def adjoint(y, view, out, parts):
     """
     rows, columns = y.shape
     shape, flat = out.shape, out.reshape(-1)
+    no_lengths, all_filled = np.empty((0, 0), np.float32), np.empty((0, 0, 0), np.int32)
     for axis in range(3):
         planes = shape[2 - axis]
         slabs = (planes + PLANES - 1) // PLANES
@@ -57,29 +68,35 @@ def adjoint(y, view, out, parts):
             scratch = room()
             rays, bounds = scratch[0][axis], scratch[1][axis]
             edges, brick = scratch[6][axis], scratch[7]
+            marks = np.empty((2, TILE_GROUPS), np.float32)
             own = slabs * part // parts, slabs * (part + 1) // parts
             for top in range(0, rows, TILE_ROWS):
                 bottom = min(top + TILE_ROWS, rows)
                 for left in range(0, columns, TILE_COLUMNS):
                     right = min(left + TILE_COLUMNS, columns)
-                    load(view, shape, (top, bottom), (left, right), True, scratch)
+                    load(view, shape, (top, bottom), (left, right), True, scratch, no_lengths)
                     groups = scratch[4][axis]
                     _weigh(y, rays, scratch[2][axis], scratch[3][axis], groups)
                     stop = min(own[1] * PLANES, planes) - 1
-                    box = box_of(edges, groups, axis, shape, *_slab(own[0], stop))
+                    now, later = marks[0], marks[1]
+                    span = _slab(own[0], stop)
+                    mark(edges, groups, axis, shape, *span, all_filled, now)
+                    box = box_of(edges, groups, axis, shape, *span, now)
                     for slab in range(own[0], own[1]):
                         start, end = _slab(slab, stop)
-                        then = box_of(edges, groups, axis, shape, *_slab(slab + 1, stop))
+                        span = _slab(slab + 1, stop)
+                        mark(edges, groups, axis, shape, *span, all_filled, later)
+                        then = box_of(edges, groups, axis, shape, *span, later)
                         ahead = flat, shape, axis, then
                         if box[1] == 0:
-                            box = then
+                            box, now, later = then, later, now
                             continue
                         if fits(box):
                             move(flat, shape, axis, box, brick, False)
                             lattice = in_brick(box, axis, shape)
-                            _add_slab(brick, lattice, start, end, rays, bounds, groups, ahead)
+                            _add_slab(brick, lattice, start, end, rays, bounds, groups, now, ahead)
                             move(flat, shape, axis, box, brick, True)
                         else:
                             lattice = in_volume(axis, shape)
-                            _add_slab(flat, lattice, start, end, rays, bounds, groups, ahead)
-                        box = then
+                            _add_slab(flat, lattice, start, end, rays, bounds, groups, now, ahead)
+                        box, now, later = then, later, now

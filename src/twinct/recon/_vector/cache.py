@@ -27,6 +27,8 @@ import numba
 from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 from numba.core import config as numba_config
 
+from twinct.recon.blocks import EDGE
+
 log = logging.getLogger(__name__)
 
 config: Any = numba_config  # its names are created at import
@@ -80,7 +82,7 @@ def _digest() -> str:
     sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_plain.py"])
     parts = [source.read_bytes() for source in sources]
     # numba also distinguishes sources by their location.
-    machine = (str(_HERE), sys.version, numba.__version__, llvmlite.__version__, config.OPT)
+    machine = (str(_HERE), sys.version, numba.__version__, llvmlite.__version__, config.OPT, EDGE)
     processor = (get_host_cpu_name(), get_host_cpu_features().flatten())
     chosen = (config.CPU_NAME, config.CPU_FEATURES)
     parts += [repr(part).encode() for part in (machine, processor, chosen)]

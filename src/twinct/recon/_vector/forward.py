@@ -6,7 +6,16 @@ import numpy as np
 from numba import prange
 
 from twinct.recon._vector.brick import ROOM, fits, in_pairs, in_volume, take_pairs
-from twinct.recon._vector.groups import TILE_COLUMNS, TILE_ROWS, box_of, load, room, slab_of
+from twinct.recon._vector.groups import (
+    TILE_COLUMNS,
+    TILE_GROUPS,
+    TILE_ROWS,
+    box_of,
+    load,
+    mark,
+    room,
+    slab_of,
+)
 from twinct.recon._vector.march import (
     BLOCK,
     LANES,
@@ -26,9 +35,13 @@ _sum_slab = slab_of(read_along, read_pairs_along, read_fours_along, read_guarded
 """Function that adds up the samples of the planes from start to end."""
 
 
-@kernel(f"({CUBE}, {RAYS}, {IMAGE})")
-def forward(x, view, out):
-    """Write the line integrals of ``x`` (z, y, x) in one view to ``out`` (rows, columns)."""
+@kernel(f"({CUBE}, {RAYS}, {IMAGE}, {IMAGE}, i4[:, :, ::1])")
+def forward(x, view, out, lengths, sums):
+    """Write the line integrals of ``x`` (z, y, x) in one view to ``out`` (rows, columns).
+
+    Likewise the path lengths in the grid to ``lengths``, unless it is empty. ``sums`` says which
+    blocks of ``x`` may be filled, see ``groups.mark``; the others hold zeros.
+    """
     rows, columns = out.shape
     shape, flat = x.shape, x.reshape(-1)
     across = (columns + TILE_COLUMNS - 1) // TILE_COLUMNS
@@ -38,26 +51,31 @@ def forward(x, view, out):
         out[top:bottom, left:right] = 0.0
         scratch = room()
         blocks, ranges, pixels, steps, groups, _, edges, lines = scratch
-        pairs = np.empty(2 * ROOM, np.float32)
-        load(view, shape, (top, bottom), (left, right), False, scratch)
+        pairs, marks = np.empty(2 * ROOM, np.float32), np.empty((2, TILE_GROUPS), np.float32)
+        load(view, shape, (top, bottom), (left, right), False, scratch, lengths)
         for axis in range(3):
-            if groups[axis] == 0:
+            count = groups[axis]
+            if count == 0:
                 continue
             planes, rays, bounds = shape[2 - axis], blocks[axis], ranges[axis]
-            box = box_of(edges[axis], groups[axis], axis, shape, 0, min(PLANES, planes) - 1)
+            now, later, lanes = marks[0], marks[1], edges[axis]
+            end = min(PLANES, planes) - 1
+            mark(lanes, count, axis, shape, 0, end, sums, now)
+            box = box_of(lanes, count, axis, shape, 0, end, now)
             for start in range(0, planes, PLANES):
                 end, stop = min(start + PLANES, planes) - 1, min(start + 2 * PLANES, planes) - 1
-                then = box_of(edges[axis], groups[axis], axis, shape, end + 1, stop)
+                mark(lanes, count, axis, shape, end + 1, stop, sums, later)
+                then = box_of(lanes, count, axis, shape, end + 1, stop, later)
                 ahead = flat, shape, axis, then
-                if fits(box):
+                if box[1] > 0 and fits(box):
                     take_pairs(flat, shape, axis, box, lines, pairs)
                     lattice = in_pairs(box, axis, shape)
-                    _sum_slab(pairs, lattice, start, end, rays, bounds, groups[axis], ahead)
-                else:
+                    _sum_slab(pairs, lattice, start, end, rays, bounds, count, now, ahead)
+                elif box[1] > 0:
                     lattice = in_volume(axis, shape)
-                    _sum_slab(flat, lattice, start, end, rays, bounds, groups[axis], ahead)
-                box = then
-            for slot in range(groups[axis] * LANES):
+                    _sum_slab(flat, lattice, start, end, rays, bounds, count, now, ahead)
+                box, now, later = then, later, now
+            for slot in range(count * LANES):
                 pixel = pixels[axis, slot]
                 if pixel >= 0:
                     total = rays[slot // LANES * BLOCK + VALUE + slot % LANES]

@@ -10,6 +10,7 @@ from twinct.recon._vector.brick import ROOM, ask_for_box
 from twinct.recon._vector.march import B_MIDDLE, BLOCK, C_MIDDLE, LANES, VALUE
 from twinct.recon._vector.options import OPTIONS
 from twinct.recon._vector.rays import ray_of
+from twinct.recon.blocks import EDGE
 
 TILE_ROWS = 32
 TILE_COLUMNS = 64
@@ -18,12 +19,15 @@ TILE_COLUMNS = 64
 TILE_GROUPS = TILE_ROWS * (TILE_COLUMNS // LANES)
 """Largest number of groups of one axis in a tile; no group reaches beyond its row."""
 
-EDGE = 10
+EDGES = 10
 """Number of values for a group's edges.
 
 The values are first and last plane, then position and slope of two lines along b (see ``_edge``),
 and of two along c.
 """
+
+FAR = np.float32(1e9)
+"""Mark of a group that reads nothing."""
 
 _MARGIN = 1e-2
 """Distance of unguarded samples from the border, in voxels; float32 rounding is far smaller."""
@@ -40,7 +44,7 @@ def room():
         np.empty((3, groups * LANES), np.float32),
         np.zeros(3, np.int64),
         np.empty((3, TILE_COLUMNS, 8), np.float64),
-        np.empty((3, EDGE, groups), np.float32),
+        np.empty((3, EDGES, groups), np.float32),
         np.empty(ROOM, np.float32),
     )
 
@@ -91,7 +95,7 @@ def _edge(block, kind, near, far, edge):
 
 
 @njit(**OPTIONS)
-def load(view, shape, rows, columns, apart, room):
+def load(view, shape, rows, columns, apart, room, lengths):
     """Sort the rays of a tile by axis, without the rays that miss the volume.
 
     ``rows`` and ``columns`` are half-open ranges. The rays of a group are neighbours in their row
@@ -99,7 +103,7 @@ def load(view, shape, rows, columns, apart, room):
     axis: blocks with value 0; ranges, the first and last plane that any ray of a group crosses and
     the first and last plane in which all rays are clear of the border; pixels (row * 65536 +
     column, -1 for an empty lane); mm per plane; the number of groups; and the groups' edges, see
-    ``_edge``.
+    ``_edge``. ``lengths``, (rows, columns), receives path lengths in the grid unless it is empty.
     """
     blocks, ranges, pixels, steps, groups, found, edges, _ = room
     nz, ny, nx = shape
@@ -108,9 +112,11 @@ def load(view, shape, rows, columns, apart, room):
     for row in range(rows[0], rows[1]):
         counts[:] = 0
         for column in range(columns[0], columns[1]):
-            axis, b_middle, b_slope, c_middle, c_slope, first, last, step, _ = ray_of(
+            axis, b_middle, b_slope, c_middle, c_slope, first, last, step, inside = ray_of(
                 view, row, column, nx, ny, nz
             )
+            if len(lengths) > 0:
+                lengths[row, column] = inside
             if first <= last:
                 ray = found[axis, counts[axis]]
                 ray[0], ray[1], ray[2], ray[3] = b_middle, b_slope, c_middle, c_slope
@@ -148,21 +154,81 @@ def load(view, shape, rows, columns, apart, room):
             groups[axis] += here
 
 
+@njit(inline="always", **OPTIONS)
+def _block(place):
+    """Return the block of voxels in which a place along an axis lies."""
+    return int(max(place, np.float32(0.0))) // EDGE
+
+
+@njit(inline="always", **OPTIONS)
+def _in_order(place, axis):
+    """Return numbers along the axis, b and c in the order z, y, x."""
+    along, b, c = place
+    if axis == 0:
+        return c, b, along
+    return (c, along, b) if axis == 1 else (along, c, b)
+
+
 @njit(**OPTIONS)
-def box_of(edges, groups, axis, shape, start, end):
+def _filled(edges, group, axis, first, last, middle, sums):
+    """Return True if a block that a group reads in the planes first to last may be filled.
+
+    ``sums`` are those of ``blocks.Blocks``.
+    """
+    m, n = first - middle, last - middle
+    low, high = edges[2, group], edges[4, group]
+    b_low = min(low + m * edges[3, group], low + n * edges[3, group])
+    b_high = max(high + m * edges[5, group], high + n * edges[5, group])
+    low, high = edges[6, group], edges[8, group]
+    c_low = min(low + m * edges[7, group], low + n * edges[7, group])
+    c_high = max(high + m * edges[9, group], high + n * edges[9, group])
+    slack = np.float32(0.5)  # of rounding errors
+    begin = _block(first), _block(b_low - slack), _block(c_low - slack)
+    # The highest sample also reads the next voxel.
+    beside = np.float32(1.5)
+    end = _block(last) + 1, _block(b_high + beside) + 1, _block(c_high + beside) + 1
+    (z0, y0, x0), (z1, y1, x1) = _in_order(begin, axis), _in_order(end, axis)
+    nz, ny, nx = sums.shape
+    z0, y0, x0 = min(z0, nz - 1), min(y0, ny - 1), min(x0, nx - 1)
+    z1, y1, x1 = min(z1, nz - 1), min(y1, ny - 1), min(x1, nx - 1)
+    above = sums[z1, y1, x1] - sums[z1, y1, x0] - sums[z1, y0, x1] + sums[z1, y0, x0]
+    return above > sums[z0, y1, x1] - sums[z0, y1, x0] - sums[z0, y0, x1] + sums[z0, y0, x0]
+
+
+@njit(**OPTIONS)
+def mark(edges, groups, axis, shape, start, end, sums, marks):
+    """Set the marks of groups that read nothing in planes start to end to ``FAR``, others to 0.
+
+    Blocks that are not filled hold nothing; if ``sums`` is empty, all are filled.
+    """
+    middle = np.float32(0.5 * (shape[2 - axis] - 1))
+    begin, stop = np.float32(start), np.float32(end)
+    for group in range(groups):
+        first, last = max(edges[0, group], begin), min(edges[1, group], stop)
+        marks[group] = FAR if first > last else np.float32(0.0)
+    if len(sums) == 0:
+        return
+    for group in range(groups):
+        if marks[group] == 0:
+            first, last = max(edges[0, group], begin), min(edges[1, group], stop)
+            if not _filled(edges, group, axis, first, last, middle, sums):
+                marks[group] = FAR
+
+
+@njit(**OPTIONS)
+def box_of(edges, groups, axis, shape, start, end, marks):
     """Return the box of voxels (see ``brick``) that the groups read in planes start to end.
 
-    It has no planes if the groups read nothing.
+    It has no planes if all groups have the mark ``FAR``, see ``mark``.
     """
     b_cells, c_cells = cells_of(axis, shape)
     middle = np.float32(0.5 * (shape[2 - axis] - 1))
     begin, stop = np.float32(start), np.float32(end)
-    far = np.float32(1e9)
-    b_low, b_high, c_low, c_high = far, -far, far, -far
+    b_low, b_high, c_low, c_high = FAR, -FAR, FAR, -FAR
     for group in range(groups):
         first, last = max(edges[0, group], begin), min(edges[1, group], stop)
         m, n = first - middle, last - middle
-        apart = far if first > last else np.float32(0.0)  # excludes groups that read nothing
+        apart = marks[group]  # excludes groups that read nothing
         at, slope = edges[2, group] + apart, edges[3, group]
         b_low = min(b_low, at + m * slope, at + n * slope)
         at, slope = edges[4, group] - apart, edges[5, group]
@@ -191,13 +257,16 @@ def _below(lowest, cells):
 def slab_of(along, pairs_along, fours_along, guarded):
     """Build a function that takes groups through the planes of a slab, with functions of ``march``.
 
-    The function also prefetches the next box: ``ahead``, see ``ask_for_box``.
+    The function also prefetches the next box: ``ahead``, see ``ask_for_box``. It leaves out the
+    groups with the mark ``FAR``.
     """
 
     @njit(**OPTIONS)
-    def slab(x, lattice, start, end, rays, ranges, groups, ahead):
+    def slab(x, lattice, start, end, rays, ranges, groups, marks, ahead):
         for group in range(groups):
             ask_for_box(ahead, group, groups)
+            if marks[group] > 0:
+                continue
             bounds, block = ranges[group], group * BLOCK
             first, last = max(start, bounds[0]), min(end, bounds[1])
             if first > last:

@@ -8,6 +8,7 @@ from numba import njit, prange
 from twinct.recon._vector.options import CUBE, IMAGE, MATRIX, OPTIONS, kernel
 from twinct.recon._vector.sample import sample_line
 from twinct.recon._vector.vectors import CACHE_LINE, WIDE, ask_for
+from twinct.recon.blocks import EDGE
 
 CHUNK = 128
 """Voxels of a line that are processed together."""
@@ -90,9 +91,23 @@ def _with_next_row(image, row, out):
         out[row, column, 1] = below[column]
 
 
-@kernel(f"({CUBE}, {MATRIX}, {IMAGE}, {IMAGE}, i4[:, ::1], f4)")
-def update(x, matrix, image, mask, missing, floor):
-    """Update the voxels, see ``engine``."""
+@njit(inline="always", **OPTIONS)
+def _run(line, first, last):
+    """Return the first and last voxel of the next run of filled blocks along a line."""
+    while first <= last and line[first // EDGE] == 0:
+        first = (first // EDGE + 1) * EDGE
+    end = first
+    while end <= last and line[end // EDGE] != 0:
+        end = (end // EDGE + 1) * EDGE
+    return first, min(end - 1, last)
+
+
+@kernel(f"({CUBE}, {MATRIX}, {IMAGE}, {IMAGE}, i4[:, ::1], f4, u1[:, :, ::1])")
+def update(x, matrix, image, mask, missing, floor, filled):
+    """Update the voxels, see ``engine``; of blocks that are not ``filled``, none.
+
+    If ``filled`` is empty, all blocks are.
+    """
     nz, ny, nx = x.shape
     flat = x.reshape(-1)
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
@@ -112,11 +127,18 @@ def update(x, matrix, image, mask, missing, floor):
             first, last = _shadow(a, e, d, a1, e1, d1, columns, rows, nx)
             if last < first:
                 continue
-            if j + AHEAD < ny:
-                for i in range(first, last + 1, CACHE_LINE):
-                    ask_for(flat, (k * ny + j + AHEAD) * nx + i)
             # In the framed image columns and rows count from one.
             starts = np.float32(a + d), np.float32(e + d), np.float32(d)
             slopes = np.float32(a1 + d1), np.float32(e1 + d1), np.float32(d1)
             line, images = x[k, j], (fours, weight_fours)
-            _update_line(line, first, last, images, missing, starts, slopes, floor, values, weights)
+            start, end = first, last
+            while start <= last:
+                if len(filled) > 0:
+                    start, end = _run(filled[k // EDGE, j // EDGE], start, last)
+                if j + AHEAD < ny:
+                    for i in range(start, end + 1, CACHE_LINE):
+                        ask_for(flat, (k * ny + j + AHEAD) * nx + i)
+                _update_line(
+                    line, start, end, images, missing, starts, slopes, floor, values, weights
+                )
+                start = end + 1

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twinct.core import card
 from twinct.geometry import Floats
+from twinct.recon.blocks import EVERYWHERE, Blocks
 
 Held = Any
 """An array on the card, or one of numpy."""
@@ -48,8 +49,17 @@ class WarpKernels:
         self._warp.copy(self._warp.array(out, device="cpu", copy=False), held)
         self._warp.synchronize_device(self._device)
 
-    def forward(self, x: Held, rays: Floats, out: Held) -> None:
+    def forward(
+        self,
+        x: Held,
+        rays: Floats,
+        out: Held,
+        blocks: Blocks = EVERYWHERE,
+        lengths: Held | None = None,
+    ) -> None:
         """See ``Kernels``."""
+        if lengths is not None:
+            self.chords(rays, x.shape, lengths)
         x, out_there = self._on_card(x), self._room_like(out)
         axes, lines, mm = self._table(rays, x.shape, out.shape)
         self._launch(self._rays.integrate, out.shape, x, axes, lines, mm, out_there)
@@ -105,13 +115,15 @@ class WarpKernels:
         counts: Held,
         missing: NDArray[np.int32],
         floor: np.float32,
+        blocks: Blocks = EVERYWHERE,
     ) -> None:
         """See ``Kernels``."""
         there, rows, columns = self._on_card(x), image.shape[0] - 2, image.shape[1] - 2
         middle = _middle(x.shape)
         matrix = self._voxels.MATRIX(_about_middles(pixels, middle, rows, columns))
         images = self._on_card(image), self._on_card(counts)
-        arguments = (there, matrix, self._warp.vec3f(*middle), *images, float(floor))
+        filled = self._on_card(blocks.filled)
+        arguments = (there, matrix, self._warp.vec3f(*middle), *images, float(floor), filled)
         self._launch(self._voxels.update, x.shape, *arguments)
         self._finish(there, x)
 
@@ -144,6 +156,20 @@ class WarpKernels:
         given = self._on_card(x), self._on_card(q), steps, float(radius), scale
         self._launch(self._voxels.ascend, x.shape, *given, there)
         self._finish(there, dual)
+
+    def lower(
+        self,
+        x: NDArray[np.float32],
+        inverse: Floats,
+        radius: float,
+        step: float,
+        floor: np.float32,
+        steps: int,
+    ) -> None:
+        """See ``Kernels``."""
+        from twinct.recon.slabs import lower_in_slabs
+
+        lower_in_slabs(self, x, inverse, radius, step, floor, steps)
 
     def _launch(self, kernel: Any, threads: tuple[int, ...], *arguments: Any) -> None:
         self._warp.launch(

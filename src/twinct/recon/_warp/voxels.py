@@ -67,9 +67,16 @@ def update(
     image: wp.array2d(dtype=float),
     counts: wp.array2d(dtype=float),
     floor: float,
+    filled: wp.array3d(dtype=wp.uint8),
 ):
-    """Add the mean of the counting pixels at each voxel's projection, above a floor."""
+    """Add the mean of the counting pixels at each voxel's projection, above a floor.
+
+    Voxels of blocks of 8^3 that are not ``filled`` stay as they are; if it is empty, all are.
+    """
     k, j, i = wp.tid()
+    if filled.shape[0] > 0:
+        if filled[k // 8, j // 8, i // 8] == wp.uint8(0):
+            return
     rows = image.shape[0] - 2
     columns = image.shape[1] - 2
     seen = _seen(matrix, middle, i, j, k)

@@ -14,8 +14,10 @@ from twinct.robots.cell.render import (
     Moment,
     check_drawing,
     check_picture_size,
+    paint_specimen,
     render_cell,
     room_pictures,
+    whole_camera,
 )
 from twinct.robots.cell.scene import CellModel, GantryModel, build_cell, build_gantry
 from twinct.robots.cell.urdf import OPTICAL, cell_urdf
@@ -42,6 +44,8 @@ __all__ = [
     "joint_names_of",
     "nominal_chains",
     "overlaps",
+    "paint_specimen",
     "render_cell",
     "room_pictures",
+    "whole_camera",
 ]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import CellModel
@@ -25,6 +26,10 @@ NEAR_M = 0.08
 
 SLACK_M = 1e-6
 """Largest error of the smallest gap, equal to GJK's own tolerance."""
+
+
+AT_UNITS = 5.0
+"""Work of the smallest distance in one configuration."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,7 @@ class Clearance:
             above_mm: a distance at or below this one ends the search, even if there are smaller
                 ones.
         """
+        spend(AT_UNITS)
         bounds = self.lower_bounds(data)
         return self._gap(*self._search(data, bounds, 10.0, above_mm / MM_PER_M))
 

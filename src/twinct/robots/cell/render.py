@@ -38,6 +38,10 @@ LONGEST_NAME = 60
 SHOWN_GROUPS = (1, 1, 1, 0, 0, 0)
 AZIMUTHS_DEG = (125, 95, 155, 65, 185, 35, 215, 5, 245)
 """Where the camera may stand, the usual place first."""
+CENTRINGS = 5
+"""Steps in which the camera is centred; each halves what is left, at least."""
+MARGIN = 0.95
+"""Share of the picture that the farthest body may reach."""
 AS_CLEAR = 0.75
 """Share of the clearest view of both tools at which the camera stays at its usual place."""
 GHOST_RGBA = (0.15, 0.45, 0.95, 0.35)
@@ -135,8 +139,8 @@ def render_cell(
     from PIL import Image
 
     at = None if joints is None else np.asarray(joints, dtype=np.float64)
-    moment, camera = Moment(at, marks or Marks()), _clearest(cell_model, at)
-    pixels = next(room_pictures(cell_model, [moment], width, height, camera))
+    camera = whole_camera(cell_model, at, width / height)
+    pixels = next(room_pictures(cell_model, [Moment(at, marks or Marks())], width, height, camera))
     try:
         with storage_errors(Path(path_png)), complete(Path(path_png)) as draft:
             Image.fromarray(pixels).save(draft, format="PNG")
@@ -206,8 +210,20 @@ def _camera(cell_model: CellModel | GantryModel) -> Any:
     return camera
 
 
-def _clearest(cell_model: CellModel | GantryModel, joints: Floats | None) -> Any:
-    """Return the camera at a place where no body hides the tube or the panel, if there is one."""
+def paint_specimen(cell_model: CellModel | GantryModel, rgb: tuple[float, float, float]) -> None:
+    """Give the specimen a colour in pictures."""
+    model = cell_model.model
+    model.mat_rgba[model.material("specimen").id, :3] = rgb
+
+
+def whole_camera(cell_model: CellModel | GantryModel, joints: Floats | None, aspect: float) -> Any:
+    """Return MuJoCo's camera at a place from which arms, tools, table and specimen are in sight.
+
+    Args:
+        cell_model: robot cell.
+        joints: joint positions, source arm first, rad; None for zeros, or without arms.
+        aspect: width of the picture over its height.
+    """
     mujoco, model, camera = mujoco_module(), cell_model.model, _camera(cell_model)
     data = mujoco.MjData(model)
     if joints is not None:
@@ -224,7 +240,45 @@ def _clearest(cell_model: CellModel | GantryModel, joints: Floats | None) -> Any
     shares = [seen(azimuth) for azimuth in AZIMUTHS_DEG]
     best = 0 if shares[0] >= AS_CLEAR * max(shares) else int(np.argmax(shares))
     camera.azimuth = AZIMUTHS_DEG[best]
+    _step_back(camera, model, data, aspect)
     return camera
+
+
+def _step_back(camera: Any, model: Any, data: Any, aspect: float) -> None:
+    """Centre arms, tools, table and specimen, from as far away as they need, unless they fit."""
+    corners = _corners(model, data)
+    a, e = np.radians([camera.azimuth, camera.elevation])
+    forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([np.sin(a), -np.cos(a), 0.0])
+    plane = np.stack([right, np.cross(right, forward)], axis=1)
+    limits = MARGIN * np.tan(np.radians(model.vis.global_.fovy) / 2) * np.array([aspect, 1.0])
+
+    def needed() -> float:
+        """Return the least distance from the point that the camera looks at."""
+        offset = corners - camera.lookat
+        return float(np.max(np.max(abs(offset @ plane) / limits, axis=1) - offset @ forward))
+
+    if needed() <= camera.distance:
+        return
+    for _ in range(CENTRINGS):
+        offset = corners - camera.lookat
+        seen = offset @ plane / (camera.distance + offset @ forward)[:, None]
+        camera.lookat[:] += plane @ (seen.min(axis=0) + seen.max(axis=0)) / 2 * camera.distance
+        camera.distance = needed()
+
+
+def _corners(model: Any, data: Any) -> Floats:
+    """Return the corners of the boxes around all visible shapes but floor, zones and objects, m."""
+    found: list[Floats] = []
+    cube = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    for geom in range(model.ngeom):
+        name = model.body(model.geom_bodyid[geom]).name
+        if not SHOWN_GROUPS[model.geom_group[geom]] or name.startswith(("floor", ZONE, OBJECT)):
+            continue
+        middle, half = np.split(model.geom_aabb[geom], 2)
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        found.append(data.geom_xpos[geom] + (middle + cube * half) @ rotation.T)
+    return np.concatenate(found)
 
 
 def _shown(model: Any, data: Any, name: str, eye: Floats) -> float:

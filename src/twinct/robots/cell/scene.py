@@ -12,6 +12,7 @@ import numpy as np
 
 from twinct.core.errors import MemoryShortageError, ScenarioError
 from twinct.core.files.boundary import require_memory
+from twinct.core.progress import spend
 from twinct.geometry import Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
@@ -177,7 +178,10 @@ def build_cell(
     # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
     # plan from which the reference comes.
     spec.nuserdata = 3 * len(names) + 1
-    return _compiled(spec, cell, panel, arms, names)
+    built = _compiled(spec, cell, panel, arms, names)
+    of_pair, of_vertex = BUILD_UNITS
+    spend(of_pair * built.model.ngeom**2 + of_vertex * sum(len(s.vertices) for s in solids))
+    return built
 
 
 def build_gantry(
@@ -256,7 +260,7 @@ def _specimen(
     body = spec.worldbody.add_body(name="specimen", pos=position, quat=np.roll(quat, 1))
     if mesh is None or len(mesh.vertices) == 0:
         return None
-    mesh_geom = {"type": mujoco_module().mjtGeom.mjGEOM_MESH, "material": "bone"}
+    mesh_geom = {"type": mujoco_module().mjtGeom.mjGEOM_MESH, "material": "specimen"}
     hulls = solids or (mesh.convex_hull,)
     for index, hull in enumerate(hulls):
         name = f"specimen_{index}" if index else "specimen"
@@ -413,6 +417,9 @@ _KEYS = {
 }
 """Scenario key for each part of the model, by the prefix of its name."""
 
+
+BUILD_UNITS = 0.12, 0.25
+"""Work of building a cell, for each pair of geoms and each vertex of the specimen."""
 
 COMPILE_BYTES = 192 * 2**20
 """Memory that the compiler of models may take: 136 MiB for two arms. Without it, it may crash."""

@@ -95,7 +95,7 @@ def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written
     meshes.check_scale(root)
     ElementTree.indent(root)
     with storage_errors(folder):
-        (folder / MESHES).mkdir(parents=True)
+        (folder / MESHES if meshes.written else folder).mkdir(parents=True)
         try:
             for name, mesh in meshes.written.items():
                 mesh.export(folder / name)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.progress import spend
 from twinct.geometry import Floats
 from twinct.robots.cell import CellModel, mujoco_module
 
@@ -28,6 +29,9 @@ SOLVED = 1e-7
 
 TO_MIDDLE = 0.05
 """Fraction of the distance to the middle of its ranges that a redundant arm moves per step."""
+
+CALL_UNITS, NEWTON_UNITS = 6.0, 0.15
+"""Work of one step for some starts, and for each start."""
 
 LONGEST_STEP_RAD = 0.5
 """Longest step of a joint: farther away the linear model does not hold."""
@@ -155,6 +159,7 @@ class SerialArm:
         open_, solved = np.arange(joints.shape[1]), np.zeros(joints.shape[1], bool)
         here = joints
         for step_index in range(steps):
+            spend(CALL_UNITS + NEWTON_UNITS * here.shape[1])
             reached = self.at(here)
             error, left = _error(wanted, reached)
             # At the end of a range, some poses can only be reached within the tolerance.

@@ -97,6 +97,11 @@ class Branches:
             flange = _matrix((A2 + A3, -D4 - D6, D1 - D5), ((1, 0, 0), (0, 0, -1), (0, 1, 0)))
             self._tool_from_flange = np.linalg.inv(at_zero) @ self._world_from_base @ flange
 
+    @property
+    def roll_sign(self) -> int:
+        """Sign of the turn about the tool's z that the last joint makes; 0 if it does more."""
+        return self._arm.roll_sign
+
     def of(self, poses: Floats, starts: int = SEARCH_STARTS, abreast: int = 1) -> Configurations:
         """Compute all configurations for some poses; a search may miss some.
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell import CellModel, mujoco_module
 
@@ -27,6 +28,9 @@ Whom = Literal["source", "detector", "both", "cross"]
 
 AT_ONCE = 64
 """Configurations in one pass, chosen to fit the processor's cache."""
+
+CALL_UNITS = 6.0
+"""Work of a pass, besides a unit for each configuration."""
 
 SHORTFALL_MM = 0.1
 """Amount by which a straight path may fall below the clearance between two checked points."""
@@ -156,6 +160,7 @@ class Feasible:
     def _places(self, joints: Floats) -> _Places:
         """Compute the poses of all geoms in some configurations."""
         model, data, count = self._model, self._data, len(joints)
+        spend(CALL_UNITS + count)
         position = np.empty((count, model.ngeom, 3))
         turned = np.empty((count, model.ngeom, 9))
         for index, q in enumerate(joints):

@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from twinct.core.errors import MissingExtraError
+from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, mujoco_module
@@ -31,6 +32,10 @@ MM_PER_DEG = 5.0
 
 GIVE_UP_AFTER = 12
 """Iterations without progress after which a target counts as unsolvable from the start."""
+
+
+STEP_UNITS = 5.0
+"""Work of one step of the solver."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +107,7 @@ class Kinematics:
             least = np.minimum(least, left)
             if best.solved.all() or stalled >= GIVE_UP_AFTER:
                 break
+            spend(STEP_UNITS)
             try:
                 velocity = mink.solve_ik(
                     self._configuration, self._tasks, 1.0, "daqp", 1e-9, limits=self._limits

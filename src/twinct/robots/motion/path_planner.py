@@ -21,6 +21,7 @@ from twinct.geometry import Floats
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.collision_check import CollisionCheck
 from twinct.robots.motion.feasible import Feasible, Flags
+from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 
 SEARCHES = ((20_000, 0.1), (100_000, 0.03))
 """Number of configurations that a search may check, and their spacing on straight paths: the sum
@@ -48,7 +49,11 @@ def _ompl() -> tuple[ModuleType, ModuleType, ModuleType]:
 
 
 class Detours:
-    """Search for detours in one cell."""
+    """Search for detours in one cell.
+
+    Attributes:
+        holds: check that the joints can hold the arms along a detour; None for no such check.
+    """
 
     def __init__(
         self, cell: CellModel, room: Feasible, turns: Flags, seed: int, most: float = np.inf
@@ -69,6 +74,7 @@ class Detours:
         _ompl()[2].setLogLevel(_ompl()[2].LOG_NONE)
         self._cell, self._room, self._turns, self._seed = cell, room, turns, seed
         self._collisions, self._most = CollisionCheck(cell), most
+        self.holds: Strength | None = None
 
     @property
     def looked(self) -> int:
@@ -99,25 +105,32 @@ class Detours:
         checks, spacing_s = SEARCHES[effort]
         collisions, room = self._collisions, self._room
 
+        strength = self.holds
+
         def proven(knots: Floats) -> bool:
-            return bool(room.straight(knots[:-1], knots[1:], least_mm).all())
+            ends = knots[:-1], knots[1:]
+            held = strength is None or bool(strength.straight(*ends).all())
+            return held and bool(room.straight(*ends, least_mm).all())
+
+        def clear(joints: Floats) -> bool:
+            return collisions.clear(joints) and (
+                strength is None or bool((strength.holding(joints[None]) < TORQUE_SHARE).all())
+            )
 
         collisions.keep(least_mm)
         circles = self._turns & turning
         # Set the seed before creating any object with a random generator of its own.
         _ompl()[2].RNG.setSeed(self._seed + 1)
         space = _Space(self._cell, circles)
-        if self.over or not (collisions.clear(start) and collisions.clear(end)):
+        if self.over or not (clear(start) and clear(end)):
             return None
         most = min(collisions.looked + checks, self._most)
-        found = space.connected(
-            start, end, collisions.clear, spacing_s, lambda: collisions.looked >= most
-        )
+        found = space.connected(start, end, clear, spacing_s, lambda: collisions.looked >= most)
         if found is None:
             return None
         for aside_mm in ASIDE_MM:
             collisions.keep(least_mm + aside_mm)
-            knots = space.shortened(found, collisions.clear)
+            knots = space.shortened(found, clear)
             if proven(knots):
                 break
         else:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +19,10 @@ from numpy.typing import NDArray
 from twinct.core.errors import NoPathError, TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.robots.cell import CellModel, Clearance, Gap, mujoco_module
-from twinct.robots.motion.branches import SIDES, Branches, matrices
-from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible, Indices
+from twinct.robots.cell import CellModel, mujoco_module
+from twinct.robots.motion.branches import SIDES
+from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible, Flags, Indices
 from twinct.robots.motion.home import home_off
-from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.layers import (
     DETOUR_S,
     ROUNDS,
@@ -35,8 +33,15 @@ from twinct.robots.motion.layers import (
     speeds_of,
 )
 from twinct.robots.motion.path_planner import SEARCHES, Detours
-from twinct.robots.motion.refusals import far_problems, gap_problems, gap_text, sample_of
+from twinct.robots.motion.refusals import (
+    far_problems,
+    gap_problems,
+    gap_text,
+    no_path_text,
+)
+from twinct.robots.motion.strength import Strength
 from twinct.robots.motion.tour import moving_seconds, shortest_tour
+from twinct.robots.motion.view_configurations import Candidates, ViewConfigurations
 from twinct.scenario import Motion
 
 if TYPE_CHECKING:
@@ -44,26 +49,8 @@ if TYPE_CHECKING:
 else:
     mujoco = mujoco_module()
 
-ROLL_STEP_DEG = 5.0
-"""Step between the roll angles that are tried where the roll is free."""
-
-REDUNDANT_ROLL_STEP_DEG = 10.0
-"""The step for searched arms of seven joints, which have many configurations for each roll."""
-
 SETTLED_ROOM_MM = 0.5
 """Margin of a path above the required clearance, for arms that come to rest in every view."""
-
-MANY_STARTS = 500
-"""Starts of the second search for a pose, if no configuration of the first search is clear."""
-
-NEAREST_STARTS = 8
-"""Starts of the search for the remaining error of an arm out of reach."""
-
-FAR_MM = 1.0
-"""Distance beyond which a view is out of reach like its neighbours; nearer ones are solved."""
-
-WIDEST_OF = 64
-"""Largest number of configurations of which the largest clearance is reported."""
 
 DETOURS_TRIED = 20
 """Largest number of searches for a detour from one view to the next."""
@@ -97,14 +84,6 @@ class JointPath:
         """Make the arrays read-only."""
         self.joints.setflags(write=False)
         self.views.setflags(write=False)
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidates:
-    """Joint configurations of one arm for one view, (m, k), and their roll angles, rad, (m,)."""
-
-    joints: Floats
-    roll: Floats
 
 
 def required_gap_mm(motion: Motion) -> float:
@@ -155,24 +134,39 @@ class _Finder:
         seed: int,
         most_looks: float,
     ) -> None:
-        self._cell, self._motion, self._targets, self._seed = cell, motion, targets, seed
+        self._cell, self._motion, self._targets = cell, motion, targets
         self._least_mm = required_gap_mm(motion)
-        self._kinematics = Kinematics(cell, motion.ik)
+        self._configurations = ViewConfigurations(
+            cell, motion, targets, roll_free, self._least_mm, seed
+        )
+        self._kinematics = self._configurations.kinematics
         self._both, self._cross = Feasible(cell), Feasible(cell, "cross")
         self._speeds = cell.speed_limits * cell.speed_scales
         self._arms = speeds_of(cell)
         self._turns = np.concatenate([arm.turns for arm in self._arms])
         self._detours = Detours(cell, self._both, self._turns, seed, most_looks)
-        self._roll_free = roll_free
+        self._strength, self._strong = Strength(cell), False
         self._known: dict[bytes, Floats | None] = {}
-        self._clearance_of = cache(partial(Clearance, cell))
 
     def find(self, start: Floats | None) -> JointPath:
-        found = [self._of_arm(arm) for arm in range(2)]
-        problems = [problem for _, told in found for problem in told]
+        found = [self._configurations.of_arm(arm) for arm in range(2)]
+        problems = [problem for _, told, _ in found for problem in told]
         if problems:
-            raise TrajectoryError(problems)
-        candidates = [of_arm for of_arm, _ in found]
+            raise TrajectoryError(problems, found[0][2] | found[1][2])
+        candidates = [of_arm for of_arm, _, _ in found]
+        path = self._path(candidates, start)
+        moves = path.joints[:-1], path.joints[1:]
+        if start is not None or self._strength.straight(*moves).all():
+            return path
+        # Another path, of configurations that the joints can hold; a given start stays as it is.
+        self._strong, self._detours.holds = True, self._strength
+        held = [
+            self._configurations.held(arm, of, self._strength) for arm, of in enumerate(candidates)
+        ]
+        return self._path(held, start)
+
+    def _path(self, candidates: list[list[Candidates]], start: Floats | None) -> JointPath:
+        """Return a path through one candidate of each arm in every view."""
         order = list(range(len(self._targets)))
         if self._motion.order == "shortest":
             joints = [[c.joints for c in arm] for arm in candidates]
@@ -183,7 +177,7 @@ class _Finder:
             # The start is a layer, too, because it decides which candidates are promising.
             start = self._checked(start)
             for arm, part in zip(layers, self._cell.arm_joints, strict=True):
-                arm.insert(0, _Candidates(start[None, part], np.zeros(1)))
+                arm.insert(0, Candidates(start[None, part], np.zeros(1)))
             views = np.concatenate([[-1], views])
         pairs = self._pairs(views, layers)
         ways, chosen = self._through(views, layers, pairs, start is not None)
@@ -212,71 +206,7 @@ class _Finder:
             joints, exposed = np.vstack([home, joints]), np.append(-1, exposed)
         return JointPath(joints, exposed, tuple(targets))
 
-    def _of_arm(self, arm: int) -> tuple[list[_Candidates], list[str]]:
-        """Return the clear candidates of every view, and messages for views without any."""
-        poses = [target[0][arm] for target in self._targets]
-        branches = Branches(self._cell, arm, self._motion.ik, self._seed)
-        step = REDUNDANT_ROLL_STEP_DEG if branches.redundant else ROLL_STEP_DEG
-        rolls = np.radians(np.arange(0.0, 360.0 if self._roll_free[arm] else step, step))
-        side = SIDES[arm]
-        room = Feasible(self._cell, side)
-        found = branches.rolled(matrices(poses), rolls)
-        clear = room.clear(self._placed(found.joints, arm), self._least_mm)
-        candidates, far, gaps = [], {}, {}
-        ends = np.searchsorted(found.pose, np.arange(len(poses) + 1) * len(rolls))
-        lost = np.flatnonzero(np.diff(ends) == 0).tolist() if branches.closed_form else []
-        nearest = cache(lambda view: self._nearest(view, arm))
-        for view in range(len(poses)):
-            mine = slice(*ends[view : view + 2])
-            joints, roll = found.joints[mine], rolls[found.pose[mine] - view * len(rolls)]
-            good = clear[mine]
-            if not good.any() and not branches.closed_form:
-                more = branches.rolled(matrices(poses[view : view + 1]), rolls, MANY_STARTS)
-                joints, roll = more.joints, rolls[more.pose]
-                good = room.clear(self._placed(joints, arm), self._least_mm)
-            if not len(joints):
-                joints, roll, off = nearest(sample_of(view, lost))
-                if off is None or off[0] < FAR_MM:  # near the border, each view counts
-                    joints, roll, off = nearest(view)
-                if off is not None:
-                    far[view] = off
-                good = room.clear(self._placed(joints, arm), self._least_mm)
-            if not good.any() and view not in far:
-                gaps[view] = self._widest(self._placed(joints, arm), (side,))
-            candidates.append(_Candidates(joints[good], roll[good]))
-        return candidates, far_problems(side, far) + gap_problems(gaps, self._least_mm)
-
-    def _nearest(self, view: int, arm: int) -> tuple[Floats, Floats, tuple[float, float] | None]:
-        """Return a configuration and its roll if one is within tolerance, else the least error."""
-        part, ranges = self._cell.arm_joints[arm], self._cell.joint_ranges
-        rng = np.random.default_rng([self._seed, view])
-        low, high = np.maximum(ranges[:, 0], -np.pi), np.minimum(ranges[:, 1], np.pi)
-        off = (np.inf, np.inf)
-        for _ in range(NEAREST_STARTS):
-            result = self._kinematics.solve(rng.uniform(low, high), self._targets[view])
-            if result.solved[arm]:
-                return result.joints[None, part], np.zeros(1), None
-            off = min(off, (float(result.position_mm[arm]), float(result.rotation_deg[arm])))
-        return np.zeros((0, part.stop - part.start)), np.zeros(0), off
-
-    def _placed(self, joints: Floats, arm: int) -> Floats:
-        """Extend configurations of one arm to the whole cell by zeros, (m, n)."""
-        placed = np.zeros((len(joints), len(self._speeds)))
-        placed[:, self._cell.arm_joints[arm]] = joints
-        return placed
-
-    def _widest(self, joints: Floats, sides: tuple[str, ...]) -> Gap:
-        """Return the largest clearance among some configurations."""
-        clearance, data = self._clearance_of(sides), mujoco.MjData(self._cell.model)
-        best = Gap(-np.inf, ("", ""))
-        for q in joints[:WIDEST_OF]:
-            data.qpos[:] = q
-            mujoco.mj_kinematics(self._cell.model, data)
-            here = clearance.at(data, best.distance_mm)
-            best = max(best, here, key=lambda gap: gap.distance_mm)
-        return best
-
-    def _pairs(self, views: Indices, layers: list[list[_Candidates]]) -> list[Indices]:
+    def _pairs(self, views: Indices, layers: list[list[Candidates]]) -> list[Indices]:
         """Return the pairs of candidates of both arms that are clear of each other, per layer."""
         ranked = [
             promising([c.joints for c in arm], speeds)
@@ -299,9 +229,9 @@ class _Finder:
                 best = np.hstack(
                     [of_source[ranked[0][layer][:1]], of_detector[ranked[1][layer][:1]]]
                 )
-                gaps[view] = self._widest(best, SIDES)
+                gaps[view] = self._configurations.widest(best, SIDES)
         if gaps:
-            raise TrajectoryError(gap_problems(gaps, self._least_mm))
+            raise TrajectoryError(gap_problems(gaps, self._least_mm), gaps)
         return pairs
 
     def _checked(self, start: Floats) -> Floats:
@@ -316,7 +246,7 @@ class _Finder:
         start = np.where(np.abs(start - start.clip(*ranges.T)) < 1e-3, start.clip(*ranges.T), start)
         if (start != start.clip(*ranges.T)).any():
             raise TrajectoryError(f"start: {start} is outside the joints' ranges")
-        gap = self._widest(start[None], SIDES)
+        gap = self._configurations.widest(start[None], SIDES)
         self._first_mm = min(self._least_mm, gap.distance_mm - 2 * SHORTFALL_MM)
         if self._first_mm <= 0:
             raise TrajectoryError(f"start: {gap_text(gap, self._least_mm)}")
@@ -325,7 +255,7 @@ class _Finder:
     def _through(
         self,
         views: NDArray[np.intp],
-        layers: list[list[_Candidates]],
+        layers: list[list[Candidates]],
         pairs: list[Indices],
         from_start: bool,
     ) -> tuple[list[Floats], list[Indices]]:
@@ -369,8 +299,9 @@ class _Finder:
             count = sum(n for (layer, *_), n in tried.items() if layer == blocked)
             total = choice.best(np.zeros(len(nodes[0])))[1]
             if count == DETOURS_TRIED or not np.isfinite(total) or self._detours.over:
-                problem = _no_way(views[blocked], views[blocked + 1], count, self._detours.looked)
-                raise NoPathError(problem)
+                before, after = (int(view) for view in views[blocked : blocked + 2])
+                text = no_path_text(before, after, count, self._detours.looked)
+                raise NoPathError(text, [after])
 
     def _mostly_straight(
         self,
@@ -395,7 +326,7 @@ class _Finder:
             way = self._shorter(ends - starts)
             for least in np.unique(least_mm):
                 mine = [m for m, edge in enumerate(unknown) if least_mm[edge[0]] == least]
-                clear = self._both.straight(starts[mine], starts[mine] + way[mine], float(least))
+                clear = self._straight(starts[mine], starts[mine] + way[mine], float(least))
                 for m, good in zip(mine, clear.tolist(), strict=True):
                     k, i, j = unknown[m]
                     straight[k, i, j] = good
@@ -403,13 +334,20 @@ class _Finder:
                         choice.raise_cost(k, (i, j), DETOUR_S)
         return path
 
+    def _straight(self, starts: Floats, ends: Floats, least_mm: float) -> Flags:
+        """Return flags of the straight joint paths that are clear, (m,), and held if need be."""
+        clear = self._both.straight(starts, ends, least_mm)
+        if self._strong:
+            clear[clear] = self._strength.straight(starts[clear], ends[clear])
+        return clear
+
     def _shorter(self, moves: Floats) -> Floats:
         """Take the shorter way round for joints that can make a full turn."""
         return np.where(self._turns, (moves + np.pi) % (2 * np.pi) - np.pi, moves)
 
     def _round(self, start: Floats, end: Floats, least_mm: float, effort: int) -> Floats | None:
         """Return the knots of a detour, which may end full turns away."""
-        key = np.concatenate([start, end, [least_mm, effort]]).tobytes()
+        key = np.concatenate([start, end, [least_mm, effort, self._strong]]).tobytes()
         if key not in self._known:
             self._known[key] = self._detours.between(start, end, least_mm, effort)
         return self._known[key]
@@ -438,7 +376,7 @@ class _Finder:
                 if (np.abs(b - a - (leg[-1] - leg[0])) < np.pi).all():
                     way = leg + (a - leg[0])
                     way[[0, -1]] = a, b
-                elif self._both.straight(a[None], b[None], least_mm[k])[0]:
+                elif self._straight(a[None], b[None], float(least_mm[k]))[0]:
                     way = np.array([a, b])
                 else:
                     way = self._detours.between(a, b, least_mm[k], 0, turning=False)
@@ -473,21 +411,15 @@ class _Finder:
 
     def _home(self, first: PosePairs, joints: Floats) -> Floats:
         def clear(home: Floats) -> bool:
-            return bool(self._both.straight(home[None], joints[None], self._least_mm)[0])
+            return bool(self._straight(home[None], joints[None], self._least_mm)[0])
 
         return home_off(first, joints, self._kinematics, clear, self._least_mm)
 
 
 def _rolled(pose: Pose, angle: float) -> Pose:
     """Roll a pose about its own z axis by an angle, rad."""
+    if not angle:
+        return pose
     about_z = scipy.spatial.transform.Rotation.from_euler("z", angle)
     turned = scipy.spatial.transform.Rotation.from_quat(pose.quat) * about_z
-    return Pose(pose.position, turned.as_quat()) if angle else pose
-
-
-def _no_way(before: int, after: int, tried: int, looked: int) -> str:
-    origin = f"view {before}" if before >= 0 else "the start"
-    return (
-        f"from {origin} to view {after}: no path found in {tried} searches between pairs of "
-        f"configurations; {looked} others checked"
-    )
+    return Pose(pose.position, turned.as_quat())

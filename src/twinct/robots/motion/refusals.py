@@ -9,6 +9,7 @@ import numpy as np
 
 from twinct.robots.cell import Gap
 from twinct.robots.motion.branches import SIDES
+from twinct.robots.motion.strength import TORQUE_SHARE
 
 
 def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]:
@@ -32,6 +33,26 @@ def gap_problems(gaps: Mapping[int, Gap], asked_mm: float) -> list[str]:
             worst = min((gaps[v] for v in range(first, last + 1)), key=lambda g: g.distance_mm)
             problems.append((first, f"{named(first, last)}: {gap_text(worst, asked_mm)}"))
     return [text for _, text in sorted(problems)]
+
+
+def weak_text(joint: str, share: float) -> str:
+    """Return a message for a joint that needs too large a share of its torque to hold still."""
+    return (
+        f"{joint} needs {100 * share:.0f} % of its torque limit to hold still; at most "
+        f"{100 * TORQUE_SHARE:.0f} % may be used: check the arm's joint_torque_nm and "
+        "tool_mass_kg, or place it nearer"
+    )
+
+
+def weak_problems(side: str, weak: Mapping[int, tuple[str, float]]) -> list[str]:
+    """Return messages for views that no configuration of an arm can hold, by joint and share."""
+    problems = []
+    for first, last in runs(weak):
+        joint, share = max((weak[view] for view in range(first, last + 1)), key=lambda w: w[1])
+        problems.append(
+            f"{named(first, last)}: {side} arm: in each configuration {weak_text(joint, share)}"
+        )
+    return problems
 
 
 def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
@@ -87,3 +108,12 @@ def sample_of(view: int, lost: Sequence[int]) -> int:
             samples = (first, (first + last) // 2, last)
             return min(samples, key=lambda sample: abs(sample - view))
     return view
+
+
+def no_path_text(before: int, after: int, tried: int, looked: int) -> str:
+    """Return a message for two views without a path; the first one is -1 for the start."""
+    origin = f"view {before}" if before >= 0 else "the start"
+    return (
+        f"from {origin} to view {after}: no path found in {tried} searches between pairs of "
+        f"configurations; {looked} others checked"
+    )

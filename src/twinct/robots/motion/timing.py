@@ -24,13 +24,12 @@ from twinct.core.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.kinematics import mujoco
+from twinct.robots.motion.refusals import weak_text
+from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.scenario import Motion
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
-
-TORQUE_SHARE = 0.9
-"""Share of the torque limits that a law may use; the rest is for the servos' corrections."""
 
 CURVE_SHARE = 0.5
 """Share of the acceleration for following the curve; the rest is for speeding up and braking."""
@@ -146,15 +145,10 @@ class TimeLaw:
         Raises:
             TrajectoryError: a joint cannot even hold the arm, or no law kept the limits.
         """
-        still = np.zeros_like(knots)
-        holding = self._torque_shares(np.stack([knots, still, still], axis=1)).max(axis=0)
+        holding = Strength(self._cell).holding(knots).max(axis=0)
         if holding.max() >= TORQUE_SHARE:
             name = self._cell.joint_names[int(holding.argmax())]
-            raise TrajectoryError(
-                f"{name} needs {100 * holding.max():.0f} % of its torque limit to hold still; at "
-                f"most {100 * TORQUE_SHARE:.0f} % may be used: check the arm's joint_torque_nm and "
-                "tool_mass_kg, or place it nearer"
-            )
+            raise TrajectoryError(weak_text(name, float(holding.max())))
         spans = np.maximum((np.abs(np.diff(knots, axis=0)) / self._speed).max(axis=1), 1e-9)
         passed = np.concatenate([[0.0], np.cumsum(spans)])
         way = scipy.interpolate.CubicSpline(passed, knots)

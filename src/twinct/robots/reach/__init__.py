@@ -1,5 +1,6 @@
 """Reach of the arms, their best placement, and the diagnosis of infeasible views."""
 
+from twinct.robots.reach.cures import CureSearch
 from twinct.robots.reach.holding import Holder, Poses
 from twinct.robots.reach.place import Bounds, Placement, place
 from twinct.robots.reach.sphere import Reach, poses_of, reach
@@ -7,6 +8,7 @@ from twinct.robots.reach.why import View, reasons, shown
 
 __all__ = [
     "Bounds",
+    "CureSearch",
     "Holder",
     "Placement",
     "Poses",

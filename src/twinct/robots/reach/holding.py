@@ -11,12 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell import CellModel
-from twinct.robots.motion import Kinematics
 from twinct.robots.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations, matrices
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.path_search import required_gap_mm
@@ -30,9 +28,6 @@ ROLLS_KEPT = 2
 
 PAIRS_AT_ONCE = 8
 """Number of pairs of configurations of one view that are checked at once."""
-
-SAME_MM, SAME_RAD = 1e-6, 1e-9
-"""Motion of the tool, apart from its roll, below which the last joint only rolls the tool."""
 
 Flags = NDArray[np.bool_]
 
@@ -96,7 +91,7 @@ class Holder:
         branches = Branches(self.cell, arm, self.motion.ik, self._seed)
         room, rolls = Feasible(self.cell, SIDES[arm]), self._rolls[arm]
         found = branches.of(poses, self._starts)
-        if not self._last_joint_rolls(arm):
+        if branches.roll_sign != 1:  # the last joint does not only roll the tool
             return self._rolled(branches, room, poses, arm)
         low, high = self.cell.joint_ranges[self.cell.arm_joints[arm]][-1]
         count, kept = np.zeros(len(found.pose), int), []
@@ -156,17 +151,6 @@ class Holder:
         found = branches.rolled(poses, rolls, self._starts)
         clear = room.clear(self.placed(found.joints, arm), self.least_mm)
         return Configurations(found.joints[clear], found.pose[clear] // len(rolls))
-
-    def _last_joint_rolls(self, arm: int) -> bool:
-        kinematics = Kinematics(self.cell, self.motion.ik)
-        joints = np.full(len(self.cell.joint_names), 0.3)
-        before = kinematics.poses(joints)[arm]
-        joints[self.cell.arm_joints[arm].stop - 1] += 1.0
-        after = before.inverse() @ kinematics.poses(joints)[arm]
-        back = scipy.spatial.transform.Rotation.from_quat(after.quat).inv()
-        turned = scipy.spatial.transform.Rotation.from_euler("z", 1.0) * back
-        here = np.linalg.norm(after.position) < SAME_MM
-        return bool(here and turned.magnitude() < SAME_RAD)
 
     def placed(self, joints: Floats, arm: int) -> Floats:
         """Extend configurations of one arm to the whole cell by zeros, (m, n)."""

@@ -1,0 +1,209 @@
+"""Levels of resolution: a scan in larger voxels and pixels, and what it leaves to the next level.
+
+The next level changes only blocks of voxels in which the coarser volume shows something, and its
+grid is smaller. All else, the rest, stays as the coarser level has it: its line integrals are
+subtracted, rays and updates leave it out, and it returns at the end. So nothing is lost: air, and
+what has less than ``QUIET_SHARE`` of the object's density, keep the coarser resolution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.recon.blocks import EDGE, EVERYWHERE, Blocks
+from twinct.recon.checks import Mask, mask_of, masked_image
+from twinct.recon.engine import Singles
+from twinct.recon.projector import Projector, check_grid
+from twinct.recon.resolution import binned, each_plane, resampled
+from twinct.recon.steps import residual_of
+from twinct.recon.surroundings import coarse_grid
+from twinct.recon.working import WorkingVolume
+
+QUIET_SHARE = 0.02
+"""Attenuation below which voxels stay as they are, as a share of the object's."""
+
+AROUND = 2.0
+"""Voxels around those of a coarser level that show something."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """What the voxels of a coarser level keep.
+
+    Attributes:
+        x: volume of the coarser level, (z, y, x).
+        grid: its grid.
+        blocks: blocks of the finer grid that go on.
+        images: line integrals of everything else, in the coarser pixels; None if there is nothing.
+    """
+
+    x: Singles
+    grid: VolumeGrid
+    blocks: Blocks
+    images: Singles | None
+
+    @classmethod
+    def of(cls, coarse: Projector, x: Singles, finer: VolumeGrid) -> Rest:
+        """Return what a coarser level leaves to a finer grid, which has the same axes."""
+        blocks = blocks_of(x, coarse.grid, finer) if coarse.leaves_out else EVERYWHERE
+        rest = np.where(_going_on(coarse.grid, finer, blocks), np.float32(0), x)
+        return cls(x, coarse.grid, blocks, coarse(rest) if rest.any() else None)
+
+    def at(self, view: int, shape: tuple[int, ...]) -> Singles | None:
+        """Return the rest's line integrals in a view of pixels half as large, bilinear."""
+        if self.images is None:
+            return None
+        image = self.images[view]
+        for axis, pixels in enumerate(shape):
+            middles = np.arange(0.5, pixels) / 2 - 0.5
+            image = resampled(image, middles, axis)
+        return image
+
+    def start(self, grid: VolumeGrid) -> Singles:
+        """Return the volume from which the finer level starts: zeros where the rest is."""
+        fine = np.empty(grid.shape, np.float32)
+
+        def write(k: int, plane: Singles) -> None:
+            fine[k] = plane * self.blocks.lines(k, grid.shape)
+
+        each_plane(self.x, self.grid, grid, write)
+        return fine
+
+    def add_to(self, x: Singles, grid: VolumeGrid) -> None:
+        """Write the rest into the volume of the finer level."""
+
+        def write(k: int, plane: Singles) -> None:
+            np.copyto(x[k], plane, where=~self.blocks.lines(k, grid.shape))
+
+        if self.blocks.filled.size:
+            each_plane(self.x, self.grid, grid, write)
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Scan in voxels and pixels that may be larger by a factor."""
+
+    A: Projector
+    p: NDArray[Any]
+    pixels: Mask | None
+    rest: Rest | None
+
+    @classmethod
+    def of(
+        cls,
+        A: Projector,
+        p: NDArray[Any],
+        pixels: Mask | None,
+        factor: int,
+        margin: float,
+        before: tuple[Level, Singles] | None,
+    ) -> Level:
+        """Return the level of a factor; ``before``: the coarser level, and its volume."""
+        own = A
+        if factor > 1:
+            views = A.geometry.binned(factor, factor)
+            own = A.on(with_margin(views, A.grid, factor, margin), views)
+            p, pixels = binned(p, pixels, (factor, factor))
+        if before is None:
+            return cls(own, p, pixels, None)
+        level, x = before
+        rest = Rest.of(level.A.within(EVERYWHERE), x, own.grid)
+        return cls(own.within(rest.blocks), p, pixels, rest)
+
+    def start(self) -> Singles:
+        """Return the volume from which the level starts."""
+        if self.rest is None:
+            return np.zeros(self.A.domain_shape, np.float32)
+        return self.rest.start(self.A.grid)
+
+    def whole(self, x: Singles) -> Singles:
+        """Write the rest into the level's volume, and return it."""
+        if self.rest is not None:
+            self.rest.add_to(x, self.A.grid)
+        return x
+
+    def update(
+        self, work: WorkingVolume, view: int, relaxation: float, floor: float, wanted: bool
+    ) -> tuple[float, int]:
+        """Apply SART's update in place; return the previous sum of squared residuals, and the rays.
+
+        Both are 0 unless ``wanted``.
+        """
+        measured, mask = masked_image(self.p, view, self.pixels), mask_of(self.pixels, view)
+        outside = None if self.rest is None else self.rest.at(view, measured.shape)
+        if outside is not None:
+            measured = measured - outside
+        estimate, counts = self.A.update(
+            work.held, view, measured, relaxation=relaxation, mask=mask, floor=floor
+        )
+        work.changed()
+        if not wanted:
+            return 0.0, 0
+        return residual_of(measured, estimate, counts)
+
+
+def with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: float) -> VolumeGrid:
+    """Return the grid of a level; raise InputError unless it lies in front of all sources."""
+    size = margin * grid.size_mm
+    wide = coarse_grid(grid, size, factor * grid.voxel)
+    try:
+        check_grid(views, wide)
+    except InputError as error:
+        text = f"with a margin of {margin:g} ({size.max():.0f} mm)"
+        raise InputError(f"{text}, {one}" for one in error.problems) from None
+    return wide
+
+
+def blocks_of(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> Blocks:
+    """Return the blocks of a finer grid about voxels that show something.
+
+    Means over 3^3 voxels have to exceed ``QUIET_SHARE`` of the object's attenuation. That is the
+    ninth decile of all voxels above this share of the densest ones: a few metal voxels do not make
+    all else quiet.
+    """
+    dense = x[x > QUIET_SHARE * np.percentile(x, 99.9)]
+    if not dense.size:
+        return EVERYWHERE
+    shown = scipy.ndimage.uniform_filter(x, 3) > QUIET_SHARE * np.percentile(dense, 90)
+    for axis, places in enumerate(_places(grid, finer)):
+        n = finer.shape[axis]
+        ends = [(first - AROUND, min(first + EDGE, n) + AROUND) for first in range(0, n, EDGE)]
+        step = places[1] - places[0] if len(places) > 1 else 1.0
+        parts: list[NDArray[np.bool_]] = []
+        for low, high in ends:
+            begin, end = np.searchsorted(places, (low - step / 2, high + step / 2))
+            parts.append(np.asarray(np.take(shown, range(begin, end), axis).any(axis)))
+        shown = np.stack(parts, axis)
+    return Blocks(np.ascontiguousarray(shown, np.uint8))
+
+
+def _places(grid: VolumeGrid, finer: VolumeGrid) -> list[Floats]:
+    """Return the places of centres along z, y, x of a finer grid, in its voxels, from its edge."""
+    away = grid.world_from_grid.position - finer.world_from_grid.position
+    shift = finer.world_from_grid.rotation.T @ away
+    return [
+        (own + middle) / edge + n / 2
+        for own, middle, edge, n in zip(
+            grid.axes()[::-1], shift[::-1], finer.voxel[::-1], finer.shape, strict=True
+        )
+    ]
+
+
+def _going_on(grid: VolumeGrid, finer: VolumeGrid, blocks: Blocks) -> NDArray[np.bool_]:
+    """Return the voxels whose centres lie in blocks of a finer grid that go on, (z, y, x)."""
+    places = [np.floor(place).astype(int) for place in _places(grid, finer)]
+    inside = [(0 <= at) & (at < n) for at, n in zip(places, finer.shape, strict=True)]
+    found = inside[0][:, None, None] & inside[1][:, None] & inside[2]
+    if blocks.filled.size:
+        at = (
+            np.clip(p // EDGE, 0, n - 1) for p, n in zip(places, blocks.filled.shape, strict=True)
+        )
+        found &= blocks.filled[np.ix_(*at)].astype(np.bool_)
+    return found

@@ -1,0 +1,99 @@
+"""Names of parts and labels, checked before any voxel is read."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from twinct import scenario
+from twinct.core.errors import InputError, SpecimenError
+from twinct.core.files.nifti import open_nifti
+from twinct.core.foreign_text import quoted
+from twinct.scenario.specimen import OpenNames
+from twinct.specimen.voxel_labels import header_names, mask_files
+
+NUMBERED = re.compile(r"label_[1-9]\d*")
+"""Names of labels that neither the scenario nor their file names."""
+
+
+class KnownNames(list[str]):
+    """Names of parts and of labels that may have a voxel.
+
+    Attributes:
+        numbered: True if labels may also be called label_1, label_2, ...
+    """
+
+    numbered = False
+
+    @property
+    def in_words(self) -> str:
+        """All names, for messages."""
+        return quoted(self, 300) + (" and label_1, label_2, ..." if self.numbered else "")
+
+    def __contains__(self, name: object) -> bool:
+        """Return True if a part or a label may have a name."""
+        return super().__contains__(name) or bool(
+            self.numbered and isinstance(name, str) and NUMBERED.fullmatch(name)
+        )
+
+
+def require_known_names(whole: scenario.Scenario) -> None:
+    """Check the names of parts and labels that a scenario states anywhere.
+
+    Raises:
+        InputError: no part and no label has the name; or a file of labels is damaged.
+    """
+    specimen, named = whole.specimen, list[tuple[str, str]]()
+    if not isinstance(specimen.names, OpenNames):  # else checked with the scenario
+        return
+    if specimen.reference:
+        named.append(("specimen.reference", specimen.reference))
+    if whole.evaluation:
+        references = whole.evaluation.references()
+        named += [(f"evaluation.{key}", name) for key, name, kind in references if kind == "part"]
+    known = known_names(specimen)
+    problems = [
+        f"{key}: no part or label is called {quoted(name)}; there are {known.in_words}"
+        for key, name in named
+        if name not in known
+    ]
+    if whole.task:
+        for objective, section in whole.task.goals.values():
+            problems += [one.message for one in objective.conflicts(section, known)]
+    if problems:
+        raise InputError(problems)
+
+
+def known_names(section: scenario.Specimen) -> KnownNames:
+    """Return the names of a specimen's parts and labels, from keys, headers and phantoms.
+
+    Raises:
+        SpecimenError: a file of labels is damaged; names the part.
+    """
+    found = KnownNames()
+    for part in section.parts:
+        found.append(part.label)
+        shape = part.shape
+        if not isinstance(shape, scenario.GreyVolume):
+            continue
+        if shape.phantom:
+            from twinct.specimen.phantom import phantom
+
+            found += phantom(shape.phantom, shape.seed).names[1:]
+        elif shape.labels:
+            names = _of_files(shape.labels, f"part {part.label!r}: labels {shape.labels.path}")
+            found += names
+            found.numbered |= names.numbered
+    return found
+
+
+def _of_files(section: scenario.Labels, where: str) -> KnownNames:
+    if section.names:
+        return KnownNames(section.names)
+    path: Path = section.path
+    if path.is_dir():
+        return KnownNames(mask_files(path))
+    open_nifti(path, where, SpecimenError)
+    found = KnownNames(header_names(path).values())
+    found.numbered = True
+    return found
