@@ -33,10 +33,10 @@ endef
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs pictures lock clean bare
+.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs pictures lock clean bare clean-python
 
 help: ## List the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
 
 setup: ## Install system libraries and the locked packages into .venv
 	@tools/setup
@@ -100,6 +100,9 @@ pictures: setup ## Draw the pictures of X-ray effects in docs/images anew
 
 bare: setup ## Try the wheel on a bare Debian: apt, pip, twinct demo, with the seconds of each (root, debootstrap)
 	@tools/bare-machine
+
+clean-python: setup ## Try the wheel in a clean environment of another Python, OTHER=its path
+	@tools/clean-python $(OTHER)
 
 lock: ## Refresh constraints.txt; LOCK_ARGS=--upgrade takes the newest versions
 	@tools/lock $(LOCK_ARGS)

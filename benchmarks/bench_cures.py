@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from twinct.cli.reach import LEAST_WORK, SHARE, pictured, remedies
+from twinct.core.cached import forget
 from twinct.core.errors import TrajectoryError
 from twinct.core.progress import Work, counted
 from twinct.scan import SimulationBuilder
@@ -46,6 +47,7 @@ CASES: dict[str, tuple[str, dict[str, Any]]] = {
 
 def seconds(name: str, changes: dict[str, Any], picture: Path) -> dict[str, Any]:
     builder = SimulationBuilder(load_scenario(SCENARIOS / name, changes))
+    forget("specimen")
     began = time.process_time()
     _ = builder.cell
     times, planning = {"room_s": time.process_time() - began}, Work()
@@ -70,8 +72,6 @@ def main(most: float, times: int) -> int:
         for name, (scenario, changes) in CASES.items():
             all_found = [seconds(scenario, changes, Path(folder) / "v.png") for _ in range(times)]
             found = min(all_found, key=lambda one: one["whole_s"])
-            # Later repetitions find the specimen built.
-            found["room_s"] = all_found[0]["room_s"]
             ratio = found["search_s"] / found["planning_s"]
             bad |= found["whole_s"] > most or ratio > 1 + found["room_s"] / found["planning_s"]
             print(json.dumps({"case": name, "search/planning": ratio} | found), flush=True)

@@ -9,7 +9,8 @@ directions all over the sphere, 260 to 400 mm from source and panel to a point a
 any roll, any configuration of the arms. The arms are those of the collaborative preset. No image is
 rendered: the shadows of the balls lie where the executed geometry projects them, off by SHADOW_PX,
 from balls off by TOLERANCE_MM; source and panel are told from them as from a scan's. With
---rendered 60 views of balls.yaml are scanned, and the arms are judged along the paper's path.
+--rendered 60 views of balls.yaml are scanned, and the arms are judged along the paper's path. With
+--rails both arms stand on rails of 2 m, and views are drawn over all places of their carriages.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ SHADOW_PX = 0.01
 TOLERANCE_MM = 0.01
 RADII_MM = 260.0, 400.0
 ABOUT_MM = 15.0
+
+
+RAILS = [f"cell.{side}_arm.rail={{range_mm: [-1000, 1000]}}" for side in ("source", "detector")]
 
 
 def drawn_joints(builder, count, rng):
@@ -121,9 +125,9 @@ def off_mm(executed, source, detector):
     return [float(np.sqrt(((a - b) ** 2).sum(axis=1).mean())) for a, b in pairs]
 
 
-def rendered(views):
+def rendered(views, rails):
     """Both arms from a whole scan; what that makes of the paper's path, 40 views."""
-    builder = SimulationBuilder(load_scenario(SCENARIO))
+    builder = SimulationBuilder(load_scenario(SCENARIO, rails))
     chains = chains_of(builder.cell)
     joints = drawn_joints(builder, views, np.random.default_rng(3))
     places = [np.array([p.position for p in side]) for side in nominal(chains, joints)]
@@ -132,6 +136,7 @@ def rendered(views):
         "detector: {sigma_mm: 0}}",
         "motion.trigger=settled",
         "reconstruction={iterations: 1, grid: {voxels: 16, voxel_mm: 10}}",
+        *rails,
     ]
     with TemporaryDirectory() as folder:
         table, balls, path = (Path(folder) / name for name in ("views.csv", "balls", "path"))
@@ -162,16 +167,19 @@ def main() -> None:
         "--untold", action="store_true", help="list what the views do not determine"
     )
     parser.add_argument("--rendered", action="store_true", help="calibrate from rendered images")
+    parser.add_argument("--rails", action="store_true", help="both arms on rails of 2 m")
     asked = parser.parse_args()
+    rails = RAILS if asked.rails else []
     if asked.rendered:
-        rendered(asked.views[0])
+        rendered(asked.views[0], rails)
         return
-    scenario = load_scenario(SCENARIO)
+    scenario = load_scenario(SCENARIO, rails)
     builder, phantom = SimulationBuilder(scenario), phantom_of(scenario)
     chains, panel = chains_of(builder.cell), scenario.detector.panel
     section = Uncertainty.model_validate({"preset": asked.preset})
     quiet = section.model_copy(update={"views": ViewErrors()})
     step = np.radians(section.encoder_step_deg)
+    hinges = np.concatenate([chain.hinges for chain in chains]) > 0  # rails are read exactly
     home = np.zeros((1, sum(map(len, chains))))
     still = NominalScan.of_arms(chains, home, home, np.zeros(1))
     motions = still.motion(0), still.motion(1)
@@ -180,7 +188,7 @@ def main() -> None:
     for seed in range(asked.seeds):
         rng = np.random.default_rng(seed)
         joints = drawn_joints(builder, max(asked.views) + asked.unseen, rng)
-        encoders = step * np.round(joints / step)
+        encoders = np.where(hinges, step * np.round(joints / step), joints)
         new, read = joints[-asked.unseen :], encoders[-asked.unseen :]
         cells = [TrueCell(one, seed, seed, chains) for one in (section, quiet)]
         unseen = [executed_of(cell, chains, new, panel, 10_000) for cell in cells]

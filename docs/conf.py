@@ -68,6 +68,7 @@ html_favicon = "site/static/twinct.svg"
 html_context = {"default_mode": "auto"}
 html_static_path = ["site/static"]
 html_css_files = ["twinct.css"]
+html_search_scorer = str(HERE / "site" / "search_scorer.js")
 html_extra_path = ["site/root"]
 html_show_sourcelink = False
 html_copy_source = False

@@ -14,6 +14,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 from typing import Any
+from urllib.parse import quote
 
 import pytest
 from waiting import until
@@ -88,6 +89,33 @@ def test_the_search_finds_a_key(browser: Browser, address: str) -> None:
         return any("Scenario reference" in link.text for link in browser.find("ul.search a"))
 
     until(found, "the search does not find a key of the scenario")
+    assert browser.complaints() == []
+
+
+SEARCHES = {
+    "CT patient": "howto/ct_as_specimen",
+    "how long run takes": "howto/faster",
+    "projection matrices": "howto/projections_as_files",
+    "noise off": "howto/noise",
+    "Windows": "start/install",
+    "own robot": "howto/own_arm",
+}
+"""Words that a new user types, and the page that answers."""
+
+
+@pytest.mark.browser
+@pytest.mark.process
+@pytest.mark.parametrize(("words", "page"), SEARCHES.items(), ids=SEARCHES.values())
+def test_the_search_shows_the_answer_early(
+    browser: Browser, address: str, words: str, page: str
+) -> None:
+    browser.visit(f"{address}/search.html?q={quote(words)}")
+
+    def shown() -> bool:
+        links = browser.find("ul.search > li > a")
+        return any(f"/{page}.html" in str(link.get_attribute("href")) for link in links[:5])
+
+    until(shown, f"{page} is not among the first five results")
     assert browser.complaints() == []
 
 

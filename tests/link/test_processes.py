@@ -12,9 +12,11 @@ from types import SimpleNamespace
 import pytest
 from waiting import HANG_S, until
 
-from twinct.core.errors import InputError, LinkError
+from twinct.core.errors import InputError, LinkError, MemoryShortageError
+from twinct.core.memory import _ULIMIT
 from twinct.link import RosRig
 from twinct.link.environment import Domain, sweep_shared_memory
+from twinct.link.participant import Station
 from twinct.scan import SimulationBuilder
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
@@ -175,6 +177,20 @@ def test_a_node_that_cannot_start_is_named_with_its_last_words(scenario, tmp_pat
     script.write_text("import sys; print('no such arm'); sys.exit(2)")
     with pytest.raises(LinkError, match=r"node ended with exit code 2:\n  no such arm"):
         RosRig(scenario, node_command=(sys.executable, str(script)))
+
+
+def test_a_node_without_memory_ends_the_scan_as_memory_does(scenario, tmp_path):
+    script = tmp_path / "short.py"
+    script.write_text("import sys; print('twinct: too little memory: 3 MiB'); sys.exit(2)")
+    with pytest.raises(MemoryShortageError, match="node ended with exit code 2:\n.*3 MiB"):
+        RosRig(scenario, node_command=(sys.executable, str(script)))
+
+
+def test_no_one_joins_without_memory_for_the_threads(monkeypatch):
+    """Fast DDS would end the process."""
+    monkeypatch.setattr("twinct.core.memory._limits", lambda: [(2**28, _ULIMIT)])
+    with pytest.raises(MemoryShortageError, match="256 MiB are left .* 512 MiB .* to join ROS 2"):
+        Station("nobody", 1)
 
 
 def test_who_joins_before_the_nodes_start_follows_every_view(scenario, fake_command, asked_once):

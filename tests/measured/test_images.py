@@ -258,6 +258,7 @@ def test_intensities_fit_their_white_and_their_views(
 @pytest.mark.parametrize(
     ("images", "angles", "grid", "message"),
     [
+        ({}, 15.0, "pitch", "the panel measures 5.2e\\+04 x 4e\\+04 mm at 300 mm from the source"),
         ({}, 0.0, None, "all 24 views have the same pose"),
         ({"rings": {"width": 5}}, 2.0, None, "images.rings: the views must cover a turn.* 0.9"),
         ({}, 15.0, {"voxels": 8, "voxel_mm": 1, "centre_mm": [0, 0, 5e3]}, "no view sees its vox"),
@@ -265,8 +266,12 @@ def test_intensities_fit_their_white_and_their_views(
 )
 def test_views_that_show_nothing_are_named(images, angles, grid, message, circle, stored, imported):
     told = {"images": stored(LINES, **images), "geometry": circle | {"angles": {"step": angles}}}
+    if grid == "pitch":
+        told["geometry"]["pitch_mm"] = 2000.0
+    elif grid:
+        told["grid"] = grid
     with pytest.raises(InputError, match=message):
-        imported(told | ({"grid": grid} if grid else {}))
+        imported(told)
 
 
 def test_bad_stacks_are_named(tmp_path):

@@ -21,12 +21,13 @@ def test_seconds_go_the_short_side_of_joints_that_turn() -> None:
 def test_the_best_path_is_the_best_of_all() -> None:
     rng = np.random.default_rng(1)
     costs = [rng.uniform(0, 1, shape) for shape in ((3, 4), (4, 2), (2, 5))]
-    start = rng.uniform(0, 1, 3)
-    path, total = Choice(costs).best(start)
+    start, *loads = (rng.uniform(0, 1, count) for count in (3, 4, 2, 5))
+    path, total = Choice(costs, [start, *loads]).best()
 
     def cost(nodes: tuple[int, ...]) -> float:
         moves = zip(costs, nodes[:-1], nodes[1:], strict=True)
-        return start[nodes[0]] + sum(c[i, j] for c, i, j in moves)
+        of_nodes = sum(load[k] for load, k in zip([start, *loads], nodes, strict=True))
+        return of_nodes + sum(c[i, j] for c, i, j in moves)
 
     paths = list(itertools.product(range(3), range(4), range(2), range(5)))
     assert tuple(path) == min(paths, key=cost)
@@ -34,21 +35,22 @@ def test_the_best_path_is_the_best_of_all() -> None:
 
 
 def test_a_move_that_is_closed_is_left_aside() -> None:
-    choice = Choice([np.array([[1.0, 2.0]])])
-    assert choice.best(np.zeros(1))[0].tolist() == [0, 0]
+    choice = Choice([np.array([[1.0, 2.0]])], [np.zeros(1), np.zeros(2)])
+    assert choice.best()[0].tolist() == [0, 0]
     choice.raise_cost(0, (0, 0), 5.0)
-    assert choice.best(np.zeros(1))[0].tolist() == [0, 1]
+    assert choice.best()[0].tolist() == [0, 1]
     choice.raise_cost(0, (0, 0), np.inf)
     choice.raise_cost(0, (0, 1), np.inf)
-    assert choice.best(np.zeros(1))[1] == np.inf
+    assert choice.best()[1] == np.inf
 
 
 def test_candidates_of_the_best_path_come_first() -> None:
     rng = np.random.default_rng(2)
     layers = [rng.uniform(-3, 3, (m, 2)) for m in (6, 5, 7, 4)]
-    ranked = promising(layers, SPEEDS)
+    loads = [rng.uniform(0, 1, len(q)) for q in layers]
+    ranked = promising(layers, SPEEDS, loads)
     costs = [SPEEDS.seconds(a, b) for a, b in itertools.pairwise(layers)]
-    path, _ = Choice(costs).best(np.zeros(6))
+    path, _ = Choice(costs, loads).best()
     assert [r[0] for r in ranked] == path.tolist()
     assert all(sorted(r) == list(range(len(q))) for r, q in zip(ranked, layers, strict=True))
 

@@ -8,10 +8,12 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from twinct.core.errors import TrajectoryError
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, targets_of
 from twinct.robots.cell import CellModel, build_cell
-from twinct.robots.motion import RobotSimulation, plan_motion
+from twinct.robots.motion import RobotSimulation, TimeLaw, plan_motion
+from twinct.robots.motion.strength import Strength
 from twinct.scenario import Cell, Detector, Motion
 from twinct.trajectory import ArcTrajectory, commanded_views
 
@@ -20,8 +22,8 @@ BRANCHES = ((-30, 45, 150, -30, -100, -90), (-150, -45, -150, 30, 100, 90))
 """Two ways of the source arm to hold the middle view, as rough as by hand, deg."""
 
 
-def room(*homes: tuple[float, ...] | None) -> CellModel:
-    arm = {"file": URDF, "base": "base_link"}
+def room(*homes: tuple[float, ...] | None, **keys: object) -> CellModel:
+    arm = {"file": URDF, "base": "base_link", **keys}
     places = zip(("source_arm", "detector_arm"), (850, -850), homes, strict=True)
     section = Cell.model_validate(
         {side: {**arm, "home": home, "base_position_mm": (x, 0, -200)} for side, x, home in places}
@@ -58,3 +60,19 @@ def test_the_search_begins_at_home(
     homes = branch, (*branch[:5], -branch[5])
     planned = plan_motion(room(*homes), Motion(scheme="reactive"), targets)
     assert np.abs(np.degrees(planned.joints[1]) - np.hstack(homes)).max() < 15
+
+
+def test_a_light_configuration_is_chosen_where_the_shortest_way_is_too_heavy() -> None:
+    """On rails the least motion stretches the arms so far that a shoulder cannot hold them."""
+    arc = ArcTrajectory(kind="arc", views=12, longitude_range_deg=60)
+    wide = targets_of(commanded_views(arc, Detector().panel))
+    cell = room(None, None, tool_mass_kg=22.0, rail={"range_mm": [-600, 600]})
+    found = plan_motion(cell, Motion(), wide)
+    assert Strength(cell).holding(found.joints).max() < 0.85
+    laws = TimeLaw(cell, Motion()).shares(found.at(np.linspace(0, found.duration_s, 200)))
+    assert laws["torque"].max() < 1.01
+    heavy = room(None, None, tool_mass_kg=60.0, rail={"range_mm": [-600, 600]})
+    told = "views 0 to 11: source arm: in each .* source_shoulder needs 1.. % of its torque limit"
+    with pytest.raises(TrajectoryError, match=told) as caught:
+        plan_motion(heavy, Motion(), wide)
+    assert not caught.value.views, "they are within reach"

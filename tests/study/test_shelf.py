@@ -13,7 +13,7 @@ import pytest
 from planted import planted, unpickled
 from waiting import HANG_S, until
 
-from twinct.study.cache import Cache
+from twinct.study.cache import PASSING, Cache
 
 # Forked: a process that imports all of twinct takes seconds.
 PROCESSES = multiprocessing.get_context("fork")
@@ -128,3 +128,12 @@ def test_what_could_not_be_made_is_not_there_and_may_be_asked_for_again(tmp_path
     with pytest.raises(RuntimeError, match="no"):
         cache.array("a", fail)
     assert cache.array("a", lambda: np.zeros(1)).tolist() == [0]
+
+
+def test_what_a_dead_worker_left_goes_with_the_locks(tmp_path: Path) -> None:
+    cache = Cache(tmp_path)
+    cache.array("a", lambda: np.zeros(1))
+    Cache(tmp_path / f"{PASSING}x").array("a", lambda: np.zeros(1))
+    cache.remove_locks()
+    assert cache.array("a", lambda: np.ones(1)).tolist() == [0]
+    assert [path.name for path in tmp_path.iterdir()] == ["arrays"]

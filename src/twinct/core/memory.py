@@ -36,6 +36,9 @@ def lacks_memory(error: BaseException) -> bool:
     return False
 
 
+SHORTAGE = "too little memory"
+"""Beginning of messages about it, by which a scan knows why one of its nodes ended."""
+
 LITTLE_BYTES = 2**30
 """Memory below which a library may fail to load its drivers, without saying why."""
 
@@ -78,7 +81,7 @@ def require_of_ulimit(least_bytes: int, needed_by: str = "") -> bool:
     limits = [left for left, cause in _limits() if cause == _ULIMIT]
     if limits and min(limits) < least_bytes:
         raise MemoryShortageError(
-            f"too little memory: {min(limits) / 2**20:.0f} MiB are left by the {_ULIMIT}; at least "
+            f"{SHORTAGE}: {min(limits) / 2**20:.0f} MiB are left by the {_ULIMIT}; at least "
             f"{least_bytes / 2**20:.0f} MiB are needed{needed_by}"
         )
     return bool(limits)

@@ -25,6 +25,7 @@ from rclpy.subscription import Subscription
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import shortened
+from twinct.core.memory import LEAST_BYTES, require_of_ulimit
 from twinct.link.environment import middleware_settings, settle, sweep_shared_memory
 from twinct.link.senders import Sender, SenderExecutor, participant, participant_of
 from twinct.link.topics import Topic
@@ -83,7 +84,10 @@ class Station:
 
         Raises:
             InputError: the arguments are not those of ROS 2.
+            MemoryShortageError: too little memory is left for the threads of Fast DDS, which would
+                end the process.
         """
+        require_of_ulimit(LEAST_BYTES, " to join ROS 2")
         settle(os.environ)
         self.name = name
         self._context = Context()

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
-from twinct.core.errors import LinkError, TargetRefusedError
+from twinct.core.errors import LinkError, MemoryShortageError, TargetRefusedError
+from twinct.core.memory import SHORTAGE
 from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.link import environment, messages
 from twinct.link.environment import Domain
@@ -312,7 +313,10 @@ class RosRig:
 
     def _check(self) -> None:
         if self._ended:  # the first node to end stops the other
-            raise LinkError(self._ended[0].describe_end())
+            words, code = self._ended[0].describe_end(), self._ended[0].exit_code
+            if code == MemoryShortageError.exit_code and SHORTAGE in words:
+                raise MemoryShortageError(words)
+            raise LinkError(words)
         if self._conflict is not None:
             raise LinkError(self._conflict)
 

@@ -41,6 +41,9 @@ MOST_DOTS = 72
 ONE_WAY = 0.4
 """Largest length of the mean direction of views that cover a turn; 240 degrees of it have 0.41."""
 
+WIDEST = 10.0
+"""Largest width of a panel in SDD: a fan of 157 degrees."""
+
 _RESERVED = ("name", "description", "trajectory", "specimen", "cell", "uncertainty")
 
 
@@ -146,6 +149,12 @@ def _check_views(told: Measured, stored: ScanGeometry, used: ScanGeometry) -> No
     poses = np.concatenate([used.source, used.detector, used.u, used.v], axis=1)
     if len(used) > 1 and (poses == poses[0]).all():
         raise InputError(f"geometry: all {len(used)} views have the same pose")
+    (width, height), near = used.panel.size_mm, used.sdd.min()
+    if max(width, height) > WIDEST * near:
+        raise InputError(
+            f"geometry: the panel measures {width:.4g} x {height:.4g} mm at {near:.4g} mm from the "
+            "source: are pitch and distances in mm?"
+        )
     beams = used.detector - used.source
     one_way = np.linalg.norm((beams / np.linalg.norm(beams, axis=1, keepdims=True)).mean(axis=0))
     if told.images.rings is not None and one_way > ONE_WAY:

@@ -50,10 +50,15 @@ class Rest:
     images: Singles | None
 
     @classmethod
-    def of(cls, coarse: Projector, x: Singles, finer: VolumeGrid) -> Rest:
-        """Return what a coarser level leaves to a finer grid, which has the same axes."""
+    def of(cls, coarse: Projector, x: Singles, finer: VolumeGrid, *, beyond: bool) -> Rest:
+        """Return what a coarser level leaves to a finer grid, which has the same axes.
+
+        ``beyond``: what lies beyond the finer grid is part of the rest. Otherwise both grids reach
+        equally far, and the outermost voxels stand for all that lies around them.
+        """
         blocks = blocks_of(x, coarse.grid, finer) if coarse.leaves_out else EVERYWHERE
-        rest = np.where(_going_on(coarse.grid, finer, blocks), np.float32(0), x)
+        inside, going_on = _going_on(coarse.grid, finer, blocks)
+        rest = np.where(~going_on if beyond else inside & ~going_on, x, np.float32(0))
         return cls(x, coarse.grid, blocks, coarse(rest) if rest.any() else None)
 
     def at(self, view: int, shape: tuple[int, ...]) -> Singles | None:
@@ -114,7 +119,7 @@ class Level:
         if before is None:
             return cls(own, p, pixels, None)
         level, x = before
-        rest = Rest.of(level.A.within(EVERYWHERE), x, own.grid)
+        rest = Rest.of(level.A.within(EVERYWHERE), x, own.grid, beyond=factor == 1)
         return cls(own.within(rest.blocks), p, pixels, rest)
 
     def start(self) -> Singles:
@@ -196,14 +201,15 @@ def _places(grid: VolumeGrid, finer: VolumeGrid) -> list[Floats]:
     ]
 
 
-def _going_on(grid: VolumeGrid, finer: VolumeGrid, blocks: Blocks) -> NDArray[np.bool_]:
-    """Return the voxels whose centres lie in blocks of a finer grid that go on, (z, y, x)."""
+def _going_on(
+    grid: VolumeGrid, finer: VolumeGrid, blocks: Blocks
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which centres of voxels (z, y, x) lie in a finer grid, and which in its blocks."""
     places = [np.floor(place).astype(int) for place in _places(grid, finer)]
-    inside = [(0 <= at) & (at < n) for at, n in zip(places, finer.shape, strict=True)]
-    found = inside[0][:, None, None] & inside[1][:, None] & inside[2]
-    if blocks.filled.size:
-        at = (
-            np.clip(p // EDGE, 0, n - 1) for p, n in zip(places, blocks.filled.shape, strict=True)
-        )
-        found &= blocks.filled[np.ix_(*at)].astype(np.bool_)
-    return found
+    within = [(place >= 0) & (place < n) for place, n in zip(places, finer.shape, strict=True)]
+    inside = within[0][:, None, None] & within[1][:, None] & within[2]
+    if not blocks.filled.size:
+        return inside, inside
+    numbers = zip(places, blocks.filled.shape, strict=True)
+    at = (np.clip(place // EDGE, 0, n - 1) for place, n in numbers)
+    return inside, inside & blocks.filled[np.ix_(*at)].astype(np.bool_)

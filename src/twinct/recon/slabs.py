@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.geometry import Floats
-from twinct.recon.engine import Kernels, Singles
 
 FEWEST_PLANES, SLAB_SHARE = 64, 0.13
 """Smallest number of planes denoised at a time, and their share of the volume.
@@ -15,18 +17,18 @@ The share includes the planes around them; the iteration holds six slabs of this
 
 
 def lower_in_slabs(
-    kernels: Kernels,
-    x: Singles,
+    kernels: Any,
+    x: NDArray[np.float32],
     inverse: Floats,
     radius: float,
     step: float,
     floor: np.float32,
     steps: int,
 ) -> None:
-    """Lower the total variation of ``x``, see ``Kernels.lower``, in slabs of planes.
+    """Lower the total variation of ``x`` with an engine's kernels, in slabs of planes.
 
     Each slab has as many planes around it as its result depends on: the result is as for the whole
-    volume, to the last bit.
+    volume, to the last bit. ``engine.Kernels.lower`` describes the arguments.
     """
     around = steps + 2
     below = x[:0].copy()

@@ -16,12 +16,16 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npy
+from twinct.core.files.writing import remove_folder
 from twinct.core.interruption import postponed
 from twinct.workers.artifact import remove
 
 log = logging.getLogger(__name__)
 
 Kept = TypeVar("Kept")
+
+PASSING = "passing-"
+"""Beginning of the names of folders that a worker removes itself, unless it dies."""
 
 _PICKLES = "things"
 """Kind of the pickles that earlier versions cached; to read one would run code in it."""
@@ -116,9 +120,11 @@ class Cache:
 
     @postponed()
     def remove_locks(self) -> None:
-        """Remove the files of all locks; no process may use the cache."""
+        """Remove all locks, and what dead workers left; no process may use the cache."""
         for path in self.folder.glob("*/.*.lock"):
             path.unlink(missing_ok=True)
+        for path in self.folder.glob(f"{PASSING}*"):
+            remove_folder(path)
 
 
 def _save_array(array: NDArray[Any], path: Path) -> None:

@@ -41,7 +41,7 @@ from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_dig
 from twinct.scenario.reading import key_of
 from twinct.specimen import BuiltSpecimen, material
 from twinct.specimen.built_file import load_built, save_built
-from twinct.study.cache import Cache
+from twinct.study.cache import PASSING, Cache
 from twinct.study.estimate import bytes_below
 from twinct.study.sections import packed_sections
 from twinct.study.trial_figures import flat_figures
@@ -175,7 +175,7 @@ def _start(spec: TrialSpec, folder: Path, seconds: _Seconds) -> None:
     if not _started and spec.link == "local":
         _started = True
         smallest, taken = parse_scenario(_SMALLEST), _Seconds()
-        here = tempfile.TemporaryDirectory(dir=folder)  # goes with that folder if a worker dies
+        here = tempfile.TemporaryDirectory(prefix=PASSING, dir=folder)
         with seconds.stage(START), here as name, suppress(TwinctError):
             first = replace(spec, scan=START, shared=False, keep="figures")
             _figures(first, smallest, None, Path(name), Cache(Path(name)), taken)

@@ -70,7 +70,7 @@ def speeds_of(cell: CellModel) -> list[Speeds]:
     return [Speeds(limits[part], turns[part] > 3 * np.pi) for part in cell.arm_joints]
 
 
-def promising(layers: Sequence[Floats], speeds: Speeds) -> list[Indices]:
+def promising(layers: Sequence[Floats], speeds: Speeds, loads: Sequence[Floats]) -> list[Indices]:
     """Rank the candidates of one arm in each layer by the time of the best path through each.
 
     The best candidate of each branch comes first, because with a free roll many candidates differ
@@ -79,10 +79,11 @@ def promising(layers: Sequence[Floats], speeds: Speeds) -> list[Indices]:
     Args:
         layers: candidates, (m, k) each, none empty.
         speeds: speeds of the arm's joints.
+        loads: costs of the candidates beside the motion, s, (m,) each.
     """
-    forwards = [np.zeros(len(layers[0]))]
-    for a, b in zip(layers[:-1], layers[1:], strict=True):
-        forwards.append((forwards[-1][:, None] + speeds.seconds(a, b)).min(axis=0))
+    forwards = [loads[0]]
+    for a, b, load in zip(layers[:-1], layers[1:], loads[1:], strict=True):
+        forwards.append((forwards[-1][:, None] + speeds.seconds(a, b)).min(axis=0) + load)
     ranked, backwards, best = [], np.zeros(len(layers[-1])), int(forwards[-1].argmin())
     for k in range(len(layers) - 1, -1, -1):
         # With a free roll many paths are equal: prefer candidates near one best path in all layers.
@@ -92,7 +93,7 @@ def promising(layers: Sequence[Floats], speeds: Speeds) -> list[Indices]:
         if k:
             moves = speeds.seconds(layers[k - 1], layers[k])
             best = int((forwards[k - 1] + moves[:, best]).argmin())
-            backwards = (moves + backwards).min(axis=1)
+            backwards = (moves + (backwards + loads[k])).min(axis=1)
     return ranked[::-1]
 
 
@@ -132,25 +133,23 @@ def clear_pairs(
 class Choice:
     """Search for the best path through layers of nodes, repeated as edges turn out blocked."""
 
-    def __init__(self, costs: Sequence[Floats]) -> None:
+    def __init__(self, costs: Sequence[Floats], loads: Sequence[Floats]) -> None:
         """Store the costs of the moves.
 
         Args:
             costs: s, from each node of a layer to each node of the next layer, (m, p) each.
+            loads: s, of each node of each layer, (m,) each.
         """
-        self._costs = [cost.astype(np.float64) for cost in costs]
+        self._start = loads[0]
+        self._costs = [cost + load for cost, load in zip(costs, loads[1:], strict=True)]
 
     def raise_cost(self, layer: int, edge: tuple[int, int], seconds: float) -> None:
         """Raise the cost of the move from a node to a node of the next layer; inf forbids it."""
         self._costs[layer][edge] += seconds
 
-    def best(self, start: Floats) -> tuple[Indices, float]:
-        """Return the node of each layer on the best path, and its cost, inf if no path exists.
-
-        Args:
-            start: cost of each node of the first layer, (m,).
-        """
-        value, back = start, []
+    def best(self) -> tuple[Indices, float]:
+        """Return the node of each layer on the best path, and its cost, inf if no path exists."""
+        value, back = self._start, []
         for cost in self._costs:
             through = value[:, None] + cost
             back.append(through.argmin(axis=0))
@@ -198,6 +197,6 @@ def lifted(
             out = (turns + leg[:, j].min() < low) | (turns + leg[:, j].max() > high)
             other = np.where(follows, np.where(out, np.inf, 0.0)[:, None], rewinding_s[k])
             costs.append(np.abs(moves) / speeds[j] + other + aside[k + 1])
-        path, _ = Choice(costs).best(aside[0])
+        path, _ = Choice(costs, [aside[0], *[np.zeros(5)] * len(legs)]).best()
         found[:, j] = options[np.arange(len(options)), path]
     return found

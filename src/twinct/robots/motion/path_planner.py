@@ -52,6 +52,7 @@ class Detours:
     """Search for detours in one cell.
 
     Attributes:
+        most: number of checked configurations at which all searches end.
         holds: check that the joints can hold the arms along a detour; None for no such check.
     """
 
@@ -73,7 +74,7 @@ class Detours:
         """
         _ompl()[2].setLogLevel(_ompl()[2].LOG_NONE)
         self._cell, self._room, self._turns, self._seed = cell, room, turns, seed
-        self._collisions, self._most = CollisionCheck(cell), most
+        self._collisions, self.most = CollisionCheck(cell), most
         self.holds: Strength | None = None
 
     @property
@@ -84,7 +85,7 @@ class Detours:
     @property
     def over(self) -> bool:
         """True once no search may check further configurations."""
-        return self.looked >= self._most
+        return self.looked >= self.most
 
     def between(
         self, start: Floats, end: Floats, least_mm: float, effort: int, *, turning: bool = True
@@ -124,7 +125,7 @@ class Detours:
         space = _Space(self._cell, circles)
         if self.over or not (clear(start) and clear(end)):
             return None
-        most = min(collisions.looked + checks, self._most)
+        most = min(collisions.looked + checks, self.most)
         found = space.connected(start, end, clear, spacing_s, lambda: collisions.looked >= most)
         if found is None:
             return None

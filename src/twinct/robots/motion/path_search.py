@@ -38,8 +38,9 @@ from twinct.robots.motion.refusals import (
     gap_problems,
     gap_text,
     no_path_text,
+    weak_text,
 )
-from twinct.robots.motion.strength import Strength
+from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.motion.tour import moving_seconds, shortest_tour
 from twinct.robots.motion.view_configurations import Candidates, ViewConfigurations
 from twinct.scenario import Motion
@@ -57,6 +58,9 @@ DETOURS_TRIED = 20
 
 TRIED_S = 0.15
 """Cost that a failed search adds to a move, so that other moves are tried before more effort."""
+
+STRONG_LOOKS = 100_000
+"""Largest number of configurations that searches for detours check where torques count."""
 
 REWINDS_TRIED = 20
 """Largest number of places tried for turning joints back that reached the end of their ranges."""
@@ -155,15 +159,30 @@ class _Finder:
             raise TrajectoryError(problems, found[0][2] | found[1][2])
         candidates = [of_arm for of_arm, _, _ in found]
         path = self._path(candidates, start)
-        moves = path.joints[:-1], path.joints[1:]
-        if start is not None or self._strength.straight(*moves).all():
+        loads = self._strength.along(path.joints) + self._strength.friction
+        if start is not None or loads.max() < TORQUE_SHARE:
             return path
         # Another path, of configurations that the joints can hold; a given start stays as it is.
+        try:
+            return self._light(candidates)
+        except TrajectoryError as error:
+            holding = self._strength.along(path.joints).max(axis=0)
+            if holding.max() < TORQUE_SHARE:
+                return path
+            if not isinstance(error, NoPathError):
+                raise
+            name = self._cell.joint_names[int(holding.argmax())]
+            heavy = f"on the way that was found instead, {weak_text(name, float(holding.max()))}"
+            raise NoPathError([*error.problems, heavy], error.views) from None
+
+    def _light(self, candidates: list[list[Candidates]]) -> JointPath:
+        """Return a path along which every joint can hold."""
         self._strong, self._detours.holds = True, self._strength
+        self._detours.most = min(self._detours.most, self._detours.looked + STRONG_LOOKS)
         held = [
             self._configurations.held(arm, of, self._strength) for arm, of in enumerate(candidates)
         ]
-        return self._path(held, start)
+        return self._path(held, None)
 
     def _path(self, candidates: list[list[Candidates]], start: Floats | None) -> JointPath:
         """Return a path through one candidate of each arm in every view."""
@@ -177,7 +196,7 @@ class _Finder:
             # The start is a layer, too, because it decides which candidates are promising.
             start = self._checked(start)
             for arm, part in zip(layers, self._cell.arm_joints, strict=True):
-                arm.insert(0, Candidates(start[None, part], np.zeros(1)))
+                arm.insert(0, Candidates(start[None, part], np.zeros(1), np.zeros(1)))
             views = np.concatenate([[-1], views])
         pairs = self._pairs(views, layers)
         ways, chosen = self._through(views, layers, pairs, start is not None)
@@ -209,7 +228,7 @@ class _Finder:
     def _pairs(self, views: Indices, layers: list[list[Candidates]]) -> list[Indices]:
         """Return the pairs of candidates of both arms that are clear of each other, per layer."""
         ranked = [
-            promising([c.joints for c in arm], speeds)
+            promising([c.joints for c in arm], speeds, [c.load_s for c in arm])
             for arm, speeds in zip(layers, self._arms, strict=True)
         ]
         pairs, gaps = [], {}
@@ -269,7 +288,11 @@ class _Finder:
             np.sum([speeds.seconds(a[:, part], b[:, part]) for speeds, part in of_arms], axis=0)
             for a, b in zip(nodes[:-1], nodes[1:], strict=True)
         ]
-        choice = Choice(costs)
+        loads = [
+            layer[0].load_s[pair[:, 0]] + layer[1].load_s[pair[:, 1]]
+            for *layer, pair in zip(*layers, pairs, strict=True)
+        ]
+        choice = Choice(costs, loads)
         least = np.full(len(costs), self._least_mm)
         if from_start:
             least[0] = self._first_mm
@@ -297,7 +320,7 @@ class _Finder:
             tried[edge] += 1
             choice.raise_cost(blocked, edge[1:], TRIED_S if tried[edge] < len(SEARCHES) else np.inf)
             count = sum(n for (layer, *_), n in tried.items() if layer == blocked)
-            total = choice.best(np.zeros(len(nodes[0])))[1]
+            total = choice.best()[1]
             if count == DETOURS_TRIED or not np.isfinite(total) or self._detours.over:
                 before, after = (int(view) for view in views[blocked : blocked + 2])
                 text = no_path_text(before, after, count, self._detours.looked)
@@ -313,7 +336,7 @@ class _Finder:
         """Return the best path, after checking which of its straight moves are clear."""
         path = np.zeros(0, np.intp)
         for _ in range(ROUNDS):
-            path, _ = choice.best(np.zeros(len(nodes[0])))
+            path, _ = choice.best()
             edges = [
                 (k, int(i), int(j))
                 for k, (i, j) in enumerate(zip(path[:-1], path[1:], strict=True))

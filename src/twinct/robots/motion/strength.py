@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,21 +19,25 @@ else:
 TORQUE_SHARE = 0.9
 """Share of the torque limits that a law may use; the rest is for the servos' corrections."""
 
-CHOSEN_SHARE = 0.8
-"""Share, with friction, up to which configurations are preferred; the rest is for acceleration."""
+LOAD_S = 3.0
+"""Cost of a scan that takes this whole share in all views, beside the time of its motion, s."""
 
 STEP_RAD = 0.05
 """Largest joint step between two checks on a straight path."""
 
 
 class Strength:
-    """Gravity's torques in one cell."""
+    """Gravity's torques in one cell.
+
+    Attributes:
+        friction: shares of the limits that friction takes, (n,).
+    """
 
     def __init__(self, cell: CellModel) -> None:
         """Store the limits."""
         self._model, self._data = cell.model, mujoco.MjData(cell.model)
         self._limits = cell.torque_limits
-        self._friction = cell.model.dof_frictionloss / cell.torque_limits
+        self.friction = cell.model.dof_frictionloss / cell.torque_limits
 
     def holding(self, joints: Floats) -> Floats:
         """Return the torques that hold configurations still, as shares of the limits, (m, n).
@@ -51,19 +56,17 @@ class Strength:
             mujoco.mj_rne(model, data, 0, own)
         return np.abs(torques) / self._limits
 
-    def preferred(self, holding: Floats) -> NDArray[np.bool_]:
-        """Return flags of the preferred ones, or without any of all that can be held, (m,).
+    def along(self, knots: Floats) -> Floats:
+        """Return ``holding`` at steps along a path of straight segments, (steps, n).
 
         Args:
-            holding: shares of some joints in each configuration, with friction, (m, k).
+            knots: rad, (m, n).
         """
-        largest = holding.max(axis=1, initial=0.0)
-        good = largest < CHOSEN_SHARE
-        return good if good.any() else largest < TORQUE_SHARE
-
-    def with_friction(self, joints: Floats) -> Floats:
-        """Return ``holding`` with the share of each joint's friction, (m, n)."""
-        return self.holding(joints) + self._friction
+        steps = [
+            np.linspace(a, b, int(np.ceil(np.abs(b - a).max() / STEP_RAD)) + 2)
+            for a, b in pairwise(knots)
+        ]
+        return self.holding(np.vstack(steps or [knots]))
 
     def straight(self, starts: Floats, ends: Floats) -> NDArray[np.bool_]:
         """Return flags of the straight joint paths along which every joint can hold, (m,).
@@ -72,9 +75,15 @@ class Strength:
             starts: rad, (m, n).
             ends: rad, (m, n).
         """
-        held = np.ones(len(starts), bool)
-        for k, (start, end) in enumerate(zip(starts, ends, strict=True)):
-            parts = int(np.ceil(np.abs(end - start).max(initial=0.0) / STEP_RAD)) + 1
-            way = np.linspace(start, end, parts + 1)
-            held[k] = (self.holding(way) < TORQUE_SHARE).all()
-        return held
+        ways = zip(starts, ends, strict=True)
+        return np.array([self.along(np.array(way)).max() < TORQUE_SHARE for way in ways], bool)
+
+
+def load_s(shares: Floats, views: int) -> Floats:
+    """Return the cost of holding configurations, which leads a search to light ones, s, (m,).
+
+    Args:
+        shares: shares of the torque limits, (m, k).
+        views: number of views of the scan.
+    """
+    return LOAD_S / views * (shares.max(axis=1, initial=0.0) / TORQUE_SHARE) ** 4

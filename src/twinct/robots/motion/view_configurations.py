@@ -17,7 +17,7 @@ from twinct.robots.motion.branches import SIDES, Branches, matrices
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.refusals import far_problems, gap_problems, sample_of, weak_problems
-from twinct.robots.motion.strength import Strength
+from twinct.robots.motion.strength import TORQUE_SHARE, Strength, load_s
 from twinct.scenario import Motion
 
 if TYPE_CHECKING:
@@ -46,10 +46,17 @@ WIDEST_OF = 64
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Joint configurations of one arm for one view, (m, k), and their roll angles, rad, (m,)."""
+    """Joint configurations of one arm for one view.
+
+    Attributes:
+        joints: rad, (m, k).
+        roll: roll angles, rad, (m,).
+        load_s: costs beside the time of the motion, (m,).
+    """
 
     joints: Floats
     roll: Floats
+    load_s: Floats
 
 
 class ViewConfigurations:
@@ -110,7 +117,7 @@ class ViewConfigurations:
                 good = room.clear(self.placed(joints, arm), self._least_mm)
             if not good.any() and view not in far:
                 gaps[view] = self.widest(self.placed(joints, arm), (side,))
-            candidates.append(Candidates(joints[good], roll[good]))
+            candidates.append(Candidates(joints[good], roll[good], np.zeros(good.sum())))
         problems = far_problems(side, far) + gap_problems(gaps, self._least_mm)
         return candidates, problems, {*far, *gaps}
 
@@ -147,16 +154,18 @@ class ViewConfigurations:
     def held(
         self, arm: int, candidates: Sequence[Candidates], strength: Strength
     ) -> list[Candidates]:
-        """Return the candidates of every view that the arm's joints can hold.
+        """Return the candidates of every view that the arm's joints can hold, with their loads.
 
         Raises:
             TrajectoryError: some views have none.
         """
         part, kept, weak = self._cell.arm_joints[arm], [], {}
         for view, of in enumerate(candidates):
-            shares = strength.with_friction(self.placed(of.joints, arm))[:, part]
-            good = strength.preferred(shares)
-            kept.append(Candidates(of.joints[good], of.roll[good]))
+            shares = (strength.holding(self.placed(of.joints, arm)) + strength.friction)[:, part]
+            good = (shares < TORQUE_SHARE).all(axis=1)
+            kept.append(
+                Candidates(of.joints[good], of.roll[good], load_s(shares[good], len(candidates)))
+            )
             if not good.any():
                 least = shares[shares.max(axis=1).argmin()]
                 joint = self._cell.joint_names[part.start + int(least.argmax())]
