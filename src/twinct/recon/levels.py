@@ -35,7 +35,7 @@ AROUND = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """What the voxels of a coarser level keep.
+    """Volume of a coarser level, and the part that stays as it is.
 
     Attributes:
         x: volume of the coarser level, (z, y, x).
