@@ -115,3 +115,22 @@ def test_what_has_no_arms_or_others_is_refused(found, balls, later, tmp_path, ca
     arguments = ["calibrate", "kinematics", str(later), "--from", str(other)]
     assert run_command(arguments) == 2
     assert "belongs to another cell" in capsys.readouterr().err
+
+
+@pytest.mark.tutorial
+def test_arms_on_rails_are_calibrated_by_a_phantoms_scan(tmp_path):
+    rails = [f"cell.{side}_arm.rail={{range_mm: [-1000, 1000]}}" for side in ("source", "detector")]
+    scenarios = {
+        "balls": load_scenario(
+            SCENARIOS / "balls.yaml", [*KEYS, *rails, BALLS, "trajectory.views=20"]
+        ),
+        "later": load_scenario(SCENARIOS / "demo.yaml", [*KEYS, *rails, *LATER]),
+    }
+    with no_report():
+        for name, scenario in scenarios.items():
+            run(scenario, tmp_path / name, link="local")
+    found = calibrate_kinematics(tmp_path / "balls", others=[tmp_path / "later"])
+    assert found.views >= 16 and found.misfit < 2
+    assert np.ptp(load_scan(tmp_path / "balls").joints[:, [0, 7]], axis=0).min() > 0.3, "m"
+    scan = load_scan(tmp_path / "later")
+    assert rms_mm(scan, "kinematics") < 0.4 < 0.9 < rms_mm(scan, "believed")
