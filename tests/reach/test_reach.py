@@ -16,6 +16,7 @@ from twinct.core.progress import SILENT
 from twinct.geometry import fibonacci_directions
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion import Kinematics
+from twinct.robots.motion.branches import Branches
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.path_search import required_gap_mm
 from twinct.robots.reach import Holder, Reach, poses_of, reach
@@ -90,7 +91,7 @@ def test_asking_less_says_the_same(cell: CellModel) -> None:
 def test_a_roll_is_the_last_joints(cell: CellModel, monkeypatch: pytest.MonkeyPatch) -> None:
     poses = poses_of(fibonacci_directions(30), 300, 300, np.zeros(3), cell.panel)
     held = Holder(cell, MOTION, rolls=4).held(poses)
-    monkeypatch.setattr(Holder, "_last_joint_rolls", lambda self, arm: False)
+    monkeypatch.setattr(Branches, "roll_sign", 0)
     assert np.array_equal(Holder(cell, MOTION, rolls=4).held(poses), held)
     assert 5 < held.sum() < 25
 

@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from twinct.report import (
-    StudyAxis,
-    StudyData,
-    StudyTrial,
-    best_trials,
-    figures,
-    render_study,
-    write_study,
-)
+from twinct.report import figures
 from twinct.report.figure_words import figure_words
-from twinct.report.repetitions import combinations, mean_of, trend
+from twinct.report.repetitions import StudyTrial, combinations, mean_of, trend
+from twinct.report.study_page import StudyAxis, StudyData, best_trials, render_study, write_study
 
 RMSE, SSIM = "image.rmse_rel", "image.ssim"
 DOUBLE = 1e-12

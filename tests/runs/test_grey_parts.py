@@ -112,8 +112,9 @@ def test_unknown_labels_are_named_at_once(grey: Maker, tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="no part is called 'liver'"):
         grey("specimen.reference=liver")
     by_file = f"labels: {{path: {tmp_path / 'labels.nii'}}}"
-    told, _ = places(grey(REGIONS.replace("part: brain", "part: label_3"), shape=by_file)).check()
-    assert told.startswith("evaluation.regions.1.shape.part: no part or label is called 'skull'")
+    told = r"evaluation\.regions\.1\.shape\.part: no part or label is called 'skull'"
+    with pytest.raises(InputError, match=told):
+        places(grey(REGIONS.replace("part: brain", "part: label_3"), shape=by_file)).check()
 
 
 def test_planning_knows_labels_and_voxels(grey: Maker) -> None:

@@ -9,14 +9,6 @@ from twinct.report.measured_page import MeasuredColumn, write_measured_report
 from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
-from twinct.report.repetitions import StudyTrial
-from twinct.report.study_page import (
-    StudyAxis,
-    StudyData,
-    best_trials,
-    render_study,
-    write_study,
-)
 
 __all__ = [
     "ALGORITHM_RESULTS",
@@ -28,10 +20,6 @@ __all__ = [
     "MeasuredColumn",
     "MeasuredComparison",
     "ReportData",
-    "StudyAxis",
-    "StudyData",
-    "StudyTrial",
-    "best_trials",
     "build_metrics",
     "cross_sections",
     "draw_pictures",
@@ -39,11 +27,9 @@ __all__ = [
     "physics_in_words",
     "plain",
     "render_report",
-    "render_study",
     "with_results",
     "write_measured_report",
     "write_report",
-    "write_study",
 ]
 
 __getattr__ = old_names(
