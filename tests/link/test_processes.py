@@ -331,3 +331,36 @@ def test_shared_memory_of_the_dead_is_swept_and_of_the_living_kept(tmp_path):
         sweep_shared_memory(tmp_path)
         left = sorted(path.name for path in tmp_path.iterdir())
     assert left == ["fastrtps_0123456789abcdef", "fastrtps_alive", "fastrtps_alive_el"]
+
+
+MAPS = """
+import mmap, sys
+with open(sys.argv[1], "r+b") as file:
+    held = mmap.mmap(file.fileno(), 1)
+print("mapped", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("how", ["open", "mapped"])
+@pytest.mark.parametrize("name", ["fastrtps_0123456789abcdef", "fastrtps_port7777_el"])
+def test_shared_memory_that_a_slow_process_has_not_locked_yet_is_kept(tmp_path, name, how):
+    path = tmp_path / name
+    path.write_text("x")
+    os.utime(path, (1, 1))
+    code = MAPS if how == "mapped" else "import sys; print('open', flush=True); sys.stdin.read()"
+    with (
+        path.open("r+b") as file,
+        subprocess.Popen(
+            [sys.executable, "-c", code, str(path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=() if how == "mapped" else (file.fileno(),),
+        ) as child,
+    ):
+        assert child.stdout.readline()
+        sweep_shared_memory(tmp_path)
+        assert path.exists()
+        child.stdin.close()
+    sweep_shared_memory(tmp_path)
+    assert not path.exists()

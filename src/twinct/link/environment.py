@@ -225,30 +225,48 @@ def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
     A live participant locks the ``_el`` file beside each of its segments, and every port with a
     listener has such a file. A segment for which there was no space has none, and Fast DDS leaves
     it: ``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` tries shared memory whatever the settings say.
+    Between creating a file and locking it, a slow participant has it open: such files stay.
     """
-    for guard in folder.glob("fastrtps_*_el"):
-        try:
-            descriptor = os.open(guard, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
-        except OSError:
+    left = [name for path in folder.glob("fastrtps_*") if (name := _abandoned(path))]
+    opened = _open_elsewhere(folder) if left else frozenset[str]()
+    for name in left:
+        if opened.isdisjoint((name, f"{name}_el")):
+            _remove_segment(folder, name)
+
+
+def _abandoned(path: Path) -> str | None:
+    """Return the name of a segment or port that nobody locks; None for all other files."""
+    guard = path if path.name.endswith("_el") else path.with_name(f"{path.name}_el")
+    try:
+        if time.time() - path.stat().st_mtime < _YOUNG_S:
+            return None
+        if path != guard:
+            return path.name if _SHARED.fullmatch(path.name) and not guard.exists() else None
+        descriptor = os.open(guard, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # the participant is alive
+        return None
+    finally:
+        os.close(descriptor)
+    return guard.name.removesuffix("_el")
+
+
+def _open_elsewhere(folder: Path) -> frozenset[str]:
+    """Return the names of files of a folder that other processes have open or mapped."""
+    found: set[str] = set()
+    for process in Path("/proc").glob("[0-9]*"):
+        if process.name == str(os.getpid()):
             continue
-        try:
-            if not _young(guard):
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                _remove_segment(folder, guard.name.removesuffix("_el"))
-        except OSError:  # the participant is alive
-            pass
-        finally:
-            os.close(descriptor)
-    for path in folder.glob("fastrtps_*"):
-        with suppress(OSError):
-            if _SHARED.fullmatch(path.name) and not _young(path):
-                if not path.with_name(f"{path.name}_el").exists():
-                    _remove_segment(folder, path.name)
-
-
-def _young(file: Path) -> bool:
-    """Return True if the participant may still be about to lock its file."""
-    return time.time() - file.stat().st_mtime < _YOUNG_S
+        with suppress(OSError):  # it ended, or is another user's
+            found.update(re.findall(rf"{folder}/(\S+)", (process / "maps").read_text()))
+            for descriptor in (process / "fd").iterdir():
+                target = Path(os.readlink(descriptor))
+                if target.parent == folder:
+                    found.add(target.name)
+    return frozenset(found)
 
 
 def _remove_segment(folder: Path, name: str) -> None:
