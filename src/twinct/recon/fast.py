@@ -95,7 +95,7 @@ class Fast(AlgorithmSettings):
         le=1000,
         description="Passes over all views at full resolution. By default 2, or 1 if there are "
         "twice as many views as voxels along an axis, each view counted as often as there are "
-        "pixels in a voxel's shadow; 4 for an object of thin parts in air.",
+        "pixels in a voxel's shadow.",
     )
     coarse_passes: int = Field(
         default=2,
@@ -160,8 +160,7 @@ def fast(
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        passes: passes at full resolution, at least 1; by default 2, or 1 with many views, or 4 for
-            thin parts in air (``thin``).
+        passes: passes at full resolution, at least 1; by default 2, or 1 with many views.
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
             level.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.

@@ -10,17 +10,14 @@ its edges are the edges that passes still have to form.
 That version misleads where a volume is not made of two kinds of material, such as bone, tissue and
 air, or where one kind is cut off. So no pass is too many while the residual still falls much. The
 noise, as far as air in the projections shows it, is taken out of the residual first: no pass lowers
-it much. Where it is much of the residual, a pass that lowers the rest little is too many: most of
-what it adds is noise, which has no borders.
+it much.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import product
 from typing import Any, Literal, get_args
 
@@ -35,8 +32,6 @@ from twinct.recon.engine import Singles
 from twinct.recon.order import spread_order
 from twinct.recon.projector import Projector
 from twinct.recon.steps import sum_of_squares
-
-log = logging.getLogger(__name__)
 
 StopName = Literal["auto"]
 
@@ -59,46 +54,21 @@ The threads need 60 MB at most, whatever the volume, with the voxels around thei
 VOLUMES = 1.3
 """Peak memory of ``BestPass`` in volumes: the previous volume, and every eighth voxel."""
 
-MUCH_LESS = 0.9
+MUCH_LESS = 0.915
 """Ratio of the residuals after and before a pass below which the pass was not too many.
 
-This and the next five are from variations of the tuning half of the zoo (benchmarks/zoo.py).
+From the tuning half of the zoo (benchmarks/zoo.py).
 """
 
-NOISY = 0.3
-"""Share of the residual that is noise, from which the ratio alone decides."""
-
-LITTLE_LESS = 0.93
-"""Ratio from which the pass was then too many: it mostly fitted noise."""
-
-OF_NOISE = 0.6
-"""Share of the variance of the noise that is taken out of the residual: passes fit the rest."""
-
-LEAST_REST = 0.3
-"""Least ratio of what is left of the residual to the noise: a smaller one is uncertain."""
-
-UNEXPLAINED = 0.06
-"""Share of the range of line integrals, left by a volume beside noise, that makes it uncertain."""
+LEAST_REST = 0.5
+"""Least ratio of the rest of the residual to the noise: a smaller one is uncertain."""
 
 MOST_VIEWS = 16
 """Number of views in which the residual is computed."""
 
 Box = tuple[slice, ...]
 
-
-@dataclass(frozen=True)
-class Residual:
-    """The root mean square of p - A x.
-
-    Attributes:
-        of: its function of a volume.
-        noise: deviation of the noise in it; 0 if it is unknown.
-        most: range of the line integrals.
-    """
-
-    of: Callable[[Singles], float]
-    noise: float = 0.0
-    most: float = math.inf
+Residual = Callable[[Singles], float]
 
 
 class BestPass:
@@ -114,8 +84,8 @@ class BestPass:
 
         Args:
             stop: the rule.
-            residual: if it is given, no pass is the last that lowers it much, and with much noise
-                any pass that lowers it little is too many.
+            residual: root mean square of p - A x of a volume; if it is given, no pass is the last
+                that lowers it much.
         """
         self.passes = 0
         self.watches = stop is not None
@@ -137,32 +107,15 @@ class BestPass:
         return VOLUMES if self.watches else 0.0
 
     @property
-    def extras(self) -> dict[str, Any]:
-        """Extras of a volume: the number of passes, if monitored, and whether it is uncertain.
-
-        It is uncertain if the volume leaves much of the line integrals unexplained, as beside
-        metal and in parts thinner than a voxel: no residual or border then tells what is better.
-        """
-        if not self.watches:
-            return {}
-        known = self._residual
-        if known and known.noise < self._least < math.inf:
-            rest = math.sqrt(self._least**2 - known.noise**2) / known.most
-            if rest > UNEXPLAINED:
-                log.warning(
-                    "the number of passes is uncertain: the volume leaves %.0f %% of the range of "
-                    "line integrals unexplained; metal or parts thinner than a voxel do that; "
-                    "compare volumes of fewer passes (reconstruction.iterations)",
-                    100 * rest,
-                )
-                return {"passes": self.passes, "passes_uncertain": True}
-        return {"passes": self.passes}
+    def extras(self) -> dict[str, int]:
+        """Extras of a volume: the number of passes, if monitored."""
+        return {"passes": self.passes} if self.watches else {}
 
     def start(self, x: Singles) -> None:
         """Store the volume with which the first pass is compared."""
         if self.watches:
             self._best = x.copy()
-            self._least = self._residual.of(x) if self._residual else math.inf
+            self._least = self._residual(x) if self._residual else math.inf
 
     def is_over(self, x: Singles) -> bool:
         """Return True if a pass made the volume worse, and restore the previous volume in ``x``.
@@ -172,7 +125,7 @@ class BestPass:
         """
         if not self.watches:
             return False
-        residual = self._residual.of(x) if self._residual else math.inf
+        residual = self._residual(x) if self._residual else math.inf
         if self._best is None:
             self._best = x.copy()
         elif self._is_worse(self._best, x, residual):
@@ -186,39 +139,31 @@ class BestPass:
 
     def _is_worse(self, before: Singles, after: Singles, residual: float) -> bool:
         """Judge a pass by the residual, and where that leaves it open by ``error_change``."""
-        if self._residual and self._least < math.inf:
-            noise = self._residual.noise
-            ratio = _without(noise, residual) / max(_without(noise, self._least), 1e-30)
-            if noise > NOISY * residual:
-                return ratio > LITTLE_LESS
-            if ratio < MUCH_LESS:
-                return False
+        if residual < MUCH_LESS * self._least < math.inf:
+            return False
         return error_change(before, after) > 0
 
 
-def _without(noise: float, residual: float) -> float:
-    """Return a residual without the noise that no pass should fit."""
-    return math.sqrt(max(residual**2 - OF_NOISE * noise**2, (LEAST_REST * noise) ** 2))
-
-
 def residual_in(A: Projector, p: NDArray[Any], mask: Mask | None) -> Residual:
-    """Return the residual in up to 16 spread views, with the noise that air shows."""
-    from twinct.recon.air import LEAST, noise_in_air  # only here: scenarios need the settings alone
+    """Return a function of a volume: the root mean square of p - A x in up to 16 spread views.
+
+    The noise that air shows is taken out, as far as ``LEAST_REST`` is left.
+    """
+    from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
     from twinct.recon.regularisation import deviation_and_range
 
-    seen = noise_in_air(p, mask, None)
-    noise, most = deviation_and_range(p, seen, mask) if seen else (0.0, math.inf)
-    if seen and seen.in_air[0] < LEAST:
-        noise = 0.0
+    seen = known_noise(p, mask, None)
+    noise = deviation_and_range(p, seen, mask)[0] ** 2 if seen else 0.0
     views = [int(view) for view in spread_order(len(A))[:: -(-len(A) // MOST_VIEWS)]]
     part = A[views]
 
     def residual(x: Singles) -> float:
         rest = remainder(part, x, p, views, mask)
         counts = counting_rays(part, mask if mask is None or mask.ndim == 2 else mask[views])[0]
-        return math.sqrt(sum_of_squares(rest * counts) / max(int(counts.sum()), 1))
+        square = sum_of_squares(rest * counts) / max(int(counts.sum()), 1)
+        return math.sqrt(max(square - noise, noise * LEAST_REST**2))
 
-    return Residual(residual, noise, most or math.inf)
+    return residual
 
 
 def error_change(before: Singles, after: Singles) -> float:

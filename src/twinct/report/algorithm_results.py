@@ -8,7 +8,6 @@ from typing import Any
 ALGORITHM_RESULTS = (
     "implants",
     "passes",
-    "passes_uncertain",
     "metal_voxels",
     "metal_density_rel",
     "prior",
@@ -27,8 +26,7 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
     """Add results to the description of a volume, in one line; implants have a table instead."""
     words: list[str] = []
     if "passes" in data:
-        doubt = ", which is uncertain" if data.get("passes_uncertain") else ""
-        words.append(f"{data['passes']} were best{doubt}")
+        words.append(f"{data['passes']} were best")
     if "metal_voxels" in data:
         words.append(f"{data['metal_voxels'] or 'no'} metal voxels")
     if density := data.get("metal_density_rel"):
