@@ -17,7 +17,7 @@ from twinct.scenario.messages import PATTERNS
 from twinct.specimen.materials import BUILT_IN, METALS
 from twinct.study.settings import Study
 
-PAGE = Path(__file__).parents[2] / "docs" / "specimen.md"
+PAGE = Path(__file__).parents[2] / "docs" / "physics.md"
 
 
 def patterns(schema: Any) -> Iterator[str]:
@@ -62,7 +62,9 @@ def test_a_description_is_not_inherited(tmp_path: Path) -> None:
 def test_page_and_message_list_the_same_materials(capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command(["check", "circle_gantry", "--set", "specimen.parts.0.material=xyzzyq"]) == 2
     said = capsys.readouterr().err.partition("built in: ")[2].partition(".")[0].split(", ")
-    section = PAGE.read_text(encoding="utf-8").partition("Built in are")[2].partition("## ")[0]
+    section = (
+        PAGE.read_text(encoding="utf-8").partition("- a tissue")[2].partition("- any element")[0]
+    )
     listed = section.replace("(", " ").replace(")", " ").split("`")[1::2]
     assert sorted(said) == sorted(listed) == sorted({*BUILT_IN, *METALS})
 
