@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -13,8 +12,6 @@ import scipy
 from twinct.core.threads import threads
 from twinct.geometry import VolumeGrid
 from twinct.recon.engine import Kernels, Singles
-
-log = logging.getLogger(__name__)
 
 STEPS = 15
 """Steps of the dual iteration; they bring the objective within 2 % of the way to its minimum."""
@@ -96,20 +93,6 @@ def noise(x: Singles) -> float | None:
         if inner.size >= FEWEST_BLOCKS:
             return math.sqrt(max(float(np.percentile(inner, 25)), 0.0))
     return None
-
-
-def of_volume(x: Singles) -> tuple[float, str | None]:
-    """Return the strength of a denoising at the end, and the source of the noise, or None."""
-    deviation = noise(x)
-    if deviation is None:
-        log.warning(
-            "the volume was not denoised: it has no homogeneous parts, the number of photons is "
-            "unknown and the projections show no air; state the strength "
-            "(reconstruction.denoising)"
-        )
-        return 0.0, None
-    log.info("noise of %.3g in homogeneous parts of the volume", deviation)
-    return SHARE * deviation, "volume"
 
 
 def _least(slab: Singles, width: int) -> Singles:

@@ -38,10 +38,9 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
-from twinct.recon import thin
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask
-from twinct.recon.denoise import lower_variation, of_volume
+from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.engine import Singles
 from twinct.recon.levels import Level, with_margin
 from twinct.recon.memory import require_memory
@@ -192,7 +191,6 @@ def fast(
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     known = checks.photons(photons)
-    may_be_thin = passes is None and stop is None and nonnegative
     passes = checks.count("passes", _usual_passes(A) if passes is None else passes)
     coarse_passes = checks.count("coarse_passes", coarse_passes)
     levels = checks.count("levels", levels)
@@ -207,18 +205,16 @@ def fast(
     first = min(passes, _usual_passes(A)) if stop else passes
     steps = _Steps(passes, first, coarse_passes, levels, relaxation, margin, floor)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
-    if may_be_thin:
-        steps = _for_thin_parts(A, p, pixels, steps)
-    x, steps = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
+    x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
     extras: dict[str, Any] = best.extras
-    if steps is None:
+    if not whole:
         return Volume(x, A.grid, extras)
     voxel = float(A.grid.voxel.mean())
     if denoising is None and steps.source:
         strength = steps.strength * len(A) / voxel
         return Volume(x, A.grid, extras | {"denoising": _of(strength, steps.source)})
     if denoising is None:
-        denoising, source = of_volume(x)
+        denoising, source = _of_volume(x)
         extras = extras | {"denoising": _of(denoising, source)}
     del best
     if denoising:
@@ -250,12 +246,10 @@ class _Steps:
 
     Attributes:
         first: passes at full resolution over which the relaxation falls.
-        in_air: deviation of line integrals in air; 0 if it is unknown.
         noise: deviation of the line integrals; 0 if it is unknown.
         most: range of the line integrals.
         strength: of the total variation for one view, mm times the unit of the volume.
         source: source of the noise that it follows from; None: nothing is lowered in between.
-        thin: share of the grid that thin parts in air may fill; 0: the object has other parts.
     """
 
     passes: int
@@ -265,35 +259,21 @@ class _Steps:
     relaxation: float
     margin: float
     floor: float
-    in_air: float = 0.0
     noise: float = 0.0
     most: float = 0.0
     strength: float = 0.0
     source: str | None = None
-    thin: float = 0.0
 
     def number(self, factor: int) -> int:
         """Return the number of passes of a level."""
         return self.passes if factor == 1 else self.coarse_passes * factor // 2
-
-    def at_full_resolution(self, A: Projector, start: Singles) -> _Steps:
-        """Return the last level's steps; the usual ones if metal stands out of the thin parts."""
-        if not self.thin:
-            return self
-        if _filled(start) < self.thin:
-            usual = _usual_passes(A)
-            return replace(self, passes=usual, first=usual, thin=0.0)
-        log.info("thin parts in air: %d passes at full resolution", self.passes)
-        return replace(self, strength=thin.STRENGTH * self.strength)
 
     def shares(self, A: Projector, factor: int, start: Singles) -> NDArray[np.float64]:
         """Return the relaxation of each update of a level, from its volume before."""
         number = self.number(factor)
         first = self.first if factor == 1 else number
         last = self.relaxation * min(1.0, float(np.mean(A.domain_shape)) / len(A))
-        if factor == 1 and self.thin:
-            last = self.relaxation * thin.LAST
-        elif factor == 1 and self.noise > 0:
+        if factor == 1 and self.noise > 0:
             quiet = QUIET * self.most / self.noise
             last *= min(1.0, quiet * max(1.0, SPARSE / _filled(start)) ** 2)
         falling = np.geomspace(self.relaxation, last, first * len(A))
@@ -316,7 +296,7 @@ def _for_noise(
     if (seen := noise_in_air(p, pixels, photons)) is None:
         return steps
     deviation, most = deviation_and_range(p, seen, pixels)
-    steps = replace(steps, in_air=float(seen.in_air.mean()), noise=deviation, most=most)
+    steps = replace(steps, noise=deviation, most=most)
     if not lowers:
         return steps
     strength = PER_STRENGTH * strength_for(A, math.hypot(deviation, OF_MODEL * most))
@@ -326,13 +306,6 @@ def _for_noise(
     return replace(steps, strength=strength, source=seen.source)
 
 
-def _for_thin_parts(A: Projector, p: NDArray[Any], pixels: Mask | None, steps: _Steps) -> _Steps:
-    """Return the steps for parts of a few voxels, if the object consists of them."""
-    if not (share := thin.share_of(A, p, pixels, steps.in_air)):
-        return steps
-    return replace(steps, passes=thin.PASSES, first=thin.PASSES, thin=share)
-
-
 def _from_coarse_to_fine(
     A: Projector,
     p: NDArray[Any],
@@ -340,15 +313,14 @@ def _from_coarse_to_fine(
     steps: _Steps,
     best: BestPass,
     callback: Callback | None = None,
-) -> tuple[Singles, _Steps | None]:
-    """Return the volume and the steps that made it, or None if the callback stopped it."""
+) -> tuple[Singles, bool]:
+    """Return the volume, and False if the callback stopped it."""
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
     done, before, x = 0, None, np.zeros((2, 2, 2), np.float32)
     for factor in factors:
         level = Level.of(A, p, pixels, factor, steps.margin, before)
         before, x = None, level.start()
-        steps = steps.at_full_resolution(A, x) if factor == 1 else steps
         shares = steps.shares(level.A, factor, x)
         views = np.tile(spread_order(len(A)), steps.number(factor))
         work, since = WorkingVolume(level.A.kernels, x), 0.0
@@ -360,12 +332,12 @@ def _from_coarse_to_fine(
             if best.watches and ended and best.is_over(work.array):
                 break
             if listener(0, done, square, rays, work):
-                return interpolated(level.whole(work.array), level.A.grid, A.grid), None
+                return interpolated(level.whole(work.array), level.A.grid, A.grid), False
             done += 1
         x = level.whole(work.array)
         del work  # frees the card
         before = level, x
-    return x, steps
+    return x, True
 
 
 def _lowered(A: Projector, work: WorkingVolume, strength: float, floor: float) -> WorkingVolume:
@@ -375,6 +347,20 @@ def _lowered(A: Projector, work: WorkingVolume, strength: float, floor: float) -
     lower_variation(x, A.grid, A.kernels, strength, floor, steps=TV_STEPS)
     A.blocks.clear(x)
     return WorkingVolume(A.kernels, x)
+
+
+def _of_volume(x: Singles) -> tuple[float, str | None]:
+    """Return the strength of a denoising at the end, and the source of the noise, or None."""
+    deviation = noise(x)
+    if deviation is None:
+        log.warning(
+            "the volume was not denoised: it has no homogeneous parts, the number of photons is "
+            "unknown and the projections show no air; state the strength "
+            "(reconstruction.denoising)"
+        )
+        return 0.0, None
+    log.info("noise of %.3g in homogeneous parts of the volume", deviation)
+    return SHARE * deviation, "volume"
 
 
 def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> list[int]:
