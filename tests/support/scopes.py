@@ -14,7 +14,14 @@ if TYPE_CHECKING:
 TOGETHER = {"cluster": "pools", "workers": "pools", "study": "pools"}
 """Folders that share a worker: of pools of processes, one at a time is enough for a machine."""
 
-FIRST = ("pools", "test_same_bytes.py", "test_extensions.py", "test_browser.py", "test_fuzz.py")
+FIRST = (
+    "pools",
+    "test_trials.py",
+    "test_browser.py",
+    "test_extensions.py",
+    "test_same_bytes.py",
+    "test_fuzz.py",
+)
 """Scopes that take longest: they start first, so that no worker works alone at the end."""
 
 LAST = "test_rtk.py"

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
-from http.server import BaseHTTPRequestHandler, HTTPServer
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -243,7 +243,10 @@ def test_pages_of_others_are_sent_nothing(tried: Tried) -> None:
         def log_message(self, format: str, *args: Any) -> None:
             pass
 
-    with closing(Page(server := serve(LOOPBACK, 0))), HTTPServer((LOOPBACK, 0), Other) as other:
+    with (
+        closing(Page(server := serve(LOOPBACK, 0))),
+        ThreadingHTTPServer((LOOPBACK, 0), Other) as other,
+    ):
         Thread(target=other.serve_forever, daemon=True).start()
         page, port = address(server), other.server_port
         assert tried.browser.comes(page, page)
