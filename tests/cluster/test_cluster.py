@@ -255,6 +255,21 @@ def _told(pool: Pool, content: Path, out: Path) -> list[object]:
     return told
 
 
+def test_ray_is_started_again_if_it_gives_up_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems: list[Exception] = [local.GaveUpError("slow"), LinkError("no such option")]
+
+    def fail(processors: int, memory_bytes: int) -> None:
+        raise problems.pop(0)
+
+    monkeypatch.setattr(local, "LocalRay", fail)
+    with pytest.raises(LinkError, match="no such option"):
+        local.start(1, 2**30)
+    problems[:] = [local.GaveUpError("slow")]
+    monkeypatch.setattr(local, "PATIENCE_S", -1.0)
+    with pytest.raises(LinkError, match="slow"):
+        local.start(1, 2**30)
+
+
 @pytest.mark.cluster
 @pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=["SIGKILL", "SIGINT"])

@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -37,6 +38,8 @@ CLIENT = {"RAY_NUM_REDIS_GET_RETRIES": "2", "RAY_py_gcs_connect_timeout_s": "5"}
 PATIENCE_S = 300.0
 """Timeout of the start: a busy machine starts Ray in half a minute, a very busy one in minutes."""
 
+_GAVE_UP = "timed out during startup"
+"""Words of Ray when its own node does not come within the 30 s that it waits."""
 
 _PREFIX, _LIFELINE = "twinct-ray-", "lifeline"
 
@@ -63,6 +66,29 @@ def set_environment(*, local: bool) -> None:
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
 
 
+class GaveUpError(LinkError):
+    """Ray did not wait long enough for its own processes, as on a very busy machine."""
+
+
+def start(processors: int, memory_bytes: int) -> LocalRay:
+    """Start Ray, and start it again if it gives up too early.
+
+    Args:
+        processors: processors that Ray offers.
+        memory_bytes: memory that Ray offers.
+
+    Raises:
+        LinkError: Ray did not start.
+    """
+    latest = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            return LocalRay(processors, memory_bytes)
+        except GaveUpError:
+            if time.monotonic() > latest:
+                raise
+
+
 class LocalRay:
     """Ray's processes on this machine.
 
@@ -75,6 +101,7 @@ class LocalRay:
         """Start Ray.
 
         Raises:
+            GaveUpError: Ray did not wait long enough for its own processes.
             LinkError: Ray did not start.
         """
         # Paths of sockets must be short, so TMPDIR is not used.
@@ -99,13 +126,13 @@ class LocalRay:
         if importlib.util.find_spec("grpc") is not None:  # Ray starts a server that nobody needs
             options["ray-client-server-port"] = _free_port()
         log = self._folder / "head.log"
-        with log.open("wb") as output:
+        with log.open("wb") as errors:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "twinct.workers.cluster.head", str(self.lifeline)]
                 + ["--head", *(f"--{name}={value}" for name, value in options.items())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
-                stderr=output,
+                stderr=errors,
                 process_group=0,
                 env={
                     **{k: v for k, v in os.environ.items() if k not in CLIENT},
@@ -113,14 +140,14 @@ class LocalRay:
                 },
             )
         try:
-            said = self._process.stdout
-            assert said is not None
-            ready = select.select([said], [], [], PATIENCE_S)[0]
-            if not ready or not said.readline():
+            output = self._process.stdout
+            assert output is not None
+            ready = select.select([output], [], [], PATIENCE_S)[0]
+            if not ready or not output.readline():
                 last = log.read_text(errors="replace").strip().splitlines()[-1:]
-                raise LinkError(
-                    f"Ray did not start: {' '.join(last) or f'no answer within {PATIENCE_S:.0f} s'}"
-                )
+                said = " ".join(last) or f"no answer within {PATIENCE_S:.0f} s"
+                kind = GaveUpError if _GAVE_UP in said else LinkError
+                raise kind(f"Ray did not start: {said}")
         except BaseException:
             self.close()
             raise

@@ -23,7 +23,7 @@ from twinct.workers.artifact import arriving
 from twinct.workers.call import Outcome, event, sent
 from twinct.workers.cluster import node
 from twinct.workers.cluster.content import Bytes, pack, unpack
-from twinct.workers.cluster.local import LocalRay, set_environment
+from twinct.workers.cluster.local import LocalRay, set_environment, start
 from twinct.workers.work import Died, Event, Pool, Work
 
 ANSWER_S = 10.0
@@ -130,7 +130,7 @@ class RayPool(Pool):
             if local:
                 most = available_bytes()[0] if memory_bytes is None else memory_bytes
                 processors = available_threads() if workers is None else workers * threads
-                self._head = LocalRay(max(processors, threads), int(min(most, 2**62)))
+                self._head = start(max(processors, threads), int(min(most, 2**62)))
                 address = self._head.address
             self._address = _connect(address or "")
             lifeline = self._head.lifeline if self._head is not None else None
