@@ -149,9 +149,12 @@ def test_every_old_name_leads_to_a_module() -> None:
 
 OLD = """
 import warnings
+from twinct.core.errors import DamagedError
 from twinct.scan import SimulationBuilder
 warnings.simplefilter("error")
-names = "from twinct.scan import Workshop", "SimulationBuilder(None).asked"
+names = ["from twinct.scan import Workshop", "SimulationBuilder(None).asked"]
+names += ["from twinct.recon import FoundImplant", "DamagedError([], []).found"]
+names += ["from twinct.workers import Parcel", "from twinct.workers import Made"]
 for old in ("import twinct.motion.way", *names):
     try:
         exec(old)
@@ -175,6 +178,10 @@ def test_old_names_import_the_same_things_with_a_warning() -> None:
         "twinct.motion is now twinct.robots.motion",
         "twinct.scan.Workshop is now twinct.scan.SimulationBuilder",
         "SimulationBuilder.asked is now SimulationBuilder.requested",
+        "twinct.recon.FoundImplant is now twinct.recon.FittedImplant",
+        "DamagedError.found is now DamagedError.damages",
+        "twinct.workers.Parcel is now twinct.workers.Artifact",
+        "twinct.workers.Made is now twinct.workers.WithArtifacts",
         "twinct.robots.motion.path_search twinct.view_planning.planner twinct.core.errors",
         "True",
     ], result.stderr

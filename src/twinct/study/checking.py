@@ -65,7 +65,7 @@ class Checker:
         return found
 
     def _require_figures(self, figures: set[str]) -> None:
-        """Check that the trials have the figures asked for, and that no axis is named like one."""
+        """Check that the trials have the requested figures, and that no axis is named like one."""
         wanted = self.design.study.figures
         if self.design.study.search:
             wanted = (*wanted, self.design.study.search.figure)
