@@ -141,6 +141,29 @@ def test_a_pose_and_a_value_of_a_study_pass_few_types(walk: Walk) -> None:
             assert used <= walk.types | walk.others, (file, name)
 
 
+def test_a_reconstruction_setting_travels_downwards_only() -> None:
+    """Only the files of the algorithms read a section, and nothing hands it up again."""
+    recon = {
+        path: ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.glob("recon/*.py")
+    }
+    settings, homes = {"AlgorithmSettings", "SettingsT"}, {PACKAGE / "recon" / "algorithm.py"}
+    for _ in range(2):  # a class of settings may extend another one
+        for path, tree in recon.items():
+            for node in ast.walk(tree):
+                if isinstance(node, ast.ClassDef) and settings & {*map(ast.unparse, node.bases)}:
+                    settings.add(node.name)
+                    homes.add(path)
+    assert {"Sart", "Fast", "FistaTv"} <= settings
+    for path, tree in recon.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef):
+                hints = [ast.unparse(a.annotation) for a in node.args.args if a.annotation]
+                read = settings & {word for hint in hints for word in re.findall(r"\w+", hint)}
+                assert not read or path in homes, (path.name, node.name)
+                given = ast.unparse(node.returns) if node.returns else ""
+                assert not settings & {*re.findall(r"\w+", given)}, (path.name, node.name)
+
+
 def test_every_old_name_leads_to_a_module() -> None:
     known = {name.removesuffix(".__init__") for name in modules()}
     assert not set(RENAMED.values()) - known
