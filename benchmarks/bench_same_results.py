@@ -241,13 +241,14 @@ def main() -> None:
     parser.add_argument("newer", type=lambda text: Path(text).absolute())
     parser.add_argument("--mutants", type=int, default=2000, help="0: none")
     parser.add_argument("--only", nargs="*", help="names of scenarios; none: no runs")
+    parser.add_argument("--links", nargs="*", default=LINKS)
     asked = parser.parse_args()
     both = (asked.older, asked.newer)
     files = sorted((asked.older / "scenarios").glob("*.yaml"))
     names = [str(file) for file in files if asked.only is None or file.stem in asked.only]
     with tempfile.TemporaryDirectory() as name, concurrent.futures.ThreadPoolExecutor(2) as pool:
         space = Path(name)
-        for link in LINKS if names else ():
+        for link in asked.links if names else ():
             outs = [space / f"{link}-{side}" for side in ("older", "newer")]
             calls = [(str(out), link, *names) for out in outs]
             made = [*pool.map(lambda one, call: of_package(one, "runs", *call), both, calls)]
