@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 
 import numpy as np
 import pytest
+from small_ctsimu import small_scenario
 
 from twinct.core.errors import ScenarioError
 from twinct.ctsimu import load_ctsimu
@@ -286,6 +288,23 @@ def test_what_cannot_be_is_one_problem_with_its_key(data, write, key, value, wor
     found = problems_of(path)
     assert len(found) == 1 and words in found[0], found
     assert "Errno" not in found[0]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_toolbox_reads_without_an_error_what_is_refused_here(write):
+    """Why there is a reader of our own (docs/ctsimu.md); a toolbox that refuses more is news."""
+    toolbox = pytest.importorskip("ctsimu.scenario", reason="needs the extra ctsimu")
+    wrong = [(key, value) for key, value, words in WRONG if words is not None]
+    read = 0
+    for key, value in wrong:
+        data = small_scenario()
+        change(data, [int(step) if step.isdigit() else step for step in key.split(".")], value)
+        with contextlib.suppress(Exception):  # it raises bare exceptions
+            scenario = toolbox.Scenario(str(write(data)))
+            scenario.set_frame(0)
+            scenario.current_geometry()
+            read += 1
+    assert (read, len(wrong)) == (65, 78)
 
 
 def test_panel_of_too_many_pixels_is_refused(data, write):

@@ -195,7 +195,8 @@ def test_unknown_joints_are_named(arms, run, program) -> None:
         now[0] += HANG_S if len(run.drive._at) == 12 else 0.0
         return now[0]
 
-    with pytest.raises(InputError, match="nobody tells where left_shoulder_pan_joint, .* heard of"):
+    stated = "no driver reports where left_shoulder_pan_joint, .* reported:"
+    with pytest.raises(InputError, match=stated):
         run(clock=clock)
 
 

@@ -91,9 +91,9 @@ def check(seed, stored):
     ranking = try_conventions(read_description({"images": stored(images), "geometry": keys}))
     first = {tried.candidate for tried in ranking.classes[0]}
     right = KINDS[kind]
-    assert right in first, (kind, ranking.told)
-    assert first <= mirrored(right, offset=offset), (kind, ranking.told)
-    assert MIRROR in ranking.told and SCALE in ranking.told
+    assert right in first, (kind, ranking.notes)
+    assert first <= mirrored(right, offset=offset), (kind, ranking.notes)
+    assert MIRROR in ranking.notes and SCALE in ranking.notes
 
 
 @pytest.mark.parametrize("seed", [0])

@@ -130,7 +130,7 @@ def test_intensities_become_transmissions(circle, stored, imported, tmp_path):
     )
     scan, told = imported({"images": section, "geometry": circle})
     np.testing.assert_allclose(scan.transmission, truth, rtol=2e-6)
-    assert f"air: {flicker.min():.4g} to {flicker.max():.4g}" in "\n".join(told.told)
+    assert f"air: {flicker.min():.4g} to {flicker.max():.4g}" in "\n".join(told.notes)
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -150,7 +150,7 @@ def test_gains_of_pixels_are_told_by_the_mean_view(turned, circle, stored, impor
     left = np.log(scan.transmission / truth)
     assert np.sqrt(np.mean(left**2)) < 0.45 * np.sqrt(np.mean(np.log(gain) ** 2))
     assert np.abs(left[:, :, 8].mean()) < 0.003
-    assert "rings: gains of pixels corrected by 1.3 % (RMS)" in "\n".join(told.told)
+    assert "rings: gains of pixels corrected by 1.3 % (RMS)" in "\n".join(told.notes)
 
 
 def test_an_even_median_is_refused(circle, stored, imported):
@@ -177,7 +177,7 @@ def test_bad_pixels_are_found_filled_and_left_out(circle, stored, imported, tmp_
     scan, told = imported({"images": section, "geometry": circle})
     np.testing.assert_array_equal(scan.bad_pixels, bad)
     assert np.abs(scan.transmission - images).max() < 0.12
-    assert "bad pixels: 4 of 520, filled" in told.told
+    assert "bad pixels: 4 of 520, filled" in told.notes
 
 
 def test_filling_and_finding_of_pixels():

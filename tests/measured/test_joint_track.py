@@ -57,7 +57,7 @@ def test_stamps_that_run_backwards_are_named_and_left_out() -> None:
 
 def test_joints_that_nobody_told_of_are_named() -> None:
     heard = {("left_a", "left_b"): told([1, 2], [0, 0], [0, 0])}
-    with pytest.raises(InputError, match="no joint state tells of detector_a; they tell of left_a"):
+    with pytest.raises(InputError, match="no joint state contains detector_a; they contain left_a"):
         track_of(heard, NAMES, tuple(NAMES.values()), 0)
 
 

@@ -65,7 +65,7 @@ def test_joints_give_the_tools_of_both_arms(unit, cell, tmp_path):
         np.testing.assert_allclose(found.geometry.u[view], panel[:3, 0], atol=1e-9)
         np.testing.assert_allclose(found.geometry.v[view], panel[:3, 1], atol=1e-9)
     assert found.geometry.panel.shape == (ROWS, COLUMNS)
-    assert f"in {unit}, nominal arms of cell.yaml" in found.told[0]
+    assert f"in {unit}, nominal arms of cell.yaml" in found.notes[0]
 
 
 def test_wrong_tables_are_named(cell, tmp_path):

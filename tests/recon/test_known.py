@@ -69,7 +69,7 @@ def found_in(scene, twist=(0, 0, 0, 0, 0, 0), mu=METAL, **keys):
 @pytest.mark.parametrize("twist", [(1.2, -1.2, 1.0, 3.5, -3.5, 0), (-1, 0, -1.7, -4, 3, 0)])
 def test_a_rod_is_found_from_2_mm_and_5_degrees_off(scene, twist):
     taken = found_in(scene, twist)
-    (rod_,) = taken.found
+    (rod_,) = taken.fitted
     assert rod_.world_from_implant.distance_mm(PLACE) < 0.1
     assert axis_error_deg(rod_.world_from_implant) < 0.2
     sigma = np.sqrt(np.diag(rod_.covariance))
@@ -83,16 +83,16 @@ def test_a_rod_is_found_from_2_mm_and_5_degrees_off(scene, twist):
 def test_what_is_left_is_as_good_as_without_metal_though_its_density_is_wrong(scene):
     _, dark, plain, _ = scene
     taken = found_in(scene, (0.5, -0.5, 0.5, 1, 1, 0), mu=METAL * 1.1)
-    assert taken.found[0].density * 1.1 == pytest.approx((METAL - BONE) / METAL, abs=0.05)
+    assert taken.fitted[0].density * 1.1 == pytest.approx((METAL - BONE) / METAL, abs=0.05)
     metal = np.abs(dark - plain) > 1e-3
     error, was = (taken.line_integrals - plain)[metal], (dark - plain)[metal]
     assert np.sqrt((error**2).mean()) < 0.1 * np.sqrt((was**2).mean())
     # Two directions on the panel, source and panel both, seen at half its distance.
-    assert 0.03 < np.sqrt((taken.found[0].slack ** 2).sum(axis=1).mean()) < 0.2
+    assert 0.03 < np.sqrt((taken.fitted[0].slack ** 2).sum(axis=1).mean()) < 0.2
 
 
 def test_without_slack_no_view_is_displaced(scene):
-    assert not found_in(scene, slack_mm=0).found[0].slack.any()
+    assert not found_in(scene, slack_mm=0).fitted[0].slack.any()
 
 
 def test_masked_pixels_have_no_influence(scene):
@@ -111,7 +111,7 @@ def test_masked_pixels_have_no_influence(scene):
         )
         for value in (9, 1)
     ]
-    poses = [one.found[0].world_from_implant for one in results]
+    poses = [one.fitted[0].world_from_implant for one in results]
     assert poses[0].distance_mm(poses[1]) < 1e-6
     np.testing.assert_allclose(*(one.line_integrals[mask] for one in results), atol=1e-6)
 

@@ -58,7 +58,7 @@ def of_itk(image) -> tuple[np.ndarray, np.ndarray]:
 
 def hu_series(volume: Volume, folder: Path) -> Volume:
     hu = volume.in_hu(WATER)
-    hu.write(folder, to="dicom", told=VolumeFacts(unit="HU", scan="demo", kvp=120))
+    hu.write(folder, to="dicom", facts=VolumeFacts(unit="HU", scan="demo", kvp=120))
     return hu
 
 
@@ -112,7 +112,7 @@ def test_dicom_names_no_patient_and_is_the_same_each_time(volume, tmp_path) -> N
     assert str(first.PatientName) == "Phantom^Anonymous" and first.KVP == 120
     assert not (first.PatientBirthDate or first.PatientSex or first.StudyDate)
     upright = Volume(volume.array, VolumeGrid(GRID.shape, 1.0)).in_hu(WATER)
-    upright.write(tmp_path / "upright", to="dicom", told=VolumeFacts(unit="HU"))
+    upright.write(tmp_path / "upright", to="dicom", facts=VolumeFacts(unit="HU"))
     image = pydicom.dcmread(tmp_path / "upright" / "slice_0001.dcm")
     assert list(image.ImageOrientationPatient) == [1, 0, 0, 0, 1, 0]
     assert image.StudyInstanceUID != first.StudyInstanceUID

@@ -87,14 +87,14 @@ STOPPING = ["reconstruction.stop=auto", "reconstruction.iterations=20"]
 
 def test_passes_that_another_reconstruction_made_are_told(folder: Path) -> None:
     made = reconstruct_run(folder, STOPPING, geometry="executed", name="stopped")
-    passes = made.found["passes"]
+    passes = made.results["passes"]
     assert 1 <= passes < 20 and len(made.residuals) == passes
-    assert made.told.endswith(f"stop auto: {passes} were best")
-    assert Reconstruction.read(made.path).found == made.found
+    assert made.description.endswith(f"stop auto: {passes} were best")
+    assert Reconstruction.read(made.path).results == made.results
     figures = json.loads((folder / "metrics.json").read_text())
     assert figures["reconstructions"]["stopped"]["passes"] == passes
     assert "passes" not in figures
-    assert f"{made.told}, executed geometry" in (folder / "report.html").read_text()
+    assert f"{made.description}, executed geometry" in (folder / "report.html").read_text()
     log = (folder / "twinct.log").read_text()
     assert "reconstruction stopped: " in log and f"the best volume took {passes} passes" in log
 
@@ -113,11 +113,11 @@ def test_a_run_that_stops_by_itself_tells_of_its_passes(
 def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> None:
     keys = ["reconstruction.iterations=1"]
     made = reconstruct_run(folder, keys, geometry="executed", name="one")
-    assert made.found == {}
+    assert made.results == {}
     screw = {"name": "screw", "position_mm": [1.0, 2.0, 3.0]}
     known = replace(made, name="two", path=made.path.with_name("two"), found={"implants": [screw]})
     known.keep(made.volume)
-    assert Reconstruction.read(known.path).found == {"implants": [screw]}
+    assert Reconstruction.read(known.path).results == {"implants": [screw]}
     # Those of before have it beside the rest, or nothing of it.
     told = json.loads((known.path / "reconstruction.json").read_text())
     del told["found"]
@@ -127,7 +127,7 @@ def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> Non
         ({}, {}),
     ):
         (known.path / "reconstruction.json").write_text(json.dumps(told | before))
-        assert Reconstruction.read(known.path).found == found
+        assert Reconstruction.read(known.path).results == found
 
 
 @pytest.mark.tutorial

@@ -78,7 +78,7 @@ def test_a_scan_may_calibrate_itself(finished, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
     told = calibrate_self(folder, PosePrior(0.3, 0.1))
-    found = told.found
+    found = told.estimate
     assert len(found.residuals) == 4 and found.residuals[-1] < found.residuals[0]
     scan = load_scan(folder)
     assert scan.derived["self"].made_by["sigma_mm"] == 0.3
@@ -105,10 +105,10 @@ def test_what_is_found_of_a_patient_may_be_kept_where_the_executed_lies(finished
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
     told = calibrate_self(folder, PosePrior(0.3, 0.1), what="patient", align=True, name="still")
-    assert told.found.change.shape[1] == 6
+    assert told.estimate.change.shape[1] == 6
     assert told.after.after_px <= told.after.before_px
     scan = load_scan(folder)
-    kept = scan.poses("still").geometry(told.found.geometry.panel)
+    kept = scan.poses("still").geometry(told.estimate.geometry.panel)
     np.testing.assert_allclose(kept.source, told.after.geometry.source, atol=1e-9)
     assert scan.derived["still"].made_by["what"] == "patient"
 
@@ -141,7 +141,7 @@ def stuck(tmp_path_factory):
 
 def test_balls_on_the_specimen_tell_the_geometry_of_their_own_scan(stuck):
     told = calibrate_balls(stuck, PosePrior(0.5, 0.2), radius_mm=3.0, align=True)
-    assert len(told.found.bundle.balls) == len(STUCK) and not told.found.problems
+    assert len(told.estimate.bundle.balls) == len(STUCK) and not told.estimate.problems
     scan = load_scan(stuck)
     assert off_px(scan, "balls") < 0.1 < 0.2 < off_px(scan, "believed")
     assert scan.derived["balls"].made_by["told"] == 8

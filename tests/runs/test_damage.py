@@ -175,7 +175,7 @@ def test_a_file_where_a_folder_has_to_be_is_left_too(path: Path) -> None:
     with pytest.raises(DamagedError) as error:
         ScanStore(path)
     with pytest.raises(DamagedError, match="joints: a file stands in the way: move it"):
-        clear_paths(path, error.value.found)
+        clear_paths(path, error.value.damages)
     assert (path / "joints").read_text() == "mine"
 
 

@@ -6,7 +6,7 @@ from still_scans import chords, still_scan, views_of
 
 from twinct.core.errors import InputError
 from twinct.geometry import Pose
-from twinct.recon.known_components import FoundImplant
+from twinct.recon.known_components import FittedImplant
 from twinct.recon.shadow import Rays
 from twinct.runs import reconstruct, require_feasible
 from twinct.runs.implants import WithoutImplants, check_implants, known_implants
@@ -87,10 +87,10 @@ def test_standard_deviations_of_positions_are_along_the_specimens_axes():
     scenario = settings(metal=KNOWN | {"implants": [turned]})
     known = known_implants(scenario, scenario.reconstruction.metal)
     own = np.diag(np.square([0.1, 0.2, 0.3, 0.01, 0.02, 0.03]))
-    found = FoundImplant(known[0].implant.world_from_implant, own, 1.0, np.zeros((2, 3)))
+    found = FittedImplant(known[0].implant.world_from_implant, own, 1.0, np.zeros((2, 3)))
     stands = Pose.from_euler((1, 2, 3), (0, 0, 90))
     for of, expected in ((Pose.identity(), [0.2, 0.1, 0.3]), (stands, [0.1, 0.2, 0.3])):
-        (told,) = WithoutImplants(np.empty(0, np.float32), known, [found], of, 80.0).told()
+        (told,) = WithoutImplants(np.empty(0, np.float32), known, [found], of, 80.0).results()
         np.testing.assert_allclose(told["position_sigma_mm"], expected, atol=1e-12)
         np.testing.assert_allclose(np.radians(told["rotation_sigma_deg"]), [0.01, 0.02, 0.03])
 

@@ -8,14 +8,14 @@ from dataclasses import replace
 import pytest
 
 from twinct.core.errors import InputError
-from twinct.study import dry_run, load_study
-from twinct.study.checking import MOST_PROBLEMS, Checked, Checker
+from twinct.study import Trial, dry_run, load_study
+from twinct.study.checking import MOST_PROBLEMS, Checker
 
 RELAXATION = "reconstruction.relaxation"
 NOISE = ("uncertainty.source.sigma_mm", "uncertainty.detector.sigma_mm")
 
 
-def checked(source) -> list[Checked]:
+def checked(source) -> list[Trial]:
     design = load_study(source)
     return Checker(design).checked(design.trials())
 
@@ -58,9 +58,9 @@ def test_trials_that_measure_other_things_share_no_figures_but_a_scan(small) -> 
 
 def test_a_trial_has_one_key_whatever_its_number(small) -> None:
     first = checked(small(axes=[axis(RELAXATION, 0.2, 0.5)]))
-    before = {one.trial.axes[RELAXATION]: one.key for one in first}
+    before = {one.axes[RELAXATION]: one.key for one in first}
     more = checked(small(axes=[axis(RELAXATION, 0.7, 0.5, 0.2)]))
-    assert {one.trial.axes[RELAXATION]: one.key for one in more}.items() > before.items()
+    assert {one.axes[RELAXATION]: one.key for one in more}.items() > before.items()
     named = checked(small(axes=[axis(RELAXATION, 0.2, 0.5, label="other words")], name="n"))
     assert [one.key for one in named] == list(before.values())
 

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from twinct.core.errors import InputError
-from twinct.study.checking import Checked, Cost
 from twinct.study.design import Trial
 from twinct.study.folder import StudyFolder
 from twinct.study.rows import MOST_BEST, Rows, sections_of
@@ -21,13 +20,13 @@ def ranked_by(figure: str) -> Study:
     return Study(scenario={}, figures=(figure,))
 
 
-def trial(number: int, value: Any = None, seed: int = 0, key: str = "") -> Checked:
+def trial(number: int, value: Any = None, seed: int = 0, key: str = "") -> Trial:
     value = number if value is None else value
-    one = Trial(number, {"x": value}, {"k": value}, seed)
-    return Checked(one, key or f"key-{value}-{seed}", "scan", "volume", Cost("", "", {}))
+    digests = key or f"key-{value}-{seed}", "scan", "volume"
+    return Trial(number, {"x": value}, {"k": value}, seed, *digests)
 
 
-def done(one: Checked, figure: float | None) -> Done:
+def done(one: Trial, figure: float | None) -> Done:
     value = {
         "figures": {"image.rmse_rel": figure},
         "seconds": {"total": 2.0},
@@ -45,7 +44,7 @@ def kept(folder: StudyFolder) -> set[str]:
     return {path.stem for path in folder.best.glob("*.npz")}
 
 
-def end(rows: Rows, one: Checked, figure: float | None) -> None:
+def end(rows: Rows, one: Trial, figure: float | None) -> None:
     rows.done(one, done(one, figure), {}, "")
 
 
@@ -114,7 +113,7 @@ def test_failed_trials_say_why_and_are_wanted_again_if_asked(folder: StudyFolder
 
 
 def test_what_is_no_scenario_has_a_row_once(folder: StudyFolder) -> None:
-    rows, one = Rows(folder, ranked_by("image.rmse_rel")), trial(5).trial
+    rows, one = Rows(folder, ranked_by("image.rmse_rel")), trial(5)
     key = rows.refused(one, InputError(["bad", "worse"]))
     assert rows.refused(one, InputError(["bad", "worse"])) == key
     assert len(folder.journal.read_text().splitlines()) == 1

@@ -36,7 +36,7 @@ def tried(scenario: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The figures of a trial in this process, with nothing of an earlier one in it."""
     cached._last.clear()
     spec = TrialSpec("key", scenario, {}, "scan", shared=False, keep="figures", link="local")
-    return try_trial(spec, LocalPlace(folder, 1, {})).value["figures"]
+    return try_trial(spec, LocalPlace(folder, 1, {}))["figures"]
 
 
 def test_a_worker_loads_no_pickle_of_its_folder(tmp_path: Path) -> None:

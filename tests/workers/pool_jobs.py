@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError, MotionError
-from twinct.workers import Place, WithArtifacts
+from twinct.workers import Place
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,8 @@ def fail(kind: str, place: Place) -> Any:
     if kind == "exit":
         raise SystemExit(3)
     if kind == "missing":
-        return WithArtifacts(1, {"nothing": place.folder / "nothing"})
+        place.attach("nothing", place.folder / "nothing")
+        return 1
     raise RuntimeError(kind)
 
 
@@ -148,13 +149,15 @@ def hold(argument: None, place: Place) -> None:
         ctypes.PyDLL(None).pause()
 
 
-def write(argument: str, place: Place) -> WithArtifacts:
+def write(argument: str, place: Place) -> str:
     """A file and a folder."""
     folder = place.folder / f"made-{argument}"
     (folder / "deep").mkdir(parents=True, exist_ok=True)
     (folder / "deep" / "a.txt").write_text(argument)
     (folder / "b.txt").write_text(2 * argument)
-    return WithArtifacts(argument, {"folder": folder, "file": folder / "b.txt"})
+    place.attach("folder", folder)
+    place.attach("file", folder / "b.txt")
+    return argument
 
 
 def read(argument: str, place: Place) -> tuple[str, str]:

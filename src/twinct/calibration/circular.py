@@ -72,7 +72,7 @@ MIXED = 1e-3
 STRETCH = 0.3, 6.0
 """Range of a mixed step along each direction, relative to the step itself.
 
-Where the views tell little, differences of steps are mostly noise, and mixing alone runs away.
+Where the views determine little, differences of steps are mostly noise, and mixing alone runs away.
 """
 
 HARDLY = 0.5
@@ -260,9 +260,9 @@ def _knowledge(normal: Floats, precision: Floats) -> float:
 
 
 def _covariance(normal: Floats, scatter: Floats, drift: Floats) -> Floats:
-    """Return the covariance of the six numbers as the views alone tell them.
+    """Return the covariance of the six numbers as the views alone determine them.
 
-    Residuals tell what noise and a badly modelled view do. What pixels do is alike in all views:
+    Residuals show what noise and a badly modelled view do. What pixels do is alike in all views:
     it shows in the change that finer pixels made.
 
     Args:
@@ -305,7 +305,7 @@ class _Pairs:
     ) -> tuple[Floats, Floats]:
         """Move the numbers until the views agree; return them and the normal matrix.
 
-        Steps are mixed as Anderson does (J. ACM 12 (1965) 547): those of the last steps tell how
+        Steps are mixed as Anderson does (J. ACM 12 (1965) 547): those of the last steps show how
         far a step should have gone.
         """
         precision, normal = np.diag(deviations**-2.0), np.zeros((6, 6))

@@ -29,6 +29,7 @@ from twinct.core.errors import CalibrationError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
 from twinct.core.foreign_text import quoted
 from twinct.core.progress import Progress
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, VolumeGrid
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience, Observers, audience_of
@@ -52,18 +53,19 @@ class SelfCalibrated:
     """Self-calibration of a scan, compared with the executed geometry.
 
     Attributes:
-        found: the self-calibration.
+        estimate: the self-calibration.
         believed: the believed geometry, aligned with the executed one.
         after: the calibrated geometry, aligned with the executed one.
         start: result of epipolar consistency, if requested.
         started: geometry of ``start``, aligned with the executed one.
     """
 
-    found: SelfCalibration
+    estimate: SelfCalibration
     believed: Aligned
     after: Aligned
     start: EpipolarConsistency | None = None
     started: Aligned | None = None
+    found = old_attribute("found", "estimate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,14 +73,15 @@ class OnlineCalibrated:
     """Calibration from balls on the specimen, compared with the executed geometry.
 
     Attributes:
-        found: the calibration.
+        estimate: the calibration.
         believed: the believed geometry, aligned with the executed one.
         after: the calibrated geometry, aligned with the executed one.
     """
 
-    found: OnlineCalibration
+    estimate: OnlineCalibration
     believed: Aligned
     after: Aligned
+    found = old_attribute("found", "estimate")
 
 
 def phantom_of(scenario: Scenario) -> BallPhantom:

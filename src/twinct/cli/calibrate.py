@@ -115,7 +115,7 @@ def balls(
             name=as_,
             observers=audience,
         )
-    found, bundle = calibration.found, calibration.found.bundle
+    found, bundle = calibration.estimate, calibration.estimate.bundle
     seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
     say(
         f"{as_}: {len(seen) - len(found.problems)} of {len(seen)} views calibrated, "
@@ -164,7 +164,7 @@ def self_(
         )
     if calibration.start is not None and calibration.started is not None:
         _say_start(calibration.start, calibration.started)
-    found = calibration.found
+    found = calibration.estimate
 
     def rms(part: slice) -> float:
         return float(np.sqrt((found.change[:, part] ** 2).sum(axis=1).mean()))
@@ -321,7 +321,7 @@ def _say_against_executed(believed: Aligned, found: Aligned, folder: Path) -> No
         say(
             f"distance to the imported geometry: {found.after_px:.3f} px (RMS over points of the "
             f"grid, after removing the motion and scale that no image shows; scale "
-            f"{found.scale:.5f}); what is right, no truth tells: compare the residuals of both"
+            f"{found.scale:.5f}); no truth shows which is right: compare the residuals of both"
         )
         return
     say(

@@ -87,7 +87,7 @@ def _import_driven(files: tuple[Path, ...], out: Path, arms: ArmsRecording) -> b
         return False
     require("robots")
     found = import_driven(files, out, arms)
-    for sentence in found.told:
+    for sentence in found.notes:
         say(sentence, warning=True)
     if found.lag_ms is not None:
         say(f"the arms followed the plan {found.lag_ms:.2f} ms late")
@@ -102,7 +102,7 @@ def _import_measured(source: Path, out: Path) -> None:
 
     with on_terminal() as audience:
         found = import_measured(description_of(source), out, audience)
-    for sentence in found.told:
+    for sentence in found.notes:
         say(sentence)
     say(f"imported to {out}; {out / 'imported.png'} shows it, 'twinct reconstruct {out}' goes on")
 
@@ -119,7 +119,7 @@ def _try_conventions(source: Path, out: Path) -> None:
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
         ranking.show(folder.tried)
-    for sentence in ranking.told:
+    for sentence in ranking.notes:
         say(sentence)
     say(f"wrote {folder.tried}; nothing was imported")
 
@@ -275,7 +275,7 @@ def _report_measured(folder: Path, set_: tuple[str, ...]) -> dict[str, Any]:
     with on_terminal() as audience:
         kept = report_measured(folder, audience)
     for one in kept.values():
-        say(one.told)
+        say(one.description)
     page = folder / "report.html"
     say(f"report: {page}")
     return {
@@ -392,8 +392,8 @@ def reconstruct(
     figures = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
     material = figures.get("reference_material", "bone")
     say(
-        f"{made.name}: {made.told}, {made.geometry} geometry; RMSE {rmse} of mu({material}), "
-        f"{near} near {material}\n{made.path}; report: {folder / 'report.html'}"
+        f"{made.name}: {made.description}, {made.geometry} geometry; RMSE {rmse} of "
+        f"mu({material}), {near} near {material}\n{made.path}; report: {folder / 'report.html'}"
     )
 
 
@@ -406,7 +406,7 @@ def _reconstruct_measured(
     how = {"geometry": geometry, "name": name, "halves": halves}
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_measured(folder, set_, **how, observers=audience)
-    say(f"{made.told}\n{made.path}; report: {folder / 'report.html'}")
+    say(f"{made.description}\n{made.path}; report: {folder / 'report.html'}")
 
 
 def geometry(

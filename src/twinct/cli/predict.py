@@ -46,7 +46,7 @@ def predict(
     how = {"geometry": geometry, "mesh": mesh, "material": material, "name": as_}
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = predict(folder, set_, **how, observers=audience)
-    for sentence in made.told:
+    for sentence in made.notes:
         say(sentence)
     if geometry is None and (others := ", ".join(named_geometries(folder / "geometries"))):
         say(f"geometries that calibrations made, for --geometry: {others}")

@@ -16,7 +16,7 @@ from twinct.cli.time_limit import TimeUpError
 from twinct.core.errors import InputError, NoPathError, TrajectoryError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, check_picture, storage_errors
-from twinct.core.progress import SILENT, Progress, Work, WorkSpentError, counted
+from twinct.core.progress import SILENT, Effort, Progress, WorkSpentError, counted
 from twinct.geometry import fibonacci_directions
 from twinct.robots.cell import overlaps
 from twinct.robots.motion.feasible import Indices
@@ -233,7 +233,7 @@ def explained(
     Raises:
         TrajectoryError: the same error, with more sentences.
     """
-    planning = Work()
+    planning = Effort()
     try:
         with counted() as planning:
             yield

@@ -33,7 +33,7 @@ def limited(seconds: float | None, option: str) -> Iterator[None]:
         raise InputError(f"{option} {seconds:g}: must be above 0 seconds")
 
     def over(number: int, frame: FrameType | None) -> None:
-        raise TimeUpError(f"stopped after {seconds:g} s ({option}); what is told is complete")
+        raise TimeUpError(f"stopped after {seconds:g} s ({option}); what is printed is complete")
 
     before = signal.signal(signal.SIGALRM, over)
     signal.setitimer(signal.ITIMER_REAL, seconds)

@@ -39,7 +39,7 @@ def warp() -> Any:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Drop what native code prints: Warp tells every machine without a card that it has none."""
+    """Drop what native code prints, such as Warp's note that there is no card."""
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from twinct.core.foreign_text import stated
-from twinct.core.renamed import old_names
+from twinct.core.renamed import old_attribute, old_names
 
 
 class TwinctError(Exception):
@@ -90,13 +90,15 @@ class DamagedError(InputError):
     """Files of a scan store differ from the files that were written.
 
     Attributes:
-        found: the damages, each a ``twinct.scan.manifest.Damage``.
+        damages: the damages, each a ``twinct.scan.manifest.Damage``.
     """
 
-    def __init__(self, problems: Iterable[str], found: Iterable[Any]) -> None:
+    found = old_attribute("found", "damages")
+
+    def __init__(self, problems: Iterable[str], damages: Iterable[Any]) -> None:
         """Store the problems and the damages."""
         super().__init__(problems)
-        self.found = tuple(found)
+        self.damages = tuple(damages)
 
 
 class FolderInUseError(InputError):

@@ -26,15 +26,15 @@ class Offers(dict[str, T]):
         super().__init__(built_in)
         self.broken: dict[str, str] = {}
 
-    def named(self, name: str, asked_by: str) -> T:
-        """Return the choice of a name; messages start with ``asked_by``, such as an option.
+    def named(self, name: str, origin: str) -> T:
+        """Return the choice of a name; messages start with ``origin``, such as an option.
 
         Raises:
             InputError: there is no such choice, or the package that offers it is broken.
         """
         if name not in self:
             unknown = f"unknown; choose from {', '.join(self)}"
-            raise InputError(f"{asked_by} {name}: {self.broken.get(name, unknown)}")
+            raise InputError(f"{origin} {name}: {self.broken.get(name, unknown)}")
         return self[name]
 
 

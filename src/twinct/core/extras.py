@@ -75,7 +75,7 @@ def require(*extras: str) -> None:
         for module in (*_FOUND.get(extra, ()), *_IMPORTED.get(extra, ())):
             package = module.partition(".")[0]
             name = _CALLED.get(package, package)
-            problem = _problem(module, found_only=module in _FOUND.get(extra, ()))
+            problem = _problem(module, installed_only=module in _FOUND.get(extra, ()))
             if problem is None or name in missing.get(extra, ()):
                 continue
             if problem and extra in missing:
@@ -109,7 +109,7 @@ def optional(module: str, purpose: str) -> Any:
     Raises:
         InputError: it is not installed, or cannot be imported.
     """
-    problem = _problem(module, found_only=False)
+    problem = _problem(module, installed_only=False)
     if problem is None:
         return importlib.import_module(module)
     if problem:
@@ -117,10 +117,10 @@ def optional(module: str, purpose: str) -> Any:
     raise InputError(f"{purpose} needs {module}: python -m pip install {module}")
 
 
-def _problem(module: str, *, found_only: bool) -> str | None:
+def _problem(module: str, *, installed_only: bool) -> str | None:
     """Return the error of a module that fails on import; empty: it is missing; None: it works."""
     try:
-        if found_only:
+        if installed_only:
             return "" if importlib.util.find_spec(module) is None else None
         importlib.import_module(module)
     except Exception as error:  # an installed package may fail in any way

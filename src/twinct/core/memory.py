@@ -26,7 +26,7 @@ _NO_MEMORY = (
 
 
 def lacks_memory(error: BaseException) -> bool:
-    """Return True if an exception, or one behind it, tells that memory was lacking."""
+    """Return True if an exception, or one behind it, shows that memory was lacking."""
     seen: BaseException | None = error
     while seen is not None:
         words = str(seen).lower()

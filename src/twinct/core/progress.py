@@ -45,7 +45,7 @@ class WorkSpentError(Exception):
 
 
 @dataclass
-class Work:
+class Effort:
     """Work done inside a block.
 
     Attributes:
@@ -57,17 +57,17 @@ class Work:
     units: float = 0.0
 
 
-_current: ContextVar[Work | None] = ContextVar("work", default=None)
+_current: ContextVar[Effort | None] = ContextVar("work", default=None)
 
 
 @contextmanager
-def counted(most: float = float("inf")) -> Iterator[Work]:
+def counted(most: float = float("inf")) -> Iterator[Effort]:
     """Count the work inside a block, which ends with an error at the largest number of units.
 
     Raises:
         WorkSpentError: the block needs more units; raised inside it.
     """
-    work = Work(most)
+    work = Effort(most)
     token = _current.set(work)
     try:
         yield work

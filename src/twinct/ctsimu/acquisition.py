@@ -14,7 +14,7 @@ FORMAT = (1, 2)
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class Acquisition:
     """Numbers of projections, of frames averaged per projection, and of dark and flat images."""
 
     frames: int
@@ -40,7 +40,7 @@ def check_header(section: JsonSection) -> None:
         )
 
 
-def read_plan(section: JsonSection) -> Plan:
+def read_acquisition(section: JsonSection) -> Acquisition:
     """Return the numbers of images from the section ``acquisition``; 1 in place of invalid ones."""
     section.require("number_of_projections")
     frames = section.whole("number_of_projections", 1, "", COUNT)
@@ -48,7 +48,7 @@ def read_plan(section: JsonSection) -> Plan:
     dark, flat = (_fields(section.section(f"{kind}_field")) for kind in ("dark", "flat"))
     if flat.correction and not flat.number:
         section.problem("flat_field.correction", "needs flat_field.number of at least 1")
-    return Plan(frames, average, dark, flat)
+    return Acquisition(frames, average, dark, flat)
 
 
 def read_turn(section: JsonSection) -> float:

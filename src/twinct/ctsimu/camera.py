@@ -57,23 +57,23 @@ class Camera:
             InputError: a file does not hold the data that the scenario states; names it.
             TwinctError: a sample reaches through the panel or around the source.
         """
-        plan = self._sampling(frame)
+        sampling = self._sampling(frame)
         solids = self._solids.of(frame.samples, frame.view.source[0]) if samples_in else []
-        materials, renderer = self._open(frame.panel, plan.samples, solids)
+        materials, renderer = self._open(frame.panel, sampling.samples, solids)
         room = [frame.environment] if frame.environment is not None else []
         signal, absolute = self._response(frame, (*materials, *room))
         poses = [sample.world_from_sample for sample, _ in solids]
         image = np.zeros((2, *frame.panel.shape), dtype=np.float32)
-        for start, shift in zip(plan.spot_mm, plan.shift, strict=True):
+        for start, shift in zip(sampling.spot_mm, sampling.shift, strict=True):
             view = _shifted(frame, start, shift)
-            beam = fall_off(view, plan.samples)
+            beam = fall_off(view, sampling.samples)
             paths = np.zeros((0, *beam.shape), dtype=np.float32)
             if renderer is not None:
                 paths = renderer.render(view, poses)
             if room:
-                rest = _ray_lengths(view, plan.samples) - paths.sum(axis=0)
+                rest = _ray_lengths(view, sampling.samples) - paths.sum(axis=0)
                 paths = np.concatenate([paths, np.maximum(rest, 0.0)[None]])
-            signal.add(paths, beam, image, samples=plan.samples, share=1 / len(plan.shift))
+            signal.add(paths, beam, image, samples=sampling.samples, share=1 / len(sampling.shift))
         area = frame.panel.pitch_u * frame.panel.pitch_v
         charge_mas = frame.tube.current_ma * frame.exposure_s if absolute else 1.0
         return image[0].astype(np.float64) * (area * charge_mas * J_PER_KEV)

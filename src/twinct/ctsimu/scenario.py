@@ -17,7 +17,7 @@ import numpy as np
 from twinct.core.errors import InputError, ScenarioError
 from twinct.core.files.images import read_image
 from twinct.core.files.tables import read_curve
-from twinct.ctsimu.acquisition import Plan, read_plan
+from twinct.ctsimu.acquisition import Acquisition, read_acquisition
 from twinct.ctsimu.jsonfile import read_json
 from twinct.ctsimu.reader import JsonSection, Moment
 from twinct.ctsimu.scene import Frame
@@ -26,7 +26,7 @@ from twinct.geometry import ScanGeometry
 
 
 @dataclass(frozen=True, eq=False)
-class CtsimuScenario(Plan):
+class CtsimuScenario(Acquisition):
     """A fully supported scenario file with its content."""
 
     path: Path
@@ -74,13 +74,15 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
     """
     path = Path(path).expanduser()
     data = read_json(path, skipped="simulation")
-    # Problems of the plan are reported together with all others of frame 0.
-    plan = read_plan(JsonSection(data, "", Moment(0, 1), path.parent, {}).section("acquisition"))
-    scenario = CtsimuScenario(**vars(plan), path=path, data=data)
+    # Problems of these numbers are reported together with all others of frame 0.
+    numbers = read_acquisition(
+        JsonSection(data, "", Moment(0, 1), path.parent, {}).section("acquisition")
+    )
+    scenario = CtsimuScenario(**vars(numbers), path=path, data=data)
     seen: set[object] = set()
-    for index in range(plan.frames):
+    for index in range(numbers.frames):
         problems: dict[str, None] = {}
-        frame = read_frame(scenario._root(Moment(index, plan.frames), problems))
+        frame = read_frame(scenario._root(Moment(index, numbers.frames), problems))
         if frame is not None:
             problems |= dict.fromkeys(_wrong_references(frame, seen))
         if problems:

@@ -8,7 +8,7 @@ import numpy as np
 
 from twinct.core.files.images import RawImage
 from twinct.ctsimu import ranges
-from twinct.ctsimu.acquisition import check_header, read_plan, read_turn
+from twinct.ctsimu.acquisition import check_header, read_acquisition, read_turn
 from twinct.ctsimu.drifts import short
 from twinct.ctsimu.materials import Materials, read_materials
 from twinct.ctsimu.placement import place
@@ -32,7 +32,7 @@ def read_frame(root: JsonSection) -> Frame | None:
     root.skip("simulation")
     check_header(root.section("file", needed=True))
     acquisition = root.section("acquisition", needed=True)
-    read_plan(acquisition)
+    read_acquisition(acquisition)
     turn, binning = read_turn(acquisition), acquisition.section("pixel_binning")
     binned = binning.whole("u", 1, "", ranges.COUNT), binning.whole("v", 1, "", ranges.COUNT)
     if acquisition.flag("scattering", False):

@@ -96,7 +96,7 @@ class ArmServer:
 
         Args:
             station: participant of the robots node.
-            diagnostics: tells what was refused.
+            diagnostics: reports what was refused.
             arms: the simulation.
             advance: brings ``/clock`` to a time.
         """

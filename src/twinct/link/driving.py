@@ -260,7 +260,7 @@ class Drive:
             raise ControllerError(f"{', '.join(silent)} did not answer the plan")
         if refused := [p.course.action for p in self._parts if not p.accepted]:
             raise ControllerError(
-                f"{', '.join(refused)} rejected the plan: its log tells why; the arms stay where "
+                f"{', '.join(refused)} rejected the plan: its log states why; the arms stay where "
                 "they are"
             )
         for part in self._parts:
@@ -284,7 +284,7 @@ class Drive:
         )
         for part in self._parts:
             if why := part.failed:
-                others = "" if len(self._parts) == 1 else "; the other arm was told to stop"
+                others = "" if len(self._parts) == 1 else "; a stop was sent to the other arm"
                 raise ControllerError(f"{part.course.action} {why}{others}")
         for part in self._parts:
             name = part.course.action

@@ -99,7 +99,7 @@ def courses(program: Program, actions: tuple[str, ...], speed: float) -> tuple[C
         names = (*program.names[0], *program.names[1])
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise InputError(
-                f"both arms have a joint {twice[0]}: one controller cannot tell them apart; give "
+                f"both arms have a joint {twice[0]}: one controller cannot distinguish them; give "
                 "the prefixes of its joint names (--source-prefix, --detector-prefix)"
             )
         return (Course(actions[0], names, time_s, program.plan.state * scale),)
@@ -163,7 +163,7 @@ def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float
     """
     if unknown := [name for name in course.joints if name not in heard]:
         raise InputError(
-            f"{course.action}: nobody tells where {', '.join(unknown)} stands; heard of "
+            f"{course.action}: no driver reports where {', '.join(unknown)} stands; reported: "
             f"{', '.join(sorted(heard)) or 'no joint'}: name the prefixes of the drivers "
             "(--source-prefix, --detector-prefix), or their topics (--joint-states)"
         )

@@ -160,7 +160,7 @@ def run_node(
         name: the node's name.
         build: builds the simulation.
         open_node: creates the endpoints; returns a test that all peers are connected, which is
-            repeated until the end and may tell about them.
+            repeated until the end and may report them.
         lifeline: end when stdin ends.
         members: the scan's members.
         largest_message: largest message that the node sends, bytes.

@@ -136,20 +136,20 @@ class Station:
         depth: int = 20,
         latched: bool = True,
         raw: bool = False,
-        mismatch_told: bool = True,
+        report_mismatch: bool = True,
         as_published: bool = False,
     ) -> Subscription:
         """Subscribe to reliable publishers and, if latched, to their earlier messages.
 
         The callback receives a message, or a ``Raw`` one with ``raw``, and its ``Sender``.
-        ``mismatch_told`` reports incompatible publishers on the console; turn it off if another
+        ``report_mismatch`` reports incompatible publishers on the console; turn it off if another
         subscription covers them. ``as_published`` asks no more than what all present publishers of
         the topic offer: also best effort, or no earlier messages.
         """
         hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
         events = SubscriptionEventCallbacks(
             matched=lambda _: None,
-            incompatible_qos=None if mismatch_told else lambda _: None,
+            incompatible_qos=None if report_mismatch else lambda _: None,
         )
         qos = _qos(max(depth, topic.depth), latched=latched)
         if as_published:
@@ -226,7 +226,7 @@ class Station:
 
         both = (True, False)
         return [
-            self.listen(topic, once, depth=depth, latched=latched, mismatch_told=not latched)
+            self.listen(topic, once, depth=depth, latched=latched, report_mismatch=not latched)
             for latched in both
         ]
 

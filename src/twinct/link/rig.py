@@ -144,7 +144,7 @@ class RosRig:
         self._taken: dict[Stamp, Stamp] = {}
         self._got: dict[Stamp, dict[Topic, Any]] = {}
         self._joints_until = Stamp(0, 0)
-        self._asked: tuple[int, Stamp, PoseArray] | None = None
+        self._sent_target: tuple[int, Stamp, PoseArray] | None = None
         self._ready: set[str] = set()
         self._refusal: TargetRefusedError | None = None
         self._conflict: str | None = None
@@ -262,7 +262,7 @@ class RosRig:
                 if stamp is not None:
                     self._keep(topic, stamp, read(message))
             except MalformedError as error:
-                view = "" if self._asked is None else f" of view {self._asked[0]}"
+                view = "" if self._sent_target is None else f" of view {self._sent_target[0]}"
                 self._conflict = f"{topic.name}{view}: {error}"
 
         return station.listen(topic, keep)
@@ -275,7 +275,7 @@ class RosRig:
 
     def _answer(self) -> dict[Topic, Any]:
         """Return the data received for the last target, by topic."""
-        taken = self._taken.get(self._asked[1]) if self._asked else None
+        taken = self._taken.get(self._sent_target[1]) if self._sent_target else None
         return self._got.get(taken, {}) if taken else {}
 
     def _moving(self, message: JointState) -> JointState:
@@ -296,8 +296,8 @@ class RosRig:
         for status in message.status if name else ():
             if status.level == OK:
                 self._ready.add(name)
-            elif status.level == ERROR and self._asked is not None:
-                view, stamp, target = self._asked
+            elif status.level == ERROR and self._sent_target is not None:
+                view, stamp, target = self._sent_target
                 if stamp != Stamp.of(message.header.stamp):
                     continue
                 values = messages.diagnostic_values(status.values)
@@ -322,9 +322,9 @@ class RosRig:
 
     def _wait(self, what: str, done: Callable[[], bool]) -> None:
         """Wait for an answer to the last target; repeat the target while none comes."""
-        if self._station is None or self._closing or self._asked is None:
+        if self._station is None or self._closing or self._sent_target is None:
             raise LinkError("the rig is closed")
-        view, _, message = self._asked
+        view, _, message = self._sent_target
         deadline = time.monotonic() + self._answer_s
         silence = FIRST_REPEAT_S
         while True:
@@ -344,9 +344,9 @@ class RosRig:
             raise LinkError("the rig is closed")
         stamp = self.epoch.at(view)
         self._refusal = None
-        self._asked = view, stamp, messages.target_message(stamp, target)
+        self._sent_target = view, stamp, messages.target_message(stamp, target)
         self._got = {self._taken[stamp]: self._answer()} if stamp in self._taken else {}
-        self._target.publish(self._asked[2])
+        self._target.publish(self._sent_target[2])
 
         def done() -> bool:
             return self._refusal is not None or self._answer().keys() >= {REACHED, JOINTS, STATE}
@@ -359,7 +359,7 @@ class RosRig:
 
     def expose(self, view: int) -> NDArray[np.float32]:
         """See ``Rig.expose``."""
-        if self._asked is None or self._asked[0] != view or self._refusal is not None:
+        if self._sent_target is None or self._sent_target[0] != view or self._refusal is not None:
             raise ValueError(f"view {view} was not reached: move before you expose")
         self._wait("image", lambda: IMAGE in self._answer())
         return self._answer()[IMAGE]

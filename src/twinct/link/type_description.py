@@ -1,4 +1,4 @@
-"""Description of a message type, by which ROS 2 tells types apart, and its hash (REP 2011).
+"""Description of a message type, by which ROS 2 distinguishes types, and its hash (REP 2011).
 
 ``rosidl_generator_type_description`` defines the numbers and the hash. ROS 2 asks for both where
 an endpoint is made, and shows the hash to others.

@@ -111,7 +111,7 @@ class Circle(Section):
         object_turns = (self.direction == "counterclockwise") == (self.rotates == "object")
         geometry = self._geometry(angles if object_turns else -angles, facts.panel(self.pitch_mm))
         flips = self.rows == "down", self.columns == "left"
-        return Views(geometry, *flips, told=tuple(self._told(angles, geometry.panel)))
+        return Views(geometry, *flips, notes=tuple(self._notes(angles, geometry.panel)))
 
     def _geometry(self, turns: Floats, panel: Panel) -> ScanGeometry:
         """Return the views of an object that turns counterclockwise by these angles, rad."""
@@ -129,7 +129,7 @@ class Circle(Section):
         source, detector, u, v = (back.apply(upright.apply(vector)) for vector in fixed)
         return ScanGeometry(source, detector, u, v, panel)
 
-    def _told(self, angles: Floats, panel: Panel) -> list[str]:
+    def _notes(self, angles: Floats, panel: Panel) -> list[str]:
         span = math.degrees(float(np.ptp(angles)))
         told = [
             f"circle: source to axis {self.sod_mm:g} mm, to panel {self.sdd_mm:g} mm, pitch "

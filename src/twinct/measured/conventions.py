@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.pictures import show
+from twinct.core.renamed import old_attribute
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.measured.circle import Circle
 from twinct.measured.corrections import corrections
@@ -112,9 +113,10 @@ class Ranking:
     """Candidates by classes of equal residuals, the best class first."""
 
     classes: tuple[tuple[Tried, ...], ...]
+    told = old_attribute("told", "notes")
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """One sentence for each class, and what cannot be found."""
         lines = [
             f"{rank}. {100 * one[0].residual_rel:.2f} %: "

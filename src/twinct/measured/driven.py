@@ -1,7 +1,7 @@
 """Scans that real arms made: joint states and images of their drivers, and the user's scenario.
 
 The executed poses of a view are those of the cell's kinematics, calibrated if the scenario names a
-calibration, at the joints that the drivers told about the time of its image.
+calibration, at the joints that the drivers reported about the time of its image.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from twinct.core.files.images import read_image
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import draft_of, passing_folder, storage_errors
+from twinct.core.renamed import old_attribute
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
@@ -66,15 +67,16 @@ class Driven:
         scenario: the scenario that was written.
         latency_ms: time from exposures to stamps that was taken into account.
         lag_ms: time by which the arms followed the plan; None without a plan.
-        told: sentences for users, on what was left out.
+        notes: sentences for users, on what was left out.
         views: number of views.
     """
 
     scenario: Scenario
     latency_ms: float
     lag_ms: float | None
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     views: int
+    told = old_attribute("told", "notes")
 
 
 def is_driven(paths: Sequence[Path], choice: ArmsRecording) -> bool:

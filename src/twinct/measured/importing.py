@@ -17,6 +17,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, draft_of, remove_folder, storage_errors
+from twinct.core.renamed import old_attribute
 from twinct.evaluation import coarse, views_needed
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs, Reached
@@ -54,12 +55,13 @@ class Imported:
     Attributes:
         folder: the folder with ``scan.zarr`` and ``scenario.yaml``.
         scenario: the scenario that was written.
-        told: sentences on what was read, with units.
+        notes: sentences on what was read, with units.
     """
 
     folder: Path
     scenario: Scenario
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
+    told = old_attribute("told", "notes")
 
 
 def import_measured(
@@ -114,7 +116,7 @@ def import_measured(
         scales = _write_views(draft, scenario, placement, images, geometry, audience)
         folder.write_scenario(scenario)
         draft.rename(folder.scan)
-    sentences = *_told_of_images(images, geometry, scales), *views, *_told_of_grid(scenario)
+    sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(scenario)
     scan = ScanStore(folder.scan).read()
     show(partial(_draw, scan), (10.4, 7.0), folder.imported)
     return Imported(folder.path, scenario, sentences)
@@ -139,7 +141,7 @@ def _placed(told: Measured, images: Corrections) -> tuple[Placement, tuple[str, 
     as_stored = not (section.transpose or section.turn_deg)
     stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
     views = told.geometry.views(ImageFacts(stack.count, rows, columns, *stated))
-    return Placement(section, views), views.told
+    return Placement(section, views), views.notes
 
 
 def _check_views(told: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
@@ -220,7 +222,7 @@ def _write_views(
     return scales
 
 
-def _told_of_images(images: Corrections, geometry: ScanGeometry, scales: list[float]) -> list[str]:
+def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[float]) -> list[str]:
     section, stack, panel = images.section, images.stack, geometry.panel
     told = [
         f"{stack.where}: {stack.count} images of {stack.shape[0]} x {stack.shape[1]} pixels (rows "
@@ -253,7 +255,7 @@ def _told_of_images(images: Corrections, geometry: ScanGeometry, scales: list[fl
     return told
 
 
-def _told_of_grid(scenario: Scenario) -> list[str]:
+def _notes_of_grid(scenario: Scenario) -> list[str]:
     grid = scenario.reconstruction.volume_grid
     voxels, edges = grid.shape_xyz, grid.voxel.tolist()
     return [

@@ -1,4 +1,4 @@
-"""Joints over time, as the drivers of both arms told them, and their values at the images."""
+"""Joints over time, as the drivers of both arms reported them, and their values at the images."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LARGEST_GAP_S = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Readings of one group of joints, which one driver told together.
+    """Readings of one group of joints, which one driver reported together.
 
     Attributes:
         joints: names of the joints in the scenario.
@@ -125,7 +125,7 @@ def track_of(
     """Return the readings of all joints of a cell.
 
     Args:
-        heard: stamps, ns, and positions by the names that the drivers told together.
+        heard: stamps, ns, and positions by the names that the drivers reported together.
         names: joint names of the scenario by those of the drivers.
         joints: joint names of the scenario.
         epoch_ns: origin of the times.
@@ -134,12 +134,12 @@ def track_of(
         The readings, and sentences on what was left out.
 
     Raises:
-        InputError: nobody told of a joint.
+        InputError: no driver reported a joint.
     """
     groups, told, found = [], [], set()
-    for told_names, (stamps, rows) in heard.items():
-        columns = [i for i, name in enumerate(told_names) if names.get(name) in joints]
-        own = tuple(names[told_names[i]] for i in columns)
+    for stated_names, (stamps, rows) in heard.items():
+        columns = [i for i, name in enumerate(stated_names) if names.get(name) in joints]
+        own = tuple(names[stated_names[i]] for i in columns)
         if not own or found & set(own):
             continue
         found |= set(own)
@@ -150,18 +150,18 @@ def track_of(
             first = int(np.argmin(good))
             back_ms = (newest[first - 1] - time_ns[first]) / 1e6
             told.append(
-                f"stamps of {told_names[0]} and others run backwards: {int((~good).sum())} of "
+                f"stamps of {stated_names[0]} and others run backwards: {int((~good).sum())} of "
                 f"{len(good)} readings are left out, the first is {back_ms:.3f} ms before the one "
                 "it follows"
             )
         position = np.array([[row[i] for i in columns] for row in rows], dtype=np.float64)
         if not np.isfinite(position).all():
-            raise InputError(f"a position of {', '.join(told_names)} is not finite")
+            raise InputError(f"a position of {', '.join(stated_names)} is not finite")
         groups.append(Readings(own, (time_ns[good] - epoch_ns) / 1e9, position[good]))
     if missing := [name for name in joints if name not in found]:
         there = sorted({name for group in heard for name in group})
         raise InputError(
-            f"no joint state tells of {', '.join(missing)}; they tell of {', '.join(there)}: "
+            f"no joint state contains {', '.join(missing)}; they contain {', '.join(there)}: "
             "name the prefixes of the drivers (--arms.source-prefix, --arms.detector-prefix)"
         )
     return JointTrack(joints, tuple(groups)), tuple(told)

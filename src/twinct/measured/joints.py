@@ -57,7 +57,7 @@ class Joints(Section):
             raise InputError(f"{where}: {error}") from None
         arms = "calibrated" if scenario.uncertainty.calibration else "nominal"
         told = f"{len(table)} views of {table.shape[1]} joints in {self.unit}, {arms} arms of "
-        return Views(geometry, told=(f"{told}{self.scenario.name}, mm in its world",))
+        return Views(geometry, notes=(f"{told}{self.scenario.name}, mm in its world",))
 
     def _check_unit(self, where: str, largest: float) -> None:
         if self.unit == "rad" and largest > 2 * math.tau:

@@ -59,7 +59,7 @@ class Matrices(Section):
         matrices = matrices @ np.linalg.inv(to_world)
         views = views_of_matrices(where, self._to_pixels(panel) @ matrices, panel)
         told = f"{len(matrices)} projection matrices to {self.to} from the {self.origin}"
-        return Views(views.geometry, views.flip_rows, told=(told, *views.told))
+        return Views(views.geometry, views.flip_rows, notes=(told, *views.notes))
 
     def _to_pixels(self, panel: Panel) -> Floats:
         """Return the matrix from the stated coordinates to pixels from the first pixel's centre."""
@@ -107,7 +107,7 @@ def views_of_matrices(where: str, matrices: Floats, panel: Panel) -> Views:
         f"source to panel {geometry.sdd.min():.6g} to {geometry.sdd.max():.6g} mm, from the pitch "
         f"of {panel.pitch_u:g} x {panel.pitch_v:g} mm",
     )
-    return Views(geometry, flip_rows=flipped, told=told)
+    return Views(geometry, flip_rows=flipped, notes=told)
 
 
 def _check_rank(where: str, square: Floats) -> None:
@@ -158,4 +158,4 @@ class Poses(Section):
         panel = facts.panel(self.pitch_mm)
         geometry, flipped = views_of(where, places[:, :3], places[:, 3:], u, v, panel)
         told = f"{len(table)} poses of {table.shape[1]} numbers, in {self.unit}"
-        return Views(geometry, flip_rows=flipped, told=(told,))
+        return Views(geometry, flip_rows=flipped, notes=(told,))

@@ -86,7 +86,9 @@ class Nikon(Section):
             axis_tilt_deg=keys.get("ObjectTilt", 0.0),
         )
         views = circle.views(facts)
-        return Views(views.geometry, views.flip_rows, views.flip_columns, told=(where, *views.told))
+        return Views(
+            views.geometry, views.flip_rows, views.flip_columns, notes=(where, *views.notes)
+        )
 
 
 def read_xtekct(path: Path, ignore: tuple[str, ...] = ()) -> dict[str, float]:

@@ -29,6 +29,7 @@ from twinct.core.files.writing import (
 )
 from twinct.core.foreign_text import counted
 from twinct.core.interruption import keeping
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.measured.predicted_mesh import check_seen
 from twinct.measured.prediction_picture import show_prediction
@@ -76,9 +77,10 @@ class Prediction:
     geometry: str
     residuals: Residuals
     path: Path
+    told = old_attribute("told", "notes")
 
     @property
-    def told(self) -> tuple[str, ...]:
+    def notes(self) -> tuple[str, ...]:
         """Sentences on what is left."""
         found = self.residuals
         left = ", ".join(

@@ -1,4 +1,4 @@
-"""Removal of rings: gains of single pixels, told by the mean of all views.
+"""Removal of rings: gains of single pixels, estimated from the mean of all views.
 
 A pixel whose gain is off by a factor is off in all views alike, and draws a ring. The object turns,
 so that its mean line integral over the views is smooth along a row, and a moving median takes it

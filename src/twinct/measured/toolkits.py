@@ -53,7 +53,7 @@ def _made(path: Path, facts: ImageFacts, panel: Panel, *vectors: NDArray[Any]) -
     geometry, flipped = views_of(where, source, detector, u, v, panel)
     told = f"{path.name}: {len(geometry)} views, panel {panel.rows} x {panel.columns} pixels of "
     told += f"{panel.pitch_u:g} x {panel.pitch_v:g} mm, mm in the frame of the file"
-    return Views(geometry, flip_rows=flipped, told=(told,))
+    return Views(geometry, flip_rows=flipped, notes=(told,))
 
 
 class _Numbers(Section):
@@ -289,4 +289,4 @@ class Ctsimu(Section):
         geometry: ScanGeometry = load_ctsimu(self.path).geometry(believed=True)
         facts.require(f"{self.path}", len(geometry), geometry.panel)
         told = f"{self.path.name}: {len(geometry)} views of a CTSimU scenario, as known, mm"
-        return Views(geometry, flip_rows=True, told=(told,))
+        return Views(geometry, flip_rows=True, notes=(told,))

@@ -19,13 +19,13 @@ class Views:
         geometry: the views, in twinct's convention.
         flip_rows: True if the rows of the images run against v.
         flip_columns: True if the columns of the images run against u.
-        told: sentences on what was read, with units.
+        notes: sentences on what was read, with units.
     """
 
     geometry: ScanGeometry
     flip_rows: bool = False
     flip_columns: bool = False
-    told: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = field(default=())
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Reconstruction: projector, algorithms, and RTK's SART for comparison."""
 
+from twinct.core.renamed import old_names
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.cgls import cgls
 from twinct.recon.fast import fast
@@ -7,7 +8,7 @@ from twinct.recon.fdk import fdk
 from twinct.recon.few_photons import integrals_of_photons
 from twinct.recon.fista_tv import fista_tv
 from twinct.recon.known_components import (
-    FoundImplant,
+    FittedImplant,
     Implant,
     OneEnergy,
     WithoutImplants,
@@ -32,7 +33,7 @@ __all__ = [
     "AlgorithmSettings",
     "Callback",
     "Circle",
-    "FoundImplant",
+    "FittedImplant",
     "Implant",
     "OneEnergy",
     "Problem",
@@ -62,3 +63,5 @@ __all__ = [
     "without_metal",
     "without_surroundings",
 ]
+
+__getattr__ = old_names(__name__, {"FoundImplant": "FittedImplant"})

@@ -29,6 +29,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.recon.checks import Checks, Mask, mask_of
 from twinct.recon.engine import Singles
@@ -130,7 +131,7 @@ class Implant:
 
 
 @dataclass(frozen=True, eq=False)
-class FoundImplant:
+class FittedImplant:
     """Estimated pose and density of an implant.
 
     Attributes:
@@ -155,12 +156,13 @@ class WithoutImplants:
     Attributes:
         line_integrals: (views, rows, columns), float32.
         background: last volume without the implants, (z, y, x), float32.
-        found: estimated implants, in the given order.
+        fitted: estimated implants, in the given order.
     """
 
     line_integrals: Singles
     background: Singles
-    found: tuple[FoundImplant, ...]
+    fitted: tuple[FittedImplant, ...]
+    found = old_attribute("found", "fitted")
 
 
 def without_implants(
@@ -241,7 +243,7 @@ def without_implants(
         behind = beam(volume)
     expected = A(volume) if surroundings is None else A(volume) + surroundings
     fit.go_on(behind, expected, coarse=False)
-    found = tuple(one.found() for one in fit.sought)
+    found = tuple(one.fitted() for one in fit.sought)
     return WithoutImplants(fit.taken_out(behind, expected), volume, found)
 
 
@@ -297,9 +299,9 @@ class _ImplantFit:
         """Return the apparent pose in a view."""
         return self.pose @ Pose(self.slack[view], np.array([0.0, 0.0, 0.0, 1.0]))
 
-    def found(self) -> FoundImplant:
+    def fitted(self) -> FittedImplant:
         covariance: Any = np.linalg.inv(self.information)[:6, :6]
-        return FoundImplant(self.pose, covariance, self.density, self.slack.copy())
+        return FittedImplant(self.pose, covariance, self.density, self.slack.copy())
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,14 +74,14 @@ def each_plane(
         )
     )
 
-    def found(k: int) -> None:
+    def use_plane(k: int) -> None:
         below = int(np.clip(z[k], 0, max(of.shape[0] - 2, 0)))
         plane = resampled(volume[below : below + 2], z[k : k + 1] - below, 0)[0]
         use(k, resampled(resampled(plane, y, 0), x, 1))
 
     # numpy releases the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
-        list(pool.map(found, range(at.shape[0])))
+        list(pool.map(use_plane, range(at.shape[0])))
 
 
 def resampled(values: Singles, places: Floats, axis: int) -> Singles:

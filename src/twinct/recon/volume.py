@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -225,7 +226,8 @@ class Volume(NDArrayOperatorsMixin):
         note: str = "",
         *,
         to: str | None = None,
-        told: VolumeFacts | None = None,
+        facts: VolumeFacts | None = None,
+        **old: Any,
     ) -> None:
         """Write the volume as a file or a folder, which appears only when it is complete.
 
@@ -236,7 +238,8 @@ class Volume(NDArrayOperatorsMixin):
                 ``.tif`` or ``.zarr``.
             note: one line on the origin of the volume.
             to: name of a format, such as ``dicom``; None: by the ending.
-            told: further facts, such as the unit of the voxels; 1/mm by default.
+            facts: further facts, such as the unit of the voxels; 1/mm by default.
+            **old: ``told``, the old name of ``facts``.
 
         Raises:
             InputError: the ending or the format is unknown.
@@ -252,11 +255,12 @@ class Volume(NDArrayOperatorsMixin):
 
         path = Path(path)
         form = volume_format_named(to) if to else format_of_name(path, volume_formats().values())
-        told = replace(told or VolumeFacts(), note=note or (told.note if told else ""))
+        facts = _renamed(facts, old) or VolumeFacts()
+        facts = replace(facts, note=note or facts.note)
         if path.is_dir():
             raise ScanExistsError(f"{path} exists already: choose another name")
         with storage_errors(path), complete(path) as draft:
-            form.write(self.array, self.grid, draft, told)
+            form.write(self.array, self.grid, draft, facts)
 
     @classmethod
     def read(cls, path: str | Path) -> Volume:
@@ -295,3 +299,13 @@ def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:
         )
     middle = affine @ [*((np.array(shape[::-1]) - 1) / 2), 1.0]
     return VolumeGrid(shape, edges, Pose.from_matrix(middle[:3], linear / edges))
+
+
+def _renamed(facts: VolumeFacts | None, old: dict[str, Any]) -> VolumeFacts | None:
+    """Return the argument ``facts`` of ``Volume.write``, also by its old name ``told``."""
+    if unknown := [name for name in old if name != "told"]:
+        raise TypeError(f"Volume.write() got an unexpected keyword argument {unknown[0]!r}")
+    if old:
+        text = "Volume.write(told=...) is now Volume.write(facts=...)"
+        warnings.warn(text, DeprecationWarning, stacklevel=3)
+    return old.get("told", facts)

@@ -83,7 +83,7 @@ class Combination:
     keys: tuple[str, ...]
     trials: tuple[StudyTrial, ...]
 
-    def found(self, figure: str) -> dict[int, tuple[StudyTrial, float]]:
+    def values_of(self, figure: str) -> dict[int, tuple[StudyTrial, float]]:
         """Return the trials that have a figure, and its values, by seed, or else by place."""
         having = [(one, one.figures.get(figure)) for one in self.trials if one.done]
         return {
@@ -94,7 +94,7 @@ class Combination:
 
     def mean(self, figure: str) -> Mean:
         """Return the mean of a figure over the repetitions."""
-        return mean_of(value for _, value in self.found(figure).values())
+        return mean_of(value for _, value in self.values_of(figure).values())
 
 
 def combinations(trials: Iterable[StudyTrial], labels: Sequence[str]) -> list[Combination]:
@@ -151,7 +151,7 @@ def numeric(values: Iterable[Any]) -> bool:
 
 def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
     """Return a figure over one axis, given by its place among all axes."""
-    having = [one for one in found if one.found(figure)]
+    having = [one for one in found if one.values_of(figure)]
     on_axis = [one for one in having if one.values[axis] is not None]
     by_value: dict[str, list[Combination]] = {}
     for one in on_axis:
@@ -187,7 +187,7 @@ def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
     cloud: list[tuple[Any, float]] = []
     if many or averaged:
         every = -(-len(on_axis) // MOST_DOTS)
-        told = [(c.values[axis], c.found(figure).values()) for c in on_axis[::every]]
+        told = [(c.values[axis], c.values_of(figure).values()) for c in on_axis[::every]]
         cloud = [(x, sum(value for _, value in of) / len(of)) for x, of in told]
     return Trend(
         values=values,
@@ -207,7 +207,7 @@ def _average(found: Sequence[Combination], figure: str) -> Mean:
 
     Differences between combinations are no uncertainty; only the averages of the seeds show it.
     """
-    by_seed = [one.found(figure) for one in found]
+    by_seed = [one.values_of(figure) for one in found]
     seeds = set(by_seed[0]).intersection(*by_seed[1:])
     if seeds:
         return mean_of(

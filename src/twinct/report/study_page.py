@@ -175,7 +175,7 @@ def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTri
         ((worse(mean), one) for mean, one in ranked if mean is not None), key=lambda pair: pair[0]
     )
     return [
-        (min(one.found(first).values(), key=lambda told: worse(told[1]))[0], one)
+        (min(one.values_of(first).values(), key=lambda told: worse(told[1]))[0], one)
         for _, one in ranked
     ]
 

@@ -61,11 +61,15 @@ class _Entry:
     path: Path
     run: Run
     scenario: Scenario
-    kept: Reconstruction | None = None
+    reconstruction: Reconstruction | None = None
 
     def volume(self) -> Volume:
         """Read the volume; it is not cached, as the volumes of all runs may exceed the memory."""
-        return self.kept.volume if self.kept else Volume.read(self.run.paths.volume)
+        return (
+            self.reconstruction.volume
+            if self.reconstruction
+            else Volume.read(self.run.paths.volume)
+        )
 
 
 def _entries(paths: Sequence[Path]) -> list[_Entry]:
@@ -115,7 +119,8 @@ def _labels(entries: Sequence[_Entry]) -> list[str]:
     runs = [entry.run.paths.path.resolve() for entry in entries]
     common = Path(os.path.commonpath([path.parent for path in runs]))
     return [
-        str(path.relative_to(common)) + (f":{entry.kept.name}" if entry.kept else "")
+        str(path.relative_to(common))
+        + (f":{entry.reconstruction.name}" if entry.reconstruction else "")
         for path, entry in zip(runs, entries, strict=True)
     ]
 
@@ -126,7 +131,7 @@ def _compared(
     """Cut a volume along the planes; choose the planes if there are none yet."""
     from twinct.xray.build import effective_energy_kev
 
-    scenario, run, kept = entry.scenario, entry.run, entry.kept
+    scenario, run, kept = entry.scenario, entry.run, entry.reconstruction
     energy = effective_energy_kev(scenario.source, scenario.detector)
     scan, grid = run.scan, scenario.reconstruction.volume_grid
     stands = scan.stands
@@ -156,7 +161,9 @@ def _compared(
         scenario=scenario,
         metrics=metrics,
         image=plain(kept.figures.as_dict()) if kept else metrics["image"],
-        in_words=kept.told if kept else with_results(scenario.reconstruction.in_words, metrics),
+        in_words=kept.description
+        if kept
+        else with_results(scenario.reconstruction.in_words, metrics),
         seconds={"reconstruction": kept.seconds} if kept else metrics["seconds"],
         slices=slices,
         mu_reference=specimen.reference_mu(energy),

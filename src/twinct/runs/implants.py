@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose, ScanGeometry
-from twinct.recon.known_components import Beam, FoundImplant, Implant, outside, without_implants
+from twinct.recon.known_components import Beam, FittedImplant, Implant, outside, without_implants
 from twinct.recon.metal import without_metal
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
@@ -56,14 +56,14 @@ class WithoutImplants:
     Attributes:
         line_integrals: (views, rows, columns), surroundings of the grid included.
         known: the implants that the scenario describes.
-        found: the estimate for each of them.
+        fitted: the estimate for each of them.
         world_from_specimen: believed pose of the specimen.
         energy_kev: energy at which the volume's attenuation is given.
     """
 
     line_integrals: NDArray[np.float32]
     known: Sequence[ImplantModels]
-    found: Sequence[FoundImplant]
+    fitted: Sequence[FittedImplant]
     world_from_specimen: Pose
     energy_kev: float
 
@@ -75,17 +75,17 @@ class WithoutImplants:
         from twinct.specimen.voxels import volume_fractions
 
         array = np.array(volume.array)
-        for one, found in zip(self.known, self.found, strict=True):
+        for one, found in zip(self.known, self.fitted, strict=True):
             body, mu = one.implant.body, one.material.mu_per_mm(self.energy_kev)
             share = volume_fractions(
                 body.vertices, body.faces, volume.grid, found.world_from_implant
             )
             inside = np.flatnonzero(share)
             array.flat[inside] += share.flat[inside] * (mu - array.flat[inside])
-        extras = dict(volume.extras) | {"implants": self.told()}
+        extras = dict(volume.extras) | {"implants": self.results()}
         return Volume(array, volume.grid, extras)
 
-    def told(self) -> list[dict[str, Any]]:
+    def results(self) -> list[dict[str, Any]]:
         """Return pose, displacement and uncertainty of each implant, in the specimen's frame.
 
         Standard deviations of positions are along the specimen's axes, standard deviations of
@@ -93,7 +93,7 @@ class WithoutImplants:
         """
         specimen_from_world = self.world_from_specimen.inverse()
         told: list[dict[str, Any]] = []
-        for one, found in zip(self.known, self.found, strict=True):
+        for one, found in zip(self.known, self.fitted, strict=True):
             pose, believed = found.world_from_implant, one.implant.world_from_implant
             of_specimen = specimen_from_world @ pose
             position, rotation = of_specimen.to_euler()
@@ -166,8 +166,8 @@ def without_implants_of(
         callback=callback,
     )
     stands = scenario.specimen.world_from_specimen
-    result = WithoutImplants(taken.line_integrals, known, taken.found, stands, energy)
-    for one in result.told():
+    result = WithoutImplants(taken.line_integrals, known, taken.fitted, stands, energy)
+    for one in result.results():
         log.info(
             "implant %s: moved by %.3f mm and %.3f deg from where it was believed, density %.3f",
             *(one[key] for key in ("name", "moved_mm", "turned_deg", "density_rel")),

@@ -203,7 +203,7 @@ def _made(
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),
         path=folder.reconstructions / name,
-        found=algorithm_results(volume.extras),
+        results=algorithm_results(volume.extras),
     )
     return found, volume
 

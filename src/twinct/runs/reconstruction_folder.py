@@ -16,6 +16,7 @@ from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import passing_folder, write_json
+from twinct.core.renamed import old_attribute
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
 from twinct.report import CrossSection, plain, with_results
@@ -46,7 +47,7 @@ class Reconstruction:
         seconds: duration of the reconstruction.
         slices: cross-sections, see ``twinct.report.cross_sections``.
         path: its folder; the voxels are in ``volume.nii`` there.
-        found: further results of the algorithm, see ``twinct.report.ALGORITHM_RESULTS``.
+        results: further results of the algorithm, see ``twinct.report.ALGORITHM_RESULTS``.
     """
 
     name: str
@@ -60,12 +61,14 @@ class Reconstruction:
     seconds: float
     slices: Mapping[str, CrossSection]
     path: Path
-    found: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    results: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    found = old_attribute("found", "results")
+    told = old_attribute("told", "description")
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """Algorithm, settings and further results in one line."""
-        return with_results(self.in_words, self.found)
+        return with_results(self.in_words, self.results)
 
     @property
     def volume(self) -> Volume:
@@ -117,7 +120,7 @@ class Reconstruction:
             data.pop("files", None)
             # Earlier versions stored these two keys at the top level instead of in ``found``.
             before = {key: data.pop(key) for key in ("implants", "passes") if key in data}
-            data.setdefault("found", {key: value for key, value in before.items() if value})
+            results = data.pop("found", {key: value for key, value in before.items() if value})
             if why := no_file(path / "sections.npz"):
                 raise ValueError(f"sections.npz {why}")
             with np.load(path / "sections.npz") as arrays:
@@ -137,6 +140,7 @@ class Reconstruction:
             residuals = tuple(data.pop("residuals"))
             return cls(
                 **data,
+                results=results,
                 figures=ImageFigures.of(figures),
                 residuals=residuals,
                 slices=slices,
@@ -163,11 +167,11 @@ def check_files(path: Path) -> None:
 
 
 def free_name(asked: str | None, base: str, folder: Path, what: str = "reconstruction") -> str:
-    """Return the name of a new result in a folder: as asked, or the base, with a number if taken.
+    """Return the name of a new result in a folder: as requested, or the base, numbered if taken.
 
     Raises:
         InputError: the name is no name of a file.
-        ScanExistsError: the name that was asked for is taken.
+        ScanExistsError: the requested name is taken.
     """
     if asked is not None:
         if (there := folder / checked_name(asked)).exists():
@@ -205,11 +209,11 @@ def _plain(kept: Reconstruction) -> dict[str, Any]:
     data = {
         name: getattr(kept, name)
         for name in (one.name for one in dataclasses.fields(kept))
-        if name not in ("slices", "path", "figures")
+        if name not in ("slices", "path", "figures", "results")
     }
     return data | {
         "residuals": list(kept.residuals),
         "settings": dict(kept.settings),
-        "found": plain(kept.found),
+        "found": plain(kept.results),
         "figures": plain(kept.figures.as_dict()),
     }

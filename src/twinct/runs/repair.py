@@ -40,14 +40,14 @@ def mend_frame(path: Path, builder: SimulationBuilder, error: DamagedError) -> N
     Raises:
         DamagedError: the new files differ from the original ones; nothing has been changed.
     """
-    clear_paths(path, error.found)
+    clear_paths(path, error.damages)
     scenario, draft = builder.scenario, path.with_name(f"{path.name}.new")
     reached = builder.robots().move(0, builder.targets[0])
     robots = reached.joint_names, len(reached.state), builder.followed
     with passing_folder(draft):
         write_frame(draft, scenario, builder.commanded_poses, *robots, mas=builder.mas)
         fresh = read_frame_manifest(draft) or {}
-        broken = [damage.file for damage in error.found]
+        broken = [damage.file for damage in error.damages]
         if FRAME_FILE in broken:  # then only the root's digest identifies the scan
             kept, vouched = {ROOT: root_digest(path)}, [ROOT]
             broken = [FRAME_FILE, *(damage.file for damage in compared(path, fresh))]
@@ -61,7 +61,7 @@ def mend_frame(path: Path, builder: SimulationBuilder, error: DamagedError) -> N
                     "by this version, gives other contents; use the scenario that the scan was "
                     "started with",
                 ],
-                error.found,
+                error.damages,
             )
         for file in broken:
             (path / file).parent.mkdir(parents=True, exist_ok=True)

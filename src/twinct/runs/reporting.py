@@ -145,7 +145,7 @@ def write_results(
                 "digest": kept.digest,
                 "image": kept.figures.as_dict(),
                 "seconds": kept.seconds,
-                **kept.found,
+                **kept.results,
             }
             for kept in others.values()
         },
@@ -207,7 +207,7 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
     return [
         Another(
             one.name,
-            f"{one.told}, {one.geometry} geometry",
+            f"{one.description}, {one.geometry} geometry",
             plain(one.figures.as_dict()),
             one.residuals,
             one.slices,

@@ -63,7 +63,7 @@ def export_volume(
         observers: notified of the stage.
 
     Raises:
-        InputError: there is no such volume or format, or HU are asked for and water is unknown.
+        InputError: there is no such volume or format, or HU are requested and water is unknown.
         ScanExistsError: the file or folder exists.
         StorageError: the disk is too small or not writable.
     """
@@ -92,7 +92,7 @@ def export_volume(
             kvp=_kvp(scenario),
         )
         out.parent.mkdir(parents=True, exist_ok=True)
-        found.write(out, to=to, told=told)
+        found.write(out, to=to, facts=told)
         step()
         audience.say(f"values: {water.in_words if water else 'attenuation, 1/mm, no HU'}")
     return out

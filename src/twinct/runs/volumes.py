@@ -422,7 +422,7 @@ class _Follower:
     """Callback of an algorithm: reports progress, sums up residuals, writes checkpoints."""
 
     tick: Callable[[], None]
-    kept: _Checkpoints
+    checkpoints: _Checkpoints
     on_iteration: Callable[[int, float, NDArray[np.float32]], None]
     done: int
     residuals: list[float]
@@ -449,7 +449,7 @@ class _Follower:
         if math.isnan(residual):
             return
         self.residuals.append(residual)
-        self.kept.keep(number, step.volume, self.residuals)
+        self.checkpoints.keep(number, step.volume, self.residuals)
         self.on_iteration(number, residual, step.volume)
 
 

@@ -37,7 +37,7 @@ def frame_damage(path: Path) -> list[Damage]:
     try:
         return compared(path, read_frame_manifest(path) or {})
     except DamagedError as error:
-        return list(error.found)
+        return list(error.damages)
 
 
 def view_damage(path: Path) -> list[Damage]:
@@ -123,7 +123,7 @@ def _by_row(path: Path, view: int) -> list[Damage]:
         row = read_row(path, view)
         return compared(path, {file: row[file] for file in row if file != ROOT}, view)
     except DamagedError as error:
-        return list(error.found)
+        return list(error.damages)
 
 
 def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:

@@ -78,7 +78,7 @@ def _item(item: dict[str, Any], model: object, indent: str, told: set[str]) -> I
 
 
 def _comment(model: object, key: str, indent: str, told: set[str] | None) -> Iterator[str]:
-    """Yield the description of a key as a comment, unless it was told."""
+    """Yield the description of a key as a comment, unless it stands above."""
     field = type(model).model_fields.get(key) if isinstance(model, BaseModel) else None
     text = " ".join(((field and field.description) or "").split()).replace("``", "")
     if told is not None and text in told:

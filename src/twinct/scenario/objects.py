@@ -81,7 +81,7 @@ def with_files_in(scenario: Scenario, folder: Path) -> Scenario:
 
     Args:
         scenario: the scenario.
-        folder: folder for the files, whose names tell their content; made if it is missing.
+        folder: folder for the files, whose names state their content; made if it is missing.
 
     Raises:
         OSError: a file cannot be written.
@@ -96,10 +96,10 @@ def with_files_in(scenario: Scenario, folder: Path) -> Scenario:
             with complete(folder / path.name) as draft:
                 shutil.copyfile(path, draft)
 
-    def kept(path: Path) -> Path:
+    def copied(path: Path) -> Path:
         return folder / path.name if path in own else path
 
-    data = with_paths(scenario.model_dump(mode="json"), kept)
+    data = with_paths(scenario.model_dump(mode="json"), copied)
     return Scenario.model_validate_json(json.dumps(data), strict=True)
 
 

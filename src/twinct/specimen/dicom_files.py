@@ -29,7 +29,7 @@ MARK = b"DICM"
 """Content of DICOM files behind the preamble."""
 
 _START_BYTES = 4096
-"""Length of the start of a file that tells text from binary data."""
+"""Length of the start of a file that distinguishes text from binary data."""
 
 _PIXELS = ("PixelData", "FloatPixelData", "DoubleFloatPixelData")
 

@@ -74,7 +74,7 @@ def _mesh_pieces(
         advice = (
             "is it in metres? Then set shape.unit_mm: 1000"
             if edges.max() < SMALLEST_MESH_MM
-            else "does shape.unit_mm tell its unit?"
+            else "does shape.unit_mm state its unit?"
         )
         raise SpecimenError(f"{owner}: mesh file {path} measures {size} mm: {advice}")
     pieces = mesh.split(only_watertight=False) if mesh.body_count > 1 else [mesh]

@@ -6,7 +6,7 @@ import difflib
 import hashlib
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,64 +14,15 @@ from twinct.core.errors import InputError, SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import FILE_KEYS
-from twinct.runs import Need, needs
+from twinct.runs import needs
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.materials import material
+from twinct.study.cost import Cost
 from twinct.study.design import Design, Trial
 from twinct.study.trial_figures import figure_names
 
 MOST_PROBLEMS = 9
 """Number of problems after which checking stops."""
-
-
-@dataclass(frozen=True, slots=True)
-class Checked:
-    """A valid trial.
-
-    Attributes:
-        trial: the trial.
-        key: hex digest that identifies it, independent of its number.
-        scan: digest of its scan.
-        volume: digests of its volume and its believed poses, and its section ``evaluation``; trials
-            with equal values have equal figures.
-        cost: its kind of cost; trials of one kind take similar resources.
-    """
-
-    trial: Trial
-    key: str
-    scan: str
-    volume: str
-    cost: Cost
-
-
-@dataclass(frozen=True)
-class Cost:
-    """Resources of one kind of trials.
-
-    Attributes:
-        scan: name of the kind of scan in the timings.
-        rest: name of the kind of all later stages in the timings.
-        stages: needs of each stage of a run.
-    """
-
-    scan: str
-    rest: str
-    stages: dict[str, Need]
-
-    @property
-    def memory_bytes(self) -> int:
-        """Peak memory."""
-        return max(need.memory_bytes for need in self.stages.values())
-
-    @property
-    def scan_bytes(self) -> int:
-        """Size of the scan on disk."""
-        return self.stages["views"].disk_bytes
-
-    @property
-    def volume_bytes(self) -> int:
-        """Size of the volume on disk."""
-        return self.stages["reconstruction"].disk_bytes
 
 
 @dataclass
@@ -82,13 +33,13 @@ class Checker:
     costs: dict[str, Cost] = field(default_factory=dict[str, Cost])
     materials: dict[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
-    def checked(self, trials: Iterable[Trial], progress: Progress = SILENT) -> list[Checked]:
-        """Check trials, and return all of them with their costs.
+    def checked(self, trials: Iterable[Trial], progress: Progress = SILENT) -> list[Trial]:
+        """Check trials, and return all of them with their digests and costs.
 
         Raises:
             InputError: one sentence for each problem, for about the first nine.
         """
-        found: list[Checked] = []
+        found: list[Trial] = []
         problems: dict[str, Trial] = {}
         figures: set[str] = set()
         for trial in progressed(trials, progress):
@@ -114,7 +65,7 @@ class Checker:
         return found
 
     def _require_figures(self, figures: set[str]) -> None:
-        """Check that the trials have the figures asked for, and that no axis is named like one."""
+        """Check that the trials have the requested figures, and that no axis is named like one."""
         wanted = self.design.study.figures
         if self.design.study.search:
             wanted = (*wanted, self.design.study.search.figure)
@@ -125,15 +76,13 @@ class Checker:
                 f"axis {taken[0]}: a figure has this name; give the axis another 'label'"
             )
 
-    def _require_different(self, found: list[Checked]) -> None:
+    def _require_different(self, found: list[Trial]) -> None:
         first: dict[str, Trial] = {}
         for one in found:
-            same = first.setdefault(one.key, one.trial)
-            if same is not one.trial and not self.design.study.search:
+            same = first.setdefault(one.key, one)
+            if same is not one and not self.design.study.search:
                 place = self.design.at("axes", "repetitions")
-                raise InputError(
-                    f"{place}{same} and {one.trial} are identical: a value is listed twice"
-                )
+                raise InputError(f"{place}{same} and {one} are identical: a value is listed twice")
 
     def _unknown_figure(self, name: str, known: set[str]) -> str:
         place = self.design.places.get("figures", "")
@@ -162,21 +111,21 @@ class Checker:
         if problems:
             raise SpecimenError(problems)
 
-    def one(self, trial: Trial) -> Checked:
-        """Return a single trial of a search with its cost.
+    def one(self, trial: Trial) -> Trial:
+        """Return a single trial of a search with its digests and cost.
 
         Raises:
             ScenarioError: the scenario is invalid.
         """
         return self._checked(trial, self.design.scenario(trial))
 
-    def _checked(self, trial: Trial, scenario: Scenario) -> Checked:
+    def _checked(self, trial: Trial, scenario: Scenario) -> Trial:
         digests = stage_digests(scenario)
         key = trial_key(digests["volume"], trial)
         cost = self._cost(scenario, digests["surface"])
         measured = scenario.evaluation.model_dump_json() if scenario.evaluation else ""
         volume = digests["volume"] + digests["believed"] + measured
-        return Checked(trial, key, digests["images"], volume, cost)
+        return replace(trial, key=key, scan=digests["images"], volume=volume, cost=cost)
 
     def _cost(self, scenario: Scenario, surface: str) -> Cost:
         study, detector, section = self.design.study, scenario.detector, scenario.reconstruction

@@ -22,25 +22,37 @@ from twinct.scenario import Scenario, Template
 from twinct.scenario.catalogue import same_name, scenario_file
 from twinct.scenario.messages import refusal
 from twinct.scenario.reading import Draft, is_list, is_mapping, key_of, read_yaml
+from twinct.study.cost import NO_COST, Cost
 from twinct.study.results import OWN_COLUMNS
 from twinct.study.settings import Axis, NormalDraw, Study
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Trial:
     """One scenario of a study.
+
+    ``Checker`` adds the digests and the cost of a valid trial.
 
     Attributes:
         number: number in the study's order, from 0.
         axes: value of each axis by its label; None for an axis that does not apply.
         changes: dotted keys of the scenario and their new values, in order of application.
         seed: seed of the repetition; None without repetitions.
+        key: hex digest that identifies the trial, independent of its number.
+        scan: digest of its scan.
+        volume: digests of its volume and its believed poses, and its section ``evaluation``; trials
+            with equal values have equal figures.
+        cost: its kind of cost; trials of one kind take similar resources.
     """
 
     number: int
     axes: Mapping[str, Any]
     changes: Mapping[str, Any]
     seed: int | None = None
+    key: str = ""
+    scan: str = ""
+    volume: str = ""
+    cost: Cost = NO_COST
 
     def __str__(self) -> str:
         """Return its name in messages."""

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from twinct.scenario import Scenario
 from twinct.scenario.digests import readers
-from twinct.study.checking import Checked
-from twinct.study.design import Design
+from twinct.study.design import Design, Trial
 from twinct.study.estimate import bytes_below
 from twinct.study.folder import StudyFolder
 from twinct.study.inputs import Inputs
@@ -73,11 +72,11 @@ class Driver:
     def __post_init__(self) -> None:
         self._inputs = Inputs(self.folder.inputs)
         self._scans: dict[str, _SharedScan] = {}
-        self._twins: dict[str, list[Checked]] = {}
+        self._twins: dict[str, list[Trial]] = {}
         self._running = 0
         self._slots = 1  # cached, as the pool may be closed when it is needed
 
-    def run(self, trials: Sequence[Checked], *, retry: bool = False) -> None:
+    def run(self, trials: Sequence[Trial], *, retry: bool = False) -> None:
         """Run all trials that have no row yet; on return, each trial has a row.
 
         Args:
@@ -91,7 +90,7 @@ class Driver:
         firsts = self._without_twins(trials, retry)
         self._share(firsts)
         by_key = {one.key: one for one in firsts}
-        released: deque[Checked] = deque()
+        released: deque[Trial] = deque()
         for event in map_over(None, self._works(firsts, released), pool=self.pool):
             self._running -= 1
             if event.key.startswith(_SCAN):
@@ -101,7 +100,7 @@ class Driver:
             self.say()
         self._timings.write()
 
-    def _works(self, trials: Sequence[Checked], released: deque[Checked]) -> Iterator[Work | None]:
+    def _works(self, trials: Sequence[Trial], released: deque[Trial]) -> Iterator[Work | None]:
         """Yield the next work for the pool, or None while all remaining trials wait for scans."""
         waiting = iter(trials)
         while True:
@@ -116,14 +115,14 @@ class Driver:
             else:
                 return
 
-    def _without_twins(self, trials: Sequence[Checked], retry: bool) -> list[Checked]:
+    def _without_twins(self, trials: Sequence[Trial], retry: bool) -> list[Trial]:
         """Return one trial for each new volume; the other trials get its figures later."""
         wanted = [one for one in trials if self.rows.wanted(one.key, retry=retry)]
         if self.design.study.keep == "everything" or not wanted:
             return wanted
         there = {row.key: row for row in self.rows.all() if row.status == "done"}
         volumes = {one.volume: there[one.key] for one in trials if one.key in there}
-        firsts: list[Checked] = []
+        firsts: list[Trial] = []
         for one in wanted:
             if one.volume in volumes:
                 self.rows.copied(one, volumes[one.volume])
@@ -134,7 +133,7 @@ class Driver:
                 firsts.append(one)
         return firsts
 
-    def _share(self, trials: Sequence[Checked]) -> None:
+    def _share(self, trials: Sequence[Trial]) -> None:
         """Register the scans that several trials share, and offer existing ones to the pool."""
         search = self.design.study.search
         keys = [key for d in search.keys for key in d.keys] if search else []
@@ -148,7 +147,7 @@ class Driver:
                     shared.there = True
                     self.pool.offer(scan_name(digest), kept)
 
-    def _work(self, one: Checked) -> Work | None:
+    def _work(self, one: Trial) -> Work | None:
         """Return the next work of a trial; None if it waits for a scan, or the scan has failed."""
         shared = self._scans.get(one.scan)
         if shared is None or shared.there:
@@ -164,16 +163,16 @@ class Driver:
         memory = max(one.cost.stages[stage].memory_bytes for stage in _OF_SCAN)
         return Work(_SCAN + one.scan, take_scan, spec, memory, names)
 
-    def _trial_work(self, one: Checked, shared: bool) -> Work:
+    def _trial_work(self, one: Trial, shared: bool) -> Work:
         spec = self.spec(one, shared=shared)
         names = [name for name, _ in spec.files.values()]
         names += [spec.scan_name] if shared else []
         return Work(one.key, try_trial, spec, one.cost.memory_bytes, tuple(names))
 
-    def spec(self, one: Checked, *, shared: bool) -> TrialSpec:
+    def spec(self, one: Trial, *, shared: bool) -> TrialSpec:
         """Return a trial in the form sent to workers; ``shared``: other trials use its scan."""
-        scenario: Scenario = self.design.scenario(one.trial)
-        told = str(one.trial).partition(" (")[2].removesuffix(")")  # its number may change
+        scenario: Scenario = self.design.scenario(one)
+        told = str(one).partition(" (")[2].removesuffix(")")  # its number may change
         name = f"{self.design.study.name}: {told}" if told else self.design.study.name
         scenario = scenario.model_copy(update={"name": name})
         return TrialSpec(
@@ -186,7 +185,7 @@ class Driver:
             link=self.design.study.link,
         )
 
-    def _scanned(self, digest: str, event: Done | Failed) -> list[Checked]:
+    def _scanned(self, digest: str, event: Done | Failed) -> list[Trial]:
         """Store a shared scan and return the trials that waited for it; none if it failed."""
         shared = self._scans[digest]
         waiting, shared.waiting = shared.waiting, []
@@ -203,7 +202,7 @@ class Driver:
         self._timings.add(f"{waiting[0].cost.scan} bytes", bytes_below([kept]))
         return waiting
 
-    def _tried(self, one: Checked, event: Done | Failed) -> None:
+    def _tried(self, one: Trial, event: Done | Failed) -> None:
         if isinstance(event, Failed):
             self._fail([one], event)
         else:
@@ -236,7 +235,7 @@ class Driver:
         self._busy_s += seconds
         self._timings.add(kind, seconds)
 
-    def _count_trial(self, one: Checked, event: Done, kept: Path | None) -> None:
+    def _count_trial(self, one: Trial, event: Done, kept: Path | None) -> None:
         """Record seconds and bytes of a trial; count its own scan separately."""
         spent, scan_s = event.value["seconds"], 0.0
         if one.scan not in self._scans:
@@ -251,17 +250,17 @@ class Driver:
         if scan_bytes:
             self._timings.add(f"{one.cost.scan} bytes", scan_bytes)
 
-    def _fail(self, trials: Sequence[Checked], event: Failed) -> None:
+    def _fail(self, trials: Sequence[Trial], event: Failed) -> None:
         twins = [twin for one in trials for twin in self._twins.pop(one.volume, ())]
         self.rows.failed([*trials, *twins], event)
         self._ended += len(trials)
         for one in trials:
             self._leave(one)
-        log.warning("%s: %s: %s", trials[0].trial, event.kind, "; ".join(event.problems))
+        log.warning("%s: %s: %s", trials[0], event.kind, "; ".join(event.problems))
         if event.trace:
             log.warning(event.trace)
 
-    def _leave(self, one: Checked) -> None:
+    def _leave(self, one: Trial) -> None:
         shared = self._scans.get(one.scan)
         if shared is not None:
             shared.wanted -= 1
@@ -298,7 +297,7 @@ class _SharedScan:
 
     wanted: int = 0
     there: bool = False
-    waiting: list[Checked] = field(default_factory=list[Checked])
+    waiting: list[Trial] = field(default_factory=list[Trial])
     failed: Failed | None = None
     seconds: dict[str, float] = field(default_factory=dict[str, float])
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twinct.report.study_page import MOST_BEST as MOST_SHOWN
-from twinct.study.checking import Checked
+from twinct.study.design import Trial
 from twinct.study.rows import MOST_BEST
 from twinct.study.settings import Study
 from twinct.study.timings import TrialTimings
@@ -44,7 +44,7 @@ class Estimate:
 
 
 def estimate(
-    study: Study, trials: Sequence[Checked], workers: int, timings: TrialTimings
+    study: Study, trials: Sequence[Trial], workers: int, timings: TrialTimings
 ) -> Estimate:
     """Estimate the resources of the trials still to run, with a number of workers."""
     whole = study.keep == "everything"
@@ -66,7 +66,7 @@ def estimate(
             size += _mean(timings, f"{one.cost.rest} bytes", need)
     if trials:
         size += _mean(timings, "table bytes", TABLE_BYTES)
-        combinations = min(len({repr(one.trial.axes) for one in trials}), MOST_BEST)
+        combinations = min(len({repr(one.axes) for one in trials}), MOST_BEST)
         kind = f"{trials[0].cost.rest} sections bytes"
         size += combinations * _mean(timings, kind, SECTIONS_BYTES)
         size += page_parts(combinations) * _mean(timings, page_kind(study), PAGE_BYTES)

@@ -12,7 +12,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.writing import complete
 from twinct.evaluation.figure import BADNESS
 from twinct.report.figure_words import figure_words
-from twinct.study.checking import Checked, trial_key
+from twinct.study.checking import trial_key
 from twinct.study.design import Trial
 from twinct.study.folder import StudyFolder
 from twinct.study.journal import Journal, Row
@@ -64,7 +64,7 @@ class Rows:
         """Message of the first failed trial, if any."""
         return next(iter(self.problems.values()), "")
 
-    def done(self, one: Checked, event: Done, seconds: Mapping[str, float], report: str) -> Row:
+    def done(self, one: Trial, event: Done, seconds: Mapping[str, float], report: str) -> Row:
         """Store the row of a finished trial, and its cross-sections if it is among the best."""
         row = _row(
             one,
@@ -80,12 +80,12 @@ class Rows:
         self.add([row])
         return row
 
-    def copied(self, one: Checked, row: Row) -> None:
+    def copied(self, one: Trial, row: Row) -> None:
         """Store the row of a trial whose volume is identical to the volume of another row."""
         data = {"figures": row.figures, "seconds": {}, "report": row.report}
         self.add([_row(one, status="done", **data)])
 
-    def failed(self, trials: Iterable[Checked], event: Failed) -> None:
+    def failed(self, trials: Iterable[Trial], event: Failed) -> None:
         """Store rows of trials that failed for the same reason."""
         message, seconds = "; ".join(event.problems), {"total": event.seconds}
         self.add(
@@ -151,9 +151,8 @@ def _combination(row: Row) -> str:
     return repr(sorted(row.axes.items(), key=lambda item: item[0]))
 
 
-def _row(one: Checked, **told: Any) -> Row:
-    trial = one.trial
-    return Row(trial.number, one.key, trial.axes, trial.seed, scan=one.scan, **told)
+def _row(one: Trial, **told: Any) -> Row:
+    return Row(one.number, one.key, one.axes, one.seed, scan=one.scan, **told)
 
 
 def sections_of(folder: StudyFolder, row: Row) -> Path | None:

@@ -18,7 +18,7 @@ from twinct.core.files.writing import storage_errors
 from twinct.core.threads import threads
 from twinct.observers import Audience, Observers, audience_of
 from twinct.study.cache import Cache
-from twinct.study.checking import Checked, Checker
+from twinct.study.checking import Checker
 from twinct.study.design import Design, Trial, load_study
 from twinct.study.driver import Driver, Tally
 from twinct.study.estimate import BYTES_IN_TABLE, Estimate, estimate, page_kind, page_parts
@@ -129,7 +129,7 @@ def run_study(
         _remove_pickles(folder, observers)
         rows = Rows(folder, study)
         if study.search is None:
-            rows.renumbered({one.key: one.trial.number for one in trials})
+            rows.renumbered({one.key: one.number for one in trials})
         total = len(design.seeds) * study.search.trials if study.search else len(trials)
         driver = Driver(design, folder, rows, pool, tell or (lambda _: None), total)
         with _concluded(driver):
@@ -197,10 +197,10 @@ def dry_run(
     found = estimate(design.study, open_, workers, TrialTimings.open())
     search = design.study.search
     total = search.trials * len(design.seeds) if search else len(trials)
-    return DryRun([one.trial for one in open_], len(trials) - len(open_), total, found)
+    return DryRun(open_, len(trials) - len(open_), total, found)
 
 
-def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[Checked]:
+def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[Trial]:
     """Check and return all trials of the axes, or the first batch of a search."""
     study = design.study
     place = design.at("max_trials", "axes", "search", "repetitions")
@@ -231,7 +231,7 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
     while len(tried) < search.trials:
         values = next_values(search, tried)
         keys: dict[int, str] = {}
-        trials: list[Checked] = []
+        trials: list[Trial] = []
         for trial in _repeated(design, values, len(tried)):
             try:
                 one = checker.one(trial)

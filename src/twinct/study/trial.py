@@ -45,7 +45,7 @@ from twinct.study.cache import PASSING, Cache
 from twinct.study.estimate import bytes_below
 from twinct.study.sections import packed_sections
 from twinct.study.trial_figures import flat_figures
-from twinct.workers import Place, WithArtifacts
+from twinct.workers import Place
 from twinct.workers.artifact import LocalArtifact, remove
 
 if TYPE_CHECKING:
@@ -108,11 +108,11 @@ class _Seconds:
         self.stages[name] = time.perf_counter() - start
 
 
-def take_scan(spec: TrialSpec, place: Place) -> WithArtifacts:
-    """Acquire a scan that several trials share.
+def take_scan(spec: TrialSpec, place: Place) -> dict[str, float]:
+    """Acquire a scan that several trials share, and attach its store as ``scan``.
 
     Returns:
-        Its seconds, and the store as the artifact ``scan``.
+        Seconds of its stages.
 
     Raises:
         InputError: the scan cannot be acquired.
@@ -124,15 +124,17 @@ def take_scan(spec: TrialSpec, place: Place) -> WithArtifacts:
     builder = SimulationBuilder(scenario, _plan(scenario, specimen, cache, seconds), specimen)
     with seconds.stage("scan"):
         folder = cache.path("scans", spec.scan, lambda draft: _acquire(spec, builder, draft))
-    return WithArtifacts(seconds.stages, {"scan": folder / "scan.zarr"})
+    place.attach("scan", folder / "scan.zarr")
+    return seconds.stages
 
 
-def try_trial(spec: TrialSpec, place: Place) -> WithArtifacts:
+def try_trial(spec: TrialSpec, place: Place) -> dict[str, Any]:
     """Acquire, reconstruct and judge one trial.
 
+    Attach ``volume`` if volumes are stored, or ``run``, the run's folder, if everything is stored.
+
     Returns:
-        Figures, seconds and ``sections``, a small file of cross-sections; also the artifact
-        ``volume`` if volumes are stored, or ``run``, the run's folder, if everything is stored.
+        Figures, seconds and ``sections``, a small file of cross-sections.
 
     Raises:
         InputError: the trial cannot be run.
@@ -147,12 +149,18 @@ def try_trial(spec: TrialSpec, place: Place) -> WithArtifacts:
         _check(scenario)
         kept = _scan_path(spec, place)
         if spec.keep == "everything":
-            found, artifacts = _whole_run(spec, scenario, kept, folder, place, seconds)
+            result = _whole_run(spec, scenario, kept, folder, place, seconds)
+            place.attach("run", folder)
         else:
-            found, artifacts = _figures(spec, scenario, kept, folder, cache, seconds)
+            result = _figures(spec, scenario, kept, folder, cache, seconds)
+            if spec.keep == "volume":
+                place.attach("volume", folder / VOLUME)
     seconds.stages["total"] = time.perf_counter() - began
-    return WithArtifacts({**found, "seconds": seconds.stages}, artifacts)
+    return {**result, "seconds": seconds.stages}
 
+
+VOLUME = "volume.nii"
+"""File of a trial's volume in its folder on the node."""
 
 START = "start"
 """Stage in which a worker loads the engines, before its first trial; it belongs to no trial."""
@@ -219,7 +227,7 @@ def _figures(
     folder: Path,
     cache: Cache,
     seconds: _Seconds,
-) -> tuple[dict[str, Any], dict[str, Path]]:
+) -> dict[str, Any]:
     specimen = _specimen(scenario, cache, seconds)
     path = kept or folder / "scan.zarr"
     plan = ScanStore(path).plan if kept else _plan(scenario, specimen, cache, seconds)
@@ -234,7 +242,7 @@ def _figures(
     with seconds.stage("truth"):
         truth = _truth(scan, specimen, cache)
     images: dict[str, ImageFigures] = {}
-    sections, artifacts = b"", {}
+    sections, stored = b"", folder / VOLUME
     for which in scenario.reconstruction.geometries:
         with seconds.stage(f"reconstruction, {which}" if images else "reconstruction"):
             volume = reconstruct(scan, geometry=which, checkpoints=folder / "checkpoints")
@@ -245,14 +253,14 @@ def _figures(
             shown = cross_sections(volume.array, truth.volume, truth.region, grid)
             sections = packed_sections(shown, truth.mu_reference)
             if spec.keep == "volume":
-                artifacts = {"volume": folder / "volume.nii"}
-                volume.write(artifacts["volume"], "twinct, 1/mm")
-    found = {"figures": flat_figures(figures_of(scan, images)), "sections": sections}
+                volume.write(stored, "twinct, 1/mm")
+    result = {"figures": flat_figures(figures_of(scan, images)), "sections": sections}
     if kept is None:  # for estimates: later trials may share the scan
-        found["scan_bytes"] = bytes_below([path])
-    for used in [path for path in folder.iterdir() if path not in artifacts.values()]:
+        result["scan_bytes"] = bytes_below([path])
+    attached = stored if spec.keep == "volume" else None
+    for used in [path for path in folder.iterdir() if path != attached]:
         remove(used)
-    return found, artifacts
+    return result
 
 
 def _whole_run(
@@ -262,7 +270,7 @@ def _whole_run(
     folder: Path,
     place: Place,
     seconds: _Seconds,
-) -> tuple[dict[str, Any], dict[str, Path]]:
+) -> dict[str, Any]:
     if kept is not None and not (folder / "scan.zarr").exists():
         LocalArtifact(kept).save(folder / "scan.zarr")
     cache = Cache(place.folder)
@@ -280,11 +288,10 @@ def _whole_run(
     grid, truth = scenario.reconstruction.volume_grid, Volume.read(finished.paths.truth).array
     region = region_of_interest(finished.scan.relative.geometry(scenario.detector.panel), grid)
     shown = cross_sections(finished.volume.array, truth, region, grid)
-    found = {
+    return {
         "figures": flat_figures(finished.figures),
         "sections": packed_sections(shown, float(truth.max())),
     }
-    return found, {"run": folder}
 
 
 def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpecimen:

@@ -64,7 +64,7 @@ class Journal:
         steps = len(self.state.worth) + len(self.generations)
         return f"the candidates within reach and {steps} steps of the search; --resume continues"
 
-    def found(self, within_reach: NDArray[np.intp]) -> None:
+    def write_candidates(self, within_reach: NDArray[np.intp]) -> None:
         """Write the candidates within reach."""
         self.within_reach = within_reach
         self._write()

@@ -60,8 +60,8 @@ def share_exposure(section: ExposureSharing, goals: Sequence[Goal], views: Seque
     if mine(exposures) < mine(equal):
         exposures = equal
 
-    def told(of: Floats) -> dict[str, float]:
+    def figures(of: Floats) -> dict[str, float]:
         every = {"detectability": mine(of), "dose": float((of * kerma).mean())}
         return {name: value for name, value in every.items() if name in measures}
 
-    return Shared(exposures, told(exposures), told(equal))
+    return Shared(exposures, figures(exposures), figures(equal))

@@ -122,7 +122,7 @@ def plan_views(
         builder = SimulationBuilder(scenario)
         all_views = candidates_of(scenario)
         if journal.within_reach is None:
-            journal.found(reachable(builder, all_views, progress, pool))
+            journal.write_candidates(reachable(builder, all_views, progress, pool))
         assert journal.within_reach is not None
         within = all_views[journal.within_reach]
         if len(within) < task.views:

@@ -23,7 +23,7 @@ FOLDER, PICTURE = "tried", "tried.png"
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class TrialVolume:
     """Result of a set of views.
 
     Attributes:
@@ -40,7 +40,7 @@ class Trial:
 
 def trial(
     builder: SimulationBuilder, geometry: ScanGeometry, mas: Floats | None, folder: Path, name: str
-) -> Trial:
+) -> TrialVolume:
     """Simulate images of views as by a gantry, and reconstruct them as the scenario states.
 
     Args:
@@ -58,7 +58,7 @@ def trial(
     volume, truth = reconstruct(scan).array, truth_of(scan, gantry)
     off = volume[region].astype(float) - truth.volume[region]
     error = float(np.sqrt(np.mean(off**2))) / truth.mu_reference
-    return Trial(error, volume, truth.volume)
+    return TrialVolume(error, volume, truth.volume)
 
 
 def tried(
@@ -85,7 +85,7 @@ def tried(
     task = scenario.task
     assert task is not None
     (out / FOLDER).mkdir(exist_ok=True)
-    found: dict[str, Trial] = {}
+    found: dict[str, TrialVolume] = {}
     with progress.stage("trying views", len(views)) as step:
         for name, (geometry, mas) in views.items():
             found[name] = trial(builder, geometry, mas, out / FOLDER, name)

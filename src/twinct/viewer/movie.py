@@ -70,7 +70,7 @@ def write_movie(show: Show, builder: SimulationBuilder, path: Path, progress: Pr
 def _encoder(draft: Path, path: Path) -> Iterator[IO[bytes]]:
     """Yield a pipe that takes frames to ffmpeg, and wait until it has written all of them.
 
-    ``imageio_ffmpeg.write_frames`` does not tell when ffmpeg fails at the end.
+    ``imageio_ffmpeg.write_frames`` does not report that ffmpeg failed at the end.
 
     Raises:
         OSError: the disk is full.

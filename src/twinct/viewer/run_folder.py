@@ -40,7 +40,7 @@ class RunFolder:
         self._known: dict[Path, tuple[object, Any]] = {}
         self._reported: tuple[int, PosePairs | None] = 0, None
         self._show: Show | None = None
-        self._told: IterationDone | None = None
+        self._iteration: IterationDone | None = None
         self._course: dict[str, list[float]] = {}
 
     @property
@@ -53,7 +53,7 @@ class RunFolder:
         course = self._course.setdefault(event.geometry, [])
         if len(course) == event.iteration - 1:
             course.append(event.residual)
-        self._told = event
+        self._iteration = event
 
     def look(self) -> Show:
         """Return the current state of the run.
@@ -186,7 +186,7 @@ class RunFolder:
 
     def _checkpoint(self) -> tuple[Volume, str, int, tuple[float, ...]] | None:
         """Return volume, geometry, number and residuals of a reconstruction's newest iteration."""
-        if (told := self._told) is not None:
+        if (told := self._iteration) is not None:
             course = tuple(self._course[told.geometry])
             return told.volume, told.geometry, told.iteration, course
         files = sorted(self.paths.checkpoints.glob("*.npz"), key=lambda f: f.name)

@@ -30,6 +30,4 @@ __all__ = [
     "map_over",
 ]
 
-__getattr__ = old_names(__name__, {"Parcel": "Artifact"})
-
-__getattr__ = old_names(__name__, {"Made": "WithArtifacts"})
+__getattr__ = old_names(__name__, {"Made": "WithArtifacts", "Parcel": "Artifact"})

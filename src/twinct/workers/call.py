@@ -1,4 +1,4 @@
-"""One call of a function in a worker: request, execution and outcome."""
+"""One call of a function in a worker: request, execution and event."""
 
 from __future__ import annotations
 
@@ -6,30 +6,13 @@ import io
 import pickle
 import time
 import traceback
-from collections.abc import Container, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Container
+from dataclasses import replace
 from typing import Any
 
 from twinct.core.errors import InputError, MemoryShortageError, TwinctError
-from twinct.workers.work import Artifact, Done, Failed, Place, Pool, WithArtifacts, Work
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """Outcome of a call, which any process can unpickle without importing its classes.
-
-    Attributes:
-        value: pickled result; empty after a failure.
-        artifacts: paths of the created files and folders at the place of work.
-        failure: kind, problems and trace of a failure.
-        seconds: duration of the call.
-    """
-
-    value: bytes = b""
-    artifacts: Mapping[str, Path] = field(default_factory=dict[str, Path])
-    failure: tuple[str, tuple[str, ...], str] | None = None
-    seconds: float = 0.0
+from twinct.workers.artifact import LocalArtifact
+from twinct.workers.work import Done, Failed, Place, Pool, WithArtifacts, Work
 
 
 class _ByNames(pickle.Pickler):
@@ -75,41 +58,48 @@ def sent(work: Work, pool: Pool, keys: Container[str], offers: Container[str]) -
             f"work {work.key!r} cannot be sent to another process ({error}): the function "
             "must be defined by name in a module, and its argument must be data"
         ) from error
-    return stream.getvalue()
+    return pickle.dumps((work.key, stream.getvalue()))
 
 
-def call(request: bytes, place: Place) -> Outcome:
-    """Execute a request; exceptions of the function are part of the outcome, not raised."""
+def call(request: bytes, place: Place) -> Done | Failed:
+    """Execute a request; exceptions of the function are a failure, not raised.
+
+    Returns:
+        The event, with local artifacts, and a value that any process can receive, as it is pickled.
+    """
     begun = time.monotonic()
+    key, task = pickle.loads(request)
     try:
-        function, argument = pickle.loads(request)
-        made = function(argument, place)
+        function, argument = pickle.loads(task)
+        value = function(argument, place)
         seconds = time.monotonic() - begun
-        if not isinstance(made, WithArtifacts):
-            made = WithArtifacts(made)
-        artifacts = {name: Path(path).absolute() for name, path in made.artifacts.items()}
-        for name, path in artifacts.items():
-            if not path.exists():
-                raise FileNotFoundError(f"{path}, returned as {name!r}, does not exist")
-        value = pickle.dumps(made.value, pickle.HIGHEST_PROTOCOL)
-        return Outcome(value, artifacts, seconds=seconds)
+        if isinstance(value, WithArtifacts):
+            for name, path in value.artifacts.items():
+                place.attach(name, path)
+            value = value.value
+        artifacts = {name: LocalArtifact(path.absolute()) for name, path in place.attached.items()}
+        for name, artifact in artifacts.items():
+            if not artifact.path.exists():
+                raise FileNotFoundError(f"{artifact.path}, returned as {name!r}, does not exist")
+        return Done(key, pickle.dumps(value, pickle.HIGHEST_PROTOCOL), artifacts, seconds)
     except BaseException as error:  # includes SystemExit of the function
-        return Outcome(failure=_failure(error), seconds=time.monotonic() - begun)
+        return _failed(key, error, time.monotonic() - begun)
 
 
-def event(key: str, outcome: Outcome, artifacts: Mapping[str, Artifact]) -> Done | Failed:
-    """Return the event that a pool reports for an outcome."""
-    failure = outcome.failure
-    if failure is None:
-        try:
-            return Done(key, pickle.loads(outcome.value), artifacts, outcome.seconds)
-        except Exception as error:  # some classes can be pickled but not restored here
-            failure = _failure(error)
-    return Failed(key, *failure, outcome.seconds)
+def received(event: Done | Failed) -> Done | Failed:
+    """Return the event that a pool reports for one of ``call``."""
+    if isinstance(event, Failed):
+        return event
+    try:
+        return replace(event, value=pickle.loads(event.value))
+    except Exception as error:  # some classes can be pickled but not restored here
+        return _failed(event.key, error, event.seconds)
 
 
-def _failure(error: BaseException) -> tuple[str, tuple[str, ...], str]:
+def _failed(key: str, error: BaseException, seconds: float) -> Failed:
+    """Return an exception as the failure of work."""
     kind = type(error).__name__
     problems = error.problems if isinstance(error, InputError) else (str(error) or kind,)
     meant = isinstance(error, TwinctError)
-    return kind, tuple(problems), "" if meant else "".join(traceback.format_exception(error))
+    trace = "" if meant else "".join(traceback.format_exception(error))
+    return Failed(key, kind, tuple(problems), trace, seconds)

@@ -20,9 +20,8 @@ from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.interruption import postponed
 from twinct.core.memory import available_bytes
 from twinct.core.threads import SETTING
-from twinct.workers.artifact import LocalArtifact
-from twinct.workers.call import Outcome, event, sent
-from twinct.workers.work import Died, Event, Pool, Work
+from twinct.workers.call import received, sent
+from twinct.workers.work import Died, Done, Event, Failed, Pool, Work
 
 MOST_PASSED = 16
 """Number of pieces of work that may overtake the first in line while it waits for memory."""
@@ -241,11 +240,10 @@ class LocalPool(Pool):
     def _hear(self, worker: _Worker) -> list[Event]:
         task = worker.task
         try:
-            outcome: Outcome = pickle.loads(worker.connection.recv_bytes())
+            event: Done | Failed = pickle.loads(worker.connection.recv_bytes())
         except (EOFError, OSError):
             how = self._remove(worker)
             return [] if task is None else [Died(task.key, f"its worker {how}")]
         assert task is not None
         worker.task = None
-        artifacts = {name: LocalArtifact(path) for name, path in outcome.artifacts.items()}
-        return [event(task.key, outcome, artifacts)]
+        return [received(event)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,12 +22,21 @@ class Place(Protocol):
         """Number of threads of the work, which is already limited to them."""
         ...
 
+    @property
+    def attached(self) -> Mapping[str, Path]:
+        """Files and folders that are sent back, by their name."""
+        ...
+
     def fetch(self, name: str) -> Path:
         """Return the path of an offered file or folder, which is read-only.
 
         Raises:
             KeyError: the name is not among the inputs of the work.
         """
+        ...
+
+    def attach(self, name: str, path: Path) -> None:
+        """Send a file or folder back with the result, once the function returns."""
         ...
 
 
@@ -36,8 +46,7 @@ class Work:
 
     Attributes:
         key: unique key among all work in the pool.
-        function: ``function(argument, place)``, which can be imported by its name. It returns a
-            plain value, or ``WithArtifacts``.
+        function: ``function(argument, place)``, which can be imported by its name.
         argument: any object that can be pickled.
         memory_bytes: peak memory of the call.
         inputs: names of offers that the call may fetch; see ``Pool.offer``.
@@ -52,10 +61,15 @@ class Work:
 
 @dataclass(frozen=True)
 class WithArtifacts:
-    """A value, and files or folders that are sent back with it."""
+    """A value, and files or folders that are sent back with it: ``Place.attach`` replaces it."""
 
     value: Any
     artifacts: Mapping[str, Path] = field(default_factory=dict[str, Path])
+
+    def __post_init__(self) -> None:
+        """Warn: the class stays for programs that were written before ``Place.attach``."""
+        text = "instead of WithArtifacts, call place.attach(name, path), and return the value"
+        warnings.warn(text, DeprecationWarning, stacklevel=3)
 
 
 class Artifact(Protocol):
@@ -72,7 +86,14 @@ class Artifact(Protocol):
 
 @dataclass(frozen=True)
 class Done:
-    """Work that returned."""
+    """Work that returned.
+
+    Attributes:
+        key: key of the work.
+        value: result of the function, pickled on its way from the worker to the pool.
+        artifacts: files and folders that the function attached, by their name.
+        seconds: duration of the call.
+    """
 
     key: str
     value: Any

@@ -11,7 +11,7 @@ import pickle
 import signal
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -27,10 +27,15 @@ class LocalPlace:
     folder: Path
     threads: int
     inputs: Mapping[str, Path]
+    attached: dict[str, Path] = field(default_factory=dict[str, Path])
 
     def fetch(self, name: str) -> Path:
         """Return the path of an offer."""
         return self.inputs[name]
+
+    def attach(self, name: str, path: Path) -> None:
+        """Send a file or folder back."""
+        self.attached[name] = path
 
 
 def main() -> None:
@@ -43,9 +48,9 @@ def main() -> None:
     pool = Connection(connection)
     while True:
         request, inputs = pickle.loads(pool.recv_bytes())
-        outcome = call(request, LocalPlace(Path(sys.argv[4]), threads, inputs))
-        pool.send_bytes(pickle.dumps(outcome))
-        del request, outcome
+        event = call(request, LocalPlace(Path(sys.argv[4]), threads, inputs))
+        pool.send_bytes(pickle.dumps(event))
+        del request, event
 
 
 if __name__ == "__main__":

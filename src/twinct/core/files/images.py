@@ -131,7 +131,7 @@ def _stated_shape(path: Path, where: str) -> tuple[int, int]:
 
 @contextlib.contextmanager
 def _quiet() -> Generator[None, None, None]:
-    """Keep libraries from telling what the caller tells."""
+    """Silence warnings of libraries that the caller reports."""
     log = logging.getLogger("tifffile")
     before, log.disabled = log.disabled, True
     try:

@@ -52,7 +52,7 @@ class LocalRecorder(Recorder):
         assert isinstance(rig, LocalRig)
         return _RecordedRig(rig, self)
 
-    def asked(self, view: int, target: PosePairs) -> None:
+    def target(self, view: int, target: PosePairs) -> None:
         """Record a target that was sent."""
         self._say(topics.TARGET, plain.targets(self._epoch.at(view), [target]))
 
@@ -108,7 +108,7 @@ class _RecordedRig(LocalRig):
 
     def move(self, view: int, target: PosePairs) -> Reached:
         """See ``Rig.move``."""
-        self._recorder.asked(view, target)
+        self._recorder.target(view, target)
         reached = self._rig.move(view, target)
         self._last = self._recorder.reached(view, reached), reached
         return reached

@@ -2,7 +2,7 @@
 
 Slices are stored with rising z of the grid. Within a slice both axes of the grid are reversed: so
 an upright grid has the usual axial images, whose rows run to the patient's left and whose columns
-run to the back. The header tells no patient: nobody was born, and nobody was scanned at a date.
+run to the back. The header names no patient: nobody was born, and nobody was scanned at a date.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A format of volumes, and what a file tells besides the voxels."""
+"""A format of volumes, and what a file states besides the voxels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LPS_FROM_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class VolumeFacts:
-    """Facts about a volume that its files tell.
+    """Facts about a volume that its files state.
 
     Attributes:
         note: one line on the origin of the volume.

@@ -97,7 +97,7 @@ def planning_scene(cell: CellModel) -> str:
         shapes = [shape for geom in solid.tolist() for shape in _shapes(cell, geom)]
         if shapes:
             body_pose = _pose(model.body_pos[body], model.body_quat[body])
-            lines += [f"* {names[body]}", *_told(body_pose), str(len(shapes))]
+            lines += [f"* {names[body]}", *_pose_lines(body_pose), str(len(shapes))]
             for shape in shapes:
                 lines += shape
             lines.append("0")  # frames of the object
@@ -123,22 +123,22 @@ def _shapes(cell: CellModel, geom: int) -> Iterator[list[str]]:
     rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
     colour = _numbers(rgba)
     if kind == kinds.mjGEOM_SPHERE:
-        yield ["sphere", _numbers(size[:1] + margin), *_told(place), colour]
+        yield ["sphere", _numbers(size[:1] + margin), *_pose_lines(place), colour]
     elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
         longer = margin if kind == kinds.mjGEOM_CYLINDER else 0.0
         extent = np.array([size[0] + margin, 2 * (size[1] + longer)])
-        yield ["cylinder", _numbers(extent), *_told(place), colour]
+        yield ["cylinder", _numbers(extent), *_pose_lines(place), colour]
         for end in (-size[1], size[1]) if kind == kinds.mjGEOM_CAPSULE else ():
             yield [
                 *("sphere", _numbers(size[:1] + margin)),
-                *(*_told(place @ _pose((0.0, 0.0, end))), colour),
+                *(*_pose_lines(place @ _pose((0.0, 0.0, end))), colour),
             ]
     elif kind == kinds.mjGEOM_MESH:
-        yield ["mesh", *_hull(cell, geom, margin), *_told(place), colour]
+        yield ["mesh", *_hull(cell, geom, margin), *_pose_lines(place), colour]
     else:
         centre, half = np.split(model.geom_aabb[geom], 2)
         box = _numbers(2 * (half + margin))
-        yield ["box", box, *_told(place @ _pose(centre)), colour]
+        yield ["box", box, *_pose_lines(place @ _pose(centre)), colour]
 
 
 def _hull(cell: CellModel, geom: int, margin: float) -> list[str]:
@@ -161,7 +161,7 @@ def _pose(position_m: Floats | tuple[float, ...], quat: Floats | None = None) ->
     return Pose.from_metres(position_m, np.roll(wxyz, -1))
 
 
-def _told(pose: Pose) -> tuple[str, str]:
+def _pose_lines(pose: Pose) -> tuple[str, str]:
     position, quat = pose.to_metres()
     return _numbers(np.asarray(position)), _numbers(np.asarray(quat))
 

@@ -169,12 +169,12 @@ class Feasible:
             position[index], turned[index] = data.geom_xpos, data.geom_xmat
         return _Places(position, turned)
 
-    def _near(self, places: _Places, asked_m: Floats) -> tuple[Indices, Indices]:
+    def _near(self, places: _Places, required_m: Floats) -> tuple[Indices, Indices]:
         """Return pairs and configurations that world-aligned boxes do not prove far enough apart.
 
         Args:
             places: poses of the geoms in m configurations.
-            asked_m: distance to prove, (pairs, m or 1).
+            required_m: distance to prove, (pairs, m or 1).
         """
         turned = places.turned.reshape(*places.position.shape, 3)[:, self._geoms]
         centre = places.position[:, self._geoms] + (turned * self._centre[:, None]).sum(axis=3)
@@ -189,13 +189,13 @@ class Feasible:
             np.maximum(gap, 0, out=gap)
             gap *= gap
             square += gap
-        asked_m = asked_m + self._margin[:, None]
-        pair, which = np.nonzero(square < asked_m * asked_m)
+        required_m = required_m + self._margin[:, None]
+        pair, which = np.nonzero(square < required_m * required_m)
         order = np.argsort(which, kind="stable")
         return pair[order], which[order]
 
     def _suspects(
-        self, places: _Places, pair: Indices, which: Indices, asked_m: Floats
+        self, places: _Places, pair: Indices, which: Indices, required_m: Floats
     ) -> Iterator[tuple[int, Indices, Floats]]:
         """Yield the pairs that the geoms' own oriented boxes do not prove far enough apart.
 
@@ -203,7 +203,7 @@ class Feasible:
             places: poses of the geoms in some configurations.
             pair: indices of pairs, (k,).
             which: configuration of each pair, in ascending order, (k,).
-            asked_m: distance to prove, (k,).
+            required_m: distance to prove, (k,).
 
         Yields:
             index of a configuration, which the scratch data then hold; rows of ``pair``, deepest
@@ -227,7 +227,7 @@ class Feasible:
             # Overlapping boxes bound no distance; the deepest overlap is checked first.
             bound = np.maximum(bound, np.where(outside > 0, outside, gap.max(axis=1)))
         bound -= self._margin[pair]
-        rows = np.flatnonzero(bound < asked_m)
+        rows = np.flatnonzero(bound < required_m)
         rows = rows[np.lexsort((bound[rows], which[rows]))]
         found, first = np.unique(which[rows], return_index=True)
         # An empty array splits into one part.

@@ -80,17 +80,17 @@ def branch_path(cell_model: CellModel, motion: Motion, targets: Sequence[PosePai
     pair = _clearest(cell_model, [[w for w in found if w.good] for found in ways])
     joints = np.hstack([way.joints for way in pair])
     gaps = gaps_along(cell_model, joints)
-    asked_mm = motion.clearance_mm
-    close = {view: gap for view, gap in enumerate(gaps) if gap.distance_mm < asked_mm}
+    required_mm = motion.clearance_mm
+    close = {view: gap for view, gap in enumerate(gaps) if gap.distance_mm < required_mm}
     if close:
-        raise TrajectoryError(gap_problems(close, asked_mm))
+        raise TrajectoryError(gap_problems(close, required_mm))
     clearance, scratch = Clearance(cell_model), mujoco.MjData(cell_model.model)
 
     def clear(home: Floats) -> bool:
         path = straight_path(cell_model, scratch, joints[0], home)
-        return clearance.over(path).distance_mm >= asked_mm
+        return clearance.over(path).distance_mm >= required_mm
 
-    home = home_off(targets[0], joints[0], kinematics, clear, asked_mm)
+    home = home_off(targets[0], joints[0], kinematics, clear, required_mm)
     return JointPath(np.vstack([home, joints]), np.arange(-1, len(joints)), tuple(targets))
 
 

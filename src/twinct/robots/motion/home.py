@@ -23,7 +23,7 @@ def home_off(
     joints: Floats,
     kinematics: Kinematics,
     clear: Callable[[Floats], bool],
-    asked_mm: float,
+    required_mm: float,
 ) -> Floats:
     """Return a home with both tools moved along the beam, or else across it, as far as possible.
 
@@ -32,7 +32,7 @@ def home_off(
         joints: joint configuration of the first view, rad, (n,).
         kinematics: kinematics of the cell.
         clear: checks that the straight path from ``joints`` to a configuration keeps the clearance.
-        asked_mm: required clearance, for the message.
+        required_mm: required clearance, for the message.
 
     Raises:
         TrajectoryError: no home lies within reach and keeps the clearance.
@@ -53,5 +53,5 @@ def home_off(
                     return result.joints
     raise TrajectoryError(
         f"view 0: no start position found: even steps of {WITHDRAWN_MM[-1]:g} mm along and across "
-        f"the beam are out of reach or break the clearance of {asked_mm:g} mm"
+        f"the beam are out of reach or break the clearance of {required_mm:g} mm"
     )

@@ -25,13 +25,13 @@ def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]
     return problems
 
 
-def gap_problems(gaps: Mapping[int, Gap], asked_mm: float) -> list[str]:
+def gap_problems(gaps: Mapping[int, Gap], required_mm: float) -> list[str]:
     """Return messages for views in which bodies come too close, with their smallest gap."""
     problems: list[tuple[int, str]] = []
     for bodies in sorted({gap.bodies for gap in gaps.values()}):
         for first, last in runs(view for view, gap in gaps.items() if gap.bodies == bodies):
             worst = min((gaps[v] for v in range(first, last + 1)), key=lambda g: g.distance_mm)
-            problems.append((first, f"{named(first, last)}: {gap_text(worst, asked_mm)}"))
+            problems.append((first, f"{named(first, last)}: {gap_text(worst, required_mm)}"))
     return [text for _, text in sorted(problems)]
 
 
@@ -65,12 +65,12 @@ def late_problems(seconds: Sequence[float], allowed_s: float) -> list[str]:
     ]
 
 
-def gap_text(gap: Gap, asked_mm: float) -> str:
+def gap_text(gap: Gap, required_mm: float) -> str:
     """Return a message for two bodies that are too close to each other."""
     pair = " and ".join(map(readable, gap.bodies))
     if gap.distance_mm < 0:
         return f"{pair} overlap by {-gap.distance_mm:.1f} mm"
-    return f"{pair} come within {gap.distance_mm:.1f} mm; at least {asked_mm:g} mm are required"
+    return f"{pair} come within {gap.distance_mm:.1f} mm; at least {required_mm:g} mm are required"
 
 
 def readable(body: str) -> str:

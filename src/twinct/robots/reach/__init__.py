@@ -4,7 +4,7 @@ from twinct.robots.reach.cures import CureSearch
 from twinct.robots.reach.holding import Holder, Poses
 from twinct.robots.reach.place import Bounds, Placement, place
 from twinct.robots.reach.sphere import Reach, poses_of, reach
-from twinct.robots.reach.why import View, reasons, shown
+from twinct.robots.reach.why import HeldView, reasons, shown
 
 __all__ = [
     "Bounds",
@@ -13,7 +13,7 @@ __all__ = [
     "Placement",
     "Poses",
     "Reach",
-    "View",
+    "HeldView",
     "place",
     "poses_of",
     "reach",

@@ -79,23 +79,23 @@ class Change:
 
 
 class _Hopes:
-    """Largest numbers of views that changes may cure, as far as each arm's reach tells."""
+    """Largest numbers of views that changes may cure, as far as each arm's reach shows."""
 
     def __init__(
         self, model: CellModel, motion: Motion, roll_free: tuple[bool, bool], asked: Poses
     ) -> None:
-        self._roll_free, self._asked = roll_free, asked
+        self._roll_free, self._commanded = roll_free, asked
         self._branches = [Branches(model, arm, motion.ik) for arm in range(2)]
         self.alone = [_alone(model, motion, roll_free, asked, arm) for arm in range(2)]
 
     def of(self, change: Change) -> int:
-        held = np.ones(len(self._asked), bool)
+        held = np.ones(len(self._commanded), bool)
         for arm, branches in enumerate(self._branches):
             turned = change.roll_free[arm] != self._roll_free[arm]
             if change.scale == 1 and change.arm != arm and not turned:
                 held &= self.alone[arm]
             elif branches.closed_form:  # its last joint only rolls the tool
-                seen = change.seen_by(self._asked, arm)
+                seen = change.seen_by(self._commanded, arm)
                 held &= np.isin(np.arange(len(held)), branches.of(seen).pose)
         return int(held.sum())
 

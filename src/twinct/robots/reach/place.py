@@ -187,14 +187,16 @@ class _Search:
         own = np.array([self._coordinates(arm) for arm in range(2)])
         places = [self._spread(own[arm], arm, samples) for arm in range(2)]
         with progress.stage("places of each arm", 2 * (samples + 1)) as step:
-            alone = [[self._told_of(point, arm, step) for point in places[arm]] for arm in range(2)]
+            alone = [
+                [self._reach_of(point, arm, step) for point in places[arm]] for arm in range(2)
+            ]
         with progress.stage("improving each arm's best", 2 * IMPROVED_ALONE * len(STEPS)) as step:
             better = [self._improved_alone(alone[arm], arm, step) for arm in range(2)]
         across = [self._across(own[1 - arm], points, 1 - arm) for arm, points in enumerate(better)]
         tried = [better[0] + across[1], better[1] + across[0]]
         with progress.stage("trying the best on the other arm", sum(map(len, tried))) as step:
             for arm in range(2):
-                alone[arm] += [self._told_of(point, arm, step) for point in tried[arm]]
+                alone[arm] += [self._reach_of(point, arm, step) for point in tried[arm]]
         before = self._judged(own)
         pairs = self._promising(alone)
         with progress.stage("pairs of places", len(pairs)) as step:
@@ -234,7 +236,7 @@ class _Search:
         mirrored[:, self._open[arm].stop :] = own[self._open[arm].stop :]
         return list(mirrored)
 
-    def _told_of(self, point: Floats, arm: int, step: Callable[[], None]) -> tuple[Floats, Flags]:
+    def _reach_of(self, point: Floats, arm: int, step: Callable[[], None]) -> tuple[Floats, Flags]:
         held = self._alone(point, arm, self._poses)
         step()
         return point, held

@@ -25,7 +25,7 @@ WIDEST_OF = 64
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class HeldView:
     """One view, held as well as the arms can.
 
     Attributes:
@@ -40,7 +40,7 @@ class View:
     words: tuple[str, ...]
 
 
-def shown(holder: Holder, poses: Poses, view: int) -> View:
+def shown(holder: Holder, poses: Poses, view: int) -> HeldView:
     """Return the configuration of both arms closest to a view, and its problems.
 
     Args:
@@ -52,7 +52,7 @@ def shown(holder: Holder, poses: Poses, view: int) -> View:
     alone = holder.alone(one.source, 0), holder.alone(one.detector, 1)
     pairs = holder.pairs(*alone, 0)
     if len(pairs):
-        return View(pairs[0], Marks(), ())
+        return HeldView(pairs[0], Marks(), ())
     options, ghosts, words = [], [], []
     for arm, matrix in enumerate(both):
         joints = alone[arm].joints
@@ -71,7 +71,7 @@ def shown(holder: Holder, poses: Poses, view: int) -> View:
     if gap.distance_mm < holder.least_mm and not ghosts:
         words.append(f"view {view}: {gap_text(gap, holder.least_mm)}")
         red = gap.bodies
-    return View(joints, Marks(red=red, ghosts=tuple(ghosts)), tuple(words))
+    return HeldView(joints, Marks(red=red, ghosts=tuple(ghosts)), tuple(words))
 
 
 def _nearest(

@@ -12,7 +12,7 @@ import stat
 import tempfile
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,10 @@ from twinct.core.errors import InputError
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
 from twinct.workers.artifact import remove
-from twinct.workers.call import Outcome, call
+from twinct.workers.call import call
 from twinct.workers.cluster.content import Bytes, pack, unpack
 from twinct.workers.lifeline import end_with
+from twinct.workers.work import Done, Failed
 
 
 def ray_module() -> Any:
@@ -66,6 +67,7 @@ class NodePlace:
     folder: Path
     threads: int
     tickets: Mapping[str, Ticket]
+    attached: dict[str, Path] = field(default_factory=dict[str, Path])
 
     def fetch(self, name: str) -> Path:
         """Return the path of an offer; unpack it unless another worker has already done so."""
@@ -85,6 +87,10 @@ class NodePlace:
         finally:
             remove(draft)
         return path
+
+    def attach(self, name: str, path: Path) -> None:
+        """Send a file or folder back."""
+        self.attached[name] = path
 
 
 @cache
@@ -139,17 +145,20 @@ def _prepare(terms: Terms) -> None:
 
 def work(
     request: bytes, tickets: dict[str, Ticket], terms: Terms
-) -> tuple[Outcome, dict[str, Bytes]]:
-    """Execute a request; return its outcome and the content of its artifacts."""
+) -> tuple[Done | Failed, dict[str, Bytes]]:
+    """Execute a request; return its event without artifacts, and their content."""
     _prepare(terms)
     place = NodePlace(folder(terms.pool), terms.threads, tickets)
     place.folder.mkdir(parents=True, exist_ok=True)
-    outcome = call(request, place)
+    event = call(request, place)
+    if isinstance(event, Failed):
+        return event, {}
     try:
-        return outcome, {name: pack(path) for name, path in outcome.artifacts.items()}
+        content = {name: pack(path) for name, path in place.attached.items()}
     except OSError as error:
         problem = f"the result cannot be read: {error}"
-        return Outcome(failure=(type(error).__name__, (problem,), ""), seconds=outcome.seconds), {}
+        return Failed(event.key, type(error).__name__, (problem,), "", event.seconds), {}
+    return replace(event, artifacts={}), content
 
 
 def look() -> tuple[str, str]:

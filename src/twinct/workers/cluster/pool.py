@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,11 @@ from twinct.core.extras import require
 from twinct.core.memory import available_bytes
 from twinct.core.threads import available_threads
 from twinct.workers.artifact import arriving
-from twinct.workers.call import Outcome, event, sent
+from twinct.workers.call import received, sent
 from twinct.workers.cluster import node
 from twinct.workers.cluster.content import Bytes, pack, unpack
 from twinct.workers.cluster.local import LocalRay, set_environment, start
-from twinct.workers.work import Died, Event, Pool, Work
+from twinct.workers.work import Died, Done, Event, Failed, Pool, Work
 
 ANSWER_S = 10.0
 """Timeout for a connection to a cluster."""
@@ -171,8 +171,8 @@ class RayPool(Pool):
         with self._speaking():
             tickets = {name: self._ticket(name) for name in work.inputs}
             task = self._work.options(memory=work.memory_bytes or None, name="twinct")
-            outcome, content = task.remote(request, tickets, self._terms)
-        self._running[outcome] = (work.key, content)
+            event, content = task.remote(request, tickets, self._terms)
+        self._running[event] = (work.key, content)
 
     def wait(self, timeout_s: float | None = None) -> list[Event]:
         """Wait for events; see ``twinct.workers.Pool``.
@@ -236,8 +236,8 @@ class RayPool(Pool):
         key, content = self._running.pop(reference)
         failures = self._ray.exceptions
         try:
-            outcome: Outcome = self._ray.get(reference)
-            packed: dict[str, Bytes] = self._ray.get(content) if outcome.artifacts else {}
+            event: Done | Failed = self._ray.get(reference)
+            packed: dict[str, Bytes] = self._ray.get(content)
         except failures.RayTaskError as error:
             raise getattr(error, "cause", error) from None
         except (failures.WorkerCrashedError, failures.OutOfMemoryError) as error:
@@ -249,7 +249,10 @@ class RayPool(Pool):
             raise
         except failures.RayError as error:  # full disk or store: limit the retries
             return Died(key, f"Ray gave up on it: {_line(error)}")
-        return event(key, outcome, {name: _Come(one, self) for name, one in packed.items()})
+        event = received(event)
+        if isinstance(event, Failed):
+            return event
+        return replace(event, artifacts={n: _Come(one, self) for n, one in packed.items()})
 
     def _compare(self) -> None:
         """Raise if a node has other versions."""
