@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import mmap
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +15,8 @@ import pytest
 from twinct import run
 from twinct.core.cached import forget, once
 from twinct.recon.volume import Volume
-from twinct.runs import reconstruct_run, rewrite_report
+from twinct.runs import Run, judge, reconstruct_run, rewrite_report, truth, truth_of
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.specimen import BuiltSpecimen
 
@@ -82,6 +85,23 @@ def test_a_file_that_holds_another_truth_is_replaced(
         assert rewrite_report(tmp_path / "out").figures["image"] == before
         np.testing.assert_array_equal(Volume.read(file), right[0])
     assert calls["truth"] == 4
+
+
+def test_a_large_truth_takes_no_memory_beside_other_work(
+    finished: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = truth_of(finished.scan, SimulationBuilder(finished.scenario))
+    voxels, file = math.prod(held.grid.shape), finished.paths.truth
+    assert held.written(file) is held and truth.held_bytes(held.grid) == 5 * voxels
+    monkeypatch.setattr(truth, "_MOST_KEPT", 0)
+    mapped = held.written(file)
+    assert truth.held_bytes(held.grid) == voxels
+    below: Any = mapped.volume
+    while isinstance(below, np.ndarray):
+        below = below.base
+    assert isinstance(below, mmap.mmap)
+    figures = (judge(finished.scan, finished.volume, one).as_dict() for one in (held, mapped))
+    assert next(figures) == next(figures)
 
 
 def test_only_the_last_of_a_kind_is_kept() -> None:

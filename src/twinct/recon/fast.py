@@ -154,7 +154,7 @@ def fast(
 ) -> Volume:
     """Reconstruct a volume from line integrals, mostly in larger voxels and pixels.
 
-    Peak memory: 2.2 volumes and half of the projections, besides the projections.
+    Peak memory: 1.6 volumes and half of the projections, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
@@ -223,8 +223,12 @@ def fast(
 
 
 def _filled(x: Singles) -> float:
-    """Return the share of the voxels above a tenth of the densest ones, not 0."""
-    return max(float(np.mean(x > 0.1 * np.percentile(x, 99.9))), 1e-3)
+    """Return the share of the voxels above a tenth of the densest ones, not 0.
+
+    An eighth of the voxels shows it: ``x`` is interpolated from voxels twice as large.
+    """
+    some = x[::2, ::2, ::2]
+    return max(float(np.mean(some > 0.1 * np.percentile(some, 99.9))), 1e-3)
 
 
 def _usual_passes(A: Projector) -> int:
@@ -317,16 +321,16 @@ def _from_coarse_to_fine(
     """Return the volume, and False if the callback stopped it."""
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
-    done, before, x = 0, None, np.zeros((2, 2, 2), np.float32)
+    done, before = 0, None
     for factor in factors:
         level = Level.of(A, p, pixels, factor, steps.margin, before)
-        before, x = None, level.start()
-        shares = steps.shares(level.A, factor, x)
-        views = np.tile(spread_order(len(A)), steps.number(factor))
-        work, since = WorkingVolume(level.A.kernels, x), 0.0
+        before = None  # frees the coarser level, as does each ``del``
+        work, since = WorkingVolume(level.A.kernels, level.start()), 0.0
+        shares = steps.shares(level.A, factor, work.array)
+        views = np.tile(spread_order(len(level.A)), steps.number(factor))
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
             square, rays = level.update(work, int(view), float(share), steps.floor, listener.wanted)
-            since, ended = since + float(share), factor == 1 and used % len(A) == 0
+            since, ended = since + float(share), factor == 1 and used % len(level.A) == 0
             if steps.strength and factor == 1 and (ended or since > MOST_BETWEEN):
                 work, since = _lowered(level.A, work, since * steps.strength, steps.floor), 0.0
             if best.watches and ended and best.is_over(work.array):
@@ -334,10 +338,10 @@ def _from_coarse_to_fine(
             if listener(0, done, square, rays, work):
                 return interpolated(level.whole(work.array), level.A.grid, A.grid), False
             done += 1
-        x = level.whole(work.array)
-        del work  # frees the card
-        before = level, x
-    return x, True
+        before = level, level.whole(work.array)
+        del level, work  # frees the card
+    assert before is not None  # there is a level
+    return before[1], True
 
 
 def _lowered(A: Projector, work: WorkingVolume, strength: float, floor: float) -> WorkingVolume:
@@ -391,7 +395,7 @@ def _solve(problem: Problem, settings: Fast) -> Volume:
 FAST = Algorithm(
     Fast,
     _solve,
-    volumes=2.2,
+    volumes=1.6,
     projections=0.5,
     check=_check,
     updates=lambda own, views: (

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
-from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon.blocks import EDGE, EVERYWHERE, Blocks
 from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
@@ -38,7 +38,7 @@ class Rest:
     """Volume of a coarser level, and the part that stays as it is.
 
     Attributes:
-        x: volume of the coarser level, (z, y, x).
+        x: volume of the coarser level about the finer grid, (z, y, x).
         grid: its grid.
         blocks: blocks of the finer grid that go on.
         images: line integrals of everything else, in the coarser pixels; None if there is nothing.
@@ -59,7 +59,9 @@ class Rest:
         blocks = blocks_of(x, coarse.grid, finer) if coarse.leaves_out else EVERYWHERE
         inside, going_on = _going_on(coarse.grid, finer, blocks)
         rest = np.where(~going_on if beyond else inside & ~going_on, x, np.float32(0))
-        return cls(x, coarse.grid, blocks, coarse(rest) if rest.any() else None)
+        images = coarse(rest) if rest.any() else None
+        del inside, going_on, rest
+        return cls(*_about(x, coarse.grid, finer), blocks, images)
 
     def at(self, view: int, shape: tuple[int, ...]) -> Singles | None:
         """Return the rest's line integrals in a view of pixels half as large, bilinear."""
@@ -187,6 +189,22 @@ def blocks_of(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> Blocks:
             parts.append(np.asarray(np.take(shown, range(begin, end), axis).any(axis)))
         shown = np.stack(parts, axis)
     return Blocks(np.ascontiguousarray(shown, np.uint8))
+
+
+def _about(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> tuple[Singles, VolumeGrid]:
+    """Return the part of a volume from which a finer grid is interpolated, and its grid."""
+    parts: list[slice] = []
+    for place, n in zip(_places(grid, finer), finer.shape, strict=True):
+        step = place[1] - place[0] if len(place) > 1 else 1.0
+        begin, end = np.searchsorted(place, (-step, n + step))
+        parts.append(slice(int(begin), int(end)))
+    if all(part == slice(0, n) for part, n in zip(parts, x.shape, strict=True)):
+        return x, grid
+    shape = [part.stop - part.start for part in parts]
+    first = np.array([part.start for part in parts[::-1]])
+    shift = (first + (np.array(shape[::-1]) - np.array(grid.shape_xyz)) / 2) * grid.voxel
+    place = grid.world_from_grid @ Pose.from_matrix(shift, np.eye(3))
+    return x[tuple(parts)].copy(), VolumeGrid(shape, grid.voxel, place)
 
 
 def _places(grid: VolumeGrid, finer: VolumeGrid) -> list[Floats]:

@@ -247,8 +247,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         check_places(builder)
     with sole_owner(folder.lock), audience_of(observers) as audience:
         before = read_metrics(folder.metrics)
-        truth = truth_of(now.scan, builder, audience, file=folder.truth)
-        truth.write(folder.truth)
+        truth = truth_of(now.scan, builder, audience, file=folder.truth).written(folder.truth)
         first = judge(now.scan, made.volume, truth, builder.specimen)
         figures = {scenario.reconstruction.geometries[0]: first}
         for which, values in before.get("image_by_geometry", {}).items():
@@ -258,7 +257,8 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
         if asked_anew:
             _judge_others(now, builder, audience)
         volume = replace(made.volume, extras={**made.volume.extras, **algorithm_results(before)})
-        results = Results(volume, truth, figures, before.get("residuals", {}))
+        results = Results.of(volume, truth)
+        results = replace(results, figures=figures, residuals=before.get("residuals", {}))
         timing = Timing(before["seconds"], before["real_time_factor"])
         write_results(folder, builder, now.scan, results, timing)
         if asked_anew:
@@ -355,11 +355,10 @@ def _make_volumes(
         # The scenario in the store may state another reconstruction; this run's counts.
         scan = Run(scenario, folder).scan
         scan.reported.write(folder.geometries)
-        truth = truth_of(scan, builder, audience, file=folder.truth)
-        truth.write(folder.truth)
+        truth = truth_of(scan, builder, audience, file=folder.truth).written(folder.truth)
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
-    kept: Volume | None = None
+    first: Results | None = None
     for which in scenario.reconstruction.geometries:
         course = residuals.setdefault(which, [])
         with seconds.stage("reconstruction", keep=True):
@@ -370,16 +369,18 @@ def _make_volumes(
                 watch=lambda _, residual, course=course: course.append(residual),
                 observers=audience,
             )
-        if kept is None:
-            kept = volume
+        if first is None:
             with seconds.stage("storing"):
                 volume.write(folder.volume, _note_of(folder, scenario))
+            first = Results.of(volume, truth)
         with seconds.stage("judge"), audience.stage(f"judge, {which} geometry", 1) as step:
             figures[which] = judge(scan, volume, truth, builder.specimen)
             step()
         del volume
-    assert kept is not None
-    write_results(folder, builder, scan, Results(kept, truth, figures, residuals), seconds)
+    assert first is not None  # there is a geometry
+    del truth  # the report takes memory, too
+    results = replace(first, figures=figures, residuals=residuals)
+    write_results(folder, builder, scan, results, seconds)
     remove_folder(folder.checkpoints)
     folder.seconds.unlink(missing_ok=True)
 

@@ -187,8 +187,8 @@ def _made(
     builder = SimulationBuilder(scenario, ScanStore(folder.scan).plan)
     check_corrections(scenario)
     require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
-    truth = truth_of(scan, builder, audience, file=folder.truth)
     volume, residuals, seconds = timed_volume(scan, folder, which, audience)
+    truth = truth_of(scan, builder, audience, file=folder.truth)
     grid = scenario.reconstruction.volume_grid
     name, digest, of_geometry = called
     found = Reconstruction(

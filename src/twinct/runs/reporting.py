@@ -26,6 +26,7 @@ from twinct.recon.volume import Volume
 from twinct.report import (
     STAGES,
     Another,
+    CrossSection,
     ReportData,
     algorithm_results,
     build_metrics,
@@ -99,16 +100,24 @@ class Results:
     """Results of a run, except its scan.
 
     Attributes:
-        volume: the reconstruction that is stored, 1/mm.
-        truth: truth against which it is judged.
+        slices: cross-sections of the reconstruction that is stored, and of its truth.
+        mu_reference: attenuation to which figures are relative, 1/mm.
+        extras: further results of the algorithm.
         figures: figures of the reconstruction from each geometry.
         residuals: residual of each iteration, by geometry.
     """
 
-    volume: Volume
-    truth: Truth
+    slices: Mapping[str, CrossSection]
+    mu_reference: float
+    extras: Mapping[str, Any]
     figures: Mapping[str, ImageFigures]
     residuals: Mapping[str, list[float]]
+
+    @classmethod
+    def of(cls, volume: Volume, truth: Truth) -> Results:
+        """Return the results of a volume, to which figures and residuals are added."""
+        slices = cross_sections(volume.array, truth.volume, truth.region, truth.grid)
+        return cls(slices, truth.mu_reference, volume.extras, {}, {})
 
 
 def write_results(
@@ -131,7 +140,7 @@ def write_results(
     digests = stage_digests(scenario)
     metrics = build_metrics(
         **_of_scan(scan),
-        **algorithm_results(results.volume.extras),
+        **algorithm_results(results.extras),
         image=results.figures,
         seconds=timing.stages,
         real_time_factor=timing.real_time_factor,
@@ -218,8 +227,7 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
 
 def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> ReportData:
     """Return the content of a report; of the figures, only the residuals."""
-    scenario, plan, truth = builder.scenario, builder.plan, results.truth
-    grid = scenario.reconstruction.volume_grid
+    scenario, plan = builder.scenario, builder.plan
     shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     return ReportData(
         scenario=scenario,
@@ -230,8 +238,8 @@ def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> Re
         panel=scenario.detector.panel,
         clearance_mm=scan.clearance_mm,
         projections=[(int(view), scan.transmission[view]) for view in shown],
-        slices=cross_sections(results.volume.array, truth.volume, truth.region, grid),
-        mu_reference=truth.mu_reference,
+        slices=results.slices,
+        mu_reference=results.mu_reference,
         reference=builder.specimen.reference_name,
         room_png=_room(builder),
         nearest=plan.nearest[int(plan.clearance_mm.argmin())] if plan else (),

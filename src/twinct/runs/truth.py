@@ -6,7 +6,7 @@ import hashlib
 import json
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -37,8 +37,8 @@ log = logging.getLogger(__name__)
 VERSION = 1
 """Version of the computation of a true volume; raise it when the values change."""
 
-_MOST_KEPT = 2**30
-"""Bytes of the largest truth that a process keeps after its use: 512^3 voxels have 0.7 GB."""
+_MOST_KEPT = 2**29
+"""Bytes of the largest truth that a process keeps after its use; 512^3 voxels have 0.7 GB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,10 +86,17 @@ class Truth:
             self.volume, self.region, self.mu_reference, self.grid, body=self.body
         )
 
-    def write(self, path: Path) -> None:
-        """Write the volume as NIfTI, unless the file holds it already."""
+    def written(self, path: Path) -> Truth:
+        """Write the volume as NIfTI, unless the file holds it already.
+
+        Returns:
+            The truth; a large volume is mapped from the file, and takes no memory until its use.
+        """
         if _stored(path, self.note, self.grid) is None:
             Volume(self.volume, self.grid).write(path, self.note)
+        if not _is_large(self.grid):
+            return self
+        return replace(self, volume=Volume.read(path).array)
 
 
 def truth_of(
@@ -108,7 +115,7 @@ def truth_of(
         builder: the specimen.
         audience: notified of the stage.
         grid: grid of the truth; the scenario's if None.
-        file: file of ``Truth.write``, which is read if it holds this truth.
+        file: file of ``Truth.written``, which is read if it holds this truth.
     """
     from twinct.xray.build import effective_energy_kev
 
@@ -136,7 +143,7 @@ def truth_of(
         water = material("water").mu_per_mm(energy)
         return Truth(volume, region, mu, grid, executed, note, water, body)
 
-    if 5 * np.prod(grid.shape, dtype=np.int64) > _MOST_KEPT:
+    if _is_large(grid):
         forget("truth")
         return make()
     views = hashlib.sha256()
@@ -145,6 +152,15 @@ def truth_of(
     told = [note, views.hexdigest(), repr(executed.panel), specimen.reference_mu(energy)]
     told += [specimen.reference] if specimen.greys else []
     return once("truth", json.dumps(told), make)
+
+
+def held_bytes(grid: VolumeGrid) -> int:
+    """Return the bytes of a written truth and its region during other work."""
+    return (1 if _is_large(grid) else 5) * math.prod(grid.shape)
+
+
+def _is_large(grid: VolumeGrid) -> bool:
+    return 5 * math.prod(grid.shape) > _MOST_KEPT
 
 
 def grey_body(

@@ -44,6 +44,7 @@ from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, wi
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
+from twinct.runs.truth import held_bytes
 from twinct.scan import Scan
 from twinct.scenario import (
     SECTIONS,
@@ -355,8 +356,8 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     algorithm = algorithms()[section.algorithm]
     grid = section.volume_grid
     voxels, pixels = math.prod(grid.shape), len(views) * math.prod(views.panel.shape)
-    # Transmission and line integrals, the truth and its region, and the first of several volumes.
-    held = 8 * pixels + 5 * voxels + (4 * voxels if len(section.geometries) > 1 else 0)
+    # Transmission and line integrals, the truth and its region.
+    held = 8 * pixels + held_bytes(grid)
     stages: dict[str, int] = {}
     if section.beam_hardening is not None:
         stages["beam hardening"] = held + hardening_bytes(section.beam_hardening, voxels, pixels)
