@@ -162,6 +162,7 @@ class Made:
     Attributes:
         A: projector of the grid.
         p: line integrals with noise, linearised if polychromatic.
+        raw: line integrals as measured.
         counts: photons of each pixel; None without noise.
         truth: attenuation, 1/mm.
         mu: attenuation of the densest material that is no metal.
@@ -180,7 +181,8 @@ class Made:
         self.energies, self.weights, energy = spectrum(case.main)
         self.mu_of = {name: MATERIALS[name].mu_per_mm(energy) for name in self.names}
         self._judge()
-        self.counts, self.p = self._projections(rng)
+        self.counts, self.raw = self._projections(rng)
+        self.p = self.raw if case.main is None else self._linearised(self.raw)
         self.A = Projector(self.geometry, self.grid)
 
     def _judge(self):
@@ -225,8 +227,6 @@ class Made:
             # As the chain does it: no pixel has less than half a photon.
             light = np.maximum(counts, 0.5) / photons
         p = -np.log(light) if photons is None else integrals_of_photons(light, photons)
-        if self.case.main is not None:
-            p = self._linearised(p)
         return counts, p.astype(np.float32)
 
     def _linearised(self, p):
@@ -238,7 +238,8 @@ class Made:
         _, _, energy = spectrum(self.case.main)
         slope = main.mu_per_mm(energy)
         below = np.minimum(p, 0) * slope / float(self.weights @ mus)
-        return np.where(p < 0, below, np.interp(p, poly, slope * lengths))
+        found = np.where(p < 0, below, np.interp(p, poly, slope * lengths))
+        return found.astype(np.float32)
 
     def error(self, volume):
         """Return the RMSE near the object, % of the mu of the densest non-metal."""

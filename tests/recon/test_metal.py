@@ -72,11 +72,22 @@ def test_only_rays_through_metal_change_and_metal_is_put_back(scene):
     assert np.isin(found.voxels, found.near).all()
     assert np.count_nonzero(volume.array) == np.count_nonzero(found.excess)
     density = {"metal_voxels": found.voxels.size, "metal_density_rel": found.density_rel}
-    assert volume.extras == {"is": 1} | density
+    assert volume.extras == {"is": 1, "metal_thin_voxels": 0} | density
 
 
 DENSITY_TOLERANCE = 0.15
 """Asked of the density of metal; half of it is what the damped fit takes off."""
+
+
+def test_metal_thinner_than_three_voxels_is_counted(circle, ellipsoid_integrals):
+    geometry, grid = circle(40, Panel(40, 48, 4.0, 4.0)), VolumeGrid((26, 28, 32), 2.0)
+    p = TISSUE * ellipsoid_integrals(geometry, *HEAD)
+    for centre, radius in ((ROD[0], 8), ((-10, -8, 4), 2)):
+        p = p + (METAL - TISSUE) * ellipsoid_integrals(geometry, centre, (radius,) * 3)
+    found = without_metal(Projector(geometry, grid), p, **ATTENUATION)
+    small = (found.voxels % 32 < 15).sum()
+    assert 0 < found.thin == small < 20
+    assert found.as_named and not found.quantitative
 
 
 @pytest.mark.parametrize("radius", [4, 8])

@@ -64,6 +64,7 @@ class WithoutMetal:
         excess: attenuation of the metal beyond its surroundings in these voxels, float32, 1/mm.
         density_rel: mean attenuation of voxels surrounded by metal, relative to the metal's own;
             None if there are none.
+        thin: number of metal voxels in parts without such a voxel, whose density is uncertain.
     """
 
     line_integrals: NDArray[Any]
@@ -73,23 +74,30 @@ class WithoutMetal:
     near: NDArray[np.intp]
     excess: Singles
     density_rel: float | None = None
+    thin: int = 0
+
+    @property
+    def as_named(self) -> bool:
+        """False if the metal found attenuates otherwise than the metal named."""
+        return self.density_rel is None or abs(self.density_rel - 1) <= UNLIKE
 
     @property
     def quantitative(self) -> bool:
-        """False if the metal found attenuates otherwise than the metal named."""
-        return self.density_rel is None or abs(self.density_rel - 1) <= UNLIKE
+        """False if the density of some metal is uncertain or is not that of the metal named."""
+        return self.as_named and not self.thin
 
     def put_back(self, volume: Volume) -> Volume:
         """Return a volume with the metal put back, and ``metal_voxels`` in its extras.
 
-        If there is metal, the extras also hold ``metal_density_rel``.
+        If there is metal, the extras also hold ``metal_density_rel`` and ``metal_thin_voxels``.
         """
         extras = {**volume.extras, "metal_voxels": self.voxels.size}
         if not self.voxels.size:
             return Volume(volume.array, volume.grid, extras)
         array = np.array(volume.array)
         array.flat[self.near] += self.excess
-        return Volume(array, volume.grid, {**extras, "metal_density_rel": self.density_rel})
+        extras |= {"metal_density_rel": self.density_rel, "metal_thin_voxels": self.thin}
+        return Volume(array, volume.grid, extras)
 
 
 def without_metal(
@@ -193,10 +201,13 @@ def _fitted(
 ) -> WithoutMetal:
     """Return the result with the excess of its metal, at most that of the metal named."""
     near, excess = fitted_excess(A, there, integrals, mask)
-    inner = scipy.ndimage.binary_erosion(there).flat[near]
+    surrounded = scipy.ndimage.binary_erosion(there)
+    inner = surrounded.flat[near]
     density = float(excess[inner].mean() + tissue) / metal if inner.any() else None
-    done = replace(found, near=near, excess=excess, density_rel=density)
-    if done.quantitative:
+    parts = scipy.ndimage.label(there)[0]
+    thin = there & ~np.isin(parts, parts[surrounded])
+    done = replace(found, near=near, excess=excess, density_rel=density, thin=int(thin.sum()))
+    if done.as_named:
         np.minimum(excess, np.float32(metal - tissue), out=excess)
     return done
 

@@ -10,6 +10,7 @@ ALGORITHM_RESULTS = (
     "passes",
     "metal_voxels",
     "metal_density_rel",
+    "metal_thin_voxels",
     "prior",
     "denoising",
     "regularisation",
@@ -31,6 +32,8 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
         words.append(f"{data['metal_voxels'] or 'no'} metal voxels")
     if density := data.get("metal_density_rel"):
         words.append(f"metal with {density:.2f} times the attenuation of the material named")
+    if thin := data.get("metal_thin_voxels"):
+        words.append(f"{thin} metal voxels too thin for a density")
     if prior := data.get("prior"):
         words.append(
             f"prior moved by {prior['moved_mm']:.2f} mm, turned by {prior['turned_deg']:.2f} deg"

@@ -91,15 +91,21 @@ def _excess(
 
 
 def doubts(metal: WithoutMetal) -> str | None:
-    """Return a message if no metal was detected, or another than the one named; else None."""
-    if metal.voxels.size and metal.quantitative:
-        return None
-    if metal.voxels.size:
+    """Return a message if values of the metal are not quantitative or none was found; else None."""
+    if metal.voxels.size and not metal.as_named:
         return (
             f"{_KEY}: the metal attenuates {metal.density_rel:.2f} times as much as the material "
             f"named ({_KEY}.metal), so it is another one or photons ran out: its values in the "
             "volume are not quantitative"
         )
+    if metal.thin:
+        return (
+            f"{_KEY}: {metal.thin} of {metal.voxels.size} metal voxels lie in parts thinner than "
+            "three voxels: their values in the volume are not quantitative; take smaller voxels "
+            "(reconstruction.grid or reconstruction.zoom) to measure the density there"
+        )
+    if metal.voxels.size:
+        return None
     return (
         f"{_KEY}: no metal was found and nothing replaced: the densest voxel of the first volume "
         f"attenuates by {metal.densest:.3g} per mm, but metal needs at least "
