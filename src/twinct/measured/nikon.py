@@ -112,8 +112,10 @@ def read_xtekct(path: Path, ignore: tuple[str, ...] = ()) -> dict[str, float]:
         if key in section:
             try:
                 numbers[key] = number(section[key])
+                if not math.isfinite(numbers[key]):
+                    raise ValueError
             except ValueError:
-                problems.append(f"{path}: {key} is {quoted(section[key])}, not a number")
+                problems.append(f"{path}: {key} is {quoted(section[key])}, not a finite number")
     if problems:
         raise InputError(problems)
     return numbers
