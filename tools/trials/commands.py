@@ -141,8 +141,9 @@ COMMANDS = {
         "geometry OUT --as again --set uncertainty.seed=3", (*SCAN, "geometries/again.json"),
         of="run",
     ),
-    "import of images": Command(
-        "import MADE/exported --out OUT", ("scan.zarr/**/*", "scenario.yaml", "imported.png")
+    "import of images": Command(  # metadata and digests name the folder
+
+        "import MADE/exported --out OUT", ("scan.zarr/[!m]*/**/*", "scenario.yaml", "imported.png")
     ),
     "compare": Command("compare MADE/run MADE/other --out OUT/page.html", ("*",), over=True),
     "ctsimu render": Command(
