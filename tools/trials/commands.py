@@ -142,7 +142,6 @@ COMMANDS = {
         of="run",
     ),
     "import of images": Command(  # metadata and digests name the folder
-
         "import MADE/exported --out OUT", ("scan.zarr/[!m]*/**/*", "scenario.yaml", "imported.png")
     ),
     "compare": Command("compare MADE/run MADE/other --out OUT/page.html", ("*",), over=True),
