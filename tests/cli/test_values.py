@@ -86,7 +86,7 @@ def test_a_wrong_value_is_named(words: str, said: str, capsys: pytest.CaptureFix
     ("words", "said"),
     [
         ("render demo --view -1", "--view -1: the scenario has views"),
-        ("demo --threads 0", "0"),
+        ("demo --threads -0", "threads 0: must be at least 1"),
         ("check demo --time-limit -0.5e1", "--time-limit -5: must be above 0 seconds"),
     ],
 )

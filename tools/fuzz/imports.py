@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pydicom
 import tifffile
 from cases import Case
 from input_files import SPECIAL, damaged, special
@@ -108,6 +109,12 @@ def _sources(material: Path) -> list[str]:
     (material / "table" / "scan.yaml").write_text(json.dumps({"images": stack, "geometry": keys}))
     (material / "dicom").mkdir()
     write_dicom(material / "dicom")
+    for view, file in enumerate(sorted((material / "dicom").iterdir())):
+        told = pydicom.dcmread(file)
+        pixels = 50000 * images[view % VIEWS, : told.Rows, : told.Columns]
+        told.PixelData = np.ascontiguousarray(pixels).astype("<u2").tobytes()
+        told.RescaleIntercept, told.InstanceNumber = 0, view + 1
+        told.save_as(file)
     (material / "dicom" / "scan.yaml").write_text(_yaml("*.dcm"))
     (material / "ctsimu").mkdir()
     write_ctsimu(material / "ctsimu")

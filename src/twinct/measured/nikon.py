@@ -18,7 +18,7 @@ from pydantic import Field
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import read_text
-from twinct.core.foreign_text import number, quoted
+from twinct.core.foreign_text import number, quoted, shortened
 from twinct.core.settings import Section, setting
 from twinct.measured.circle import Angles, Circle
 from twinct.measured.views import ImageFacts, Views
@@ -130,7 +130,7 @@ def _unknown(section: Mapping[str, str], ignore: tuple[str, ...]) -> list[str]:
         if key in _MATTER or not key.startswith(tuple(_WITHOUT_EFFECT)):
             if key in _MATTER or _is_number(text):
                 found.append(
-                    f"{key} is {quoted(text)}, and may matter, but is not read: state the geometry "
+                    f"{shortened(key, 80)} is {quoted(text)}, and may matter, but is not read: state the geometry "
                     "as kind: circle, or name the key in geometry.ignore"
                 )
     return found

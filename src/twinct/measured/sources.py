@@ -7,7 +7,7 @@ from typing import Any
 
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
-from twinct.core.files.boundary import ABSENT, library_errors, no_file, read_text
+from twinct.core.files.boundary import library_errors, no_file, read_text
 from twinct.core.files.plain_json import json_of
 from twinct.core.foreign_text import quoted
 from twinct.measured.ctsimu_metadata import is_metadata, read_metadata
@@ -38,7 +38,7 @@ def description_of(path: Path) -> Measured:
     Raises:
         InputError: the source is none, or does not state images and geometry.
     """
-    if (why := no_file(path, folder=True)) and why == ABSENT:
+    if why := no_file(path, folder=True):
         raise InputError(f"{path} {why}")
     path = path.resolve()
     suffix = path.suffix.lower()
