@@ -137,6 +137,17 @@ def test_a_folder_of_its_own_has_all_meshes_in_convex_parts(tmp_path: Path) -> N
         write_arm(file, {"dof": "6"}, tmp_path / "other")
 
 
+def test_a_folder_appears_when_it_is_complete(tmp_path: Path, monkeypatch) -> None:
+    def killed(*_: object, **__: object) -> None:
+        assert not (tmp_path / "own").exists()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_text", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_arm(URDF, {}, tmp_path / "own")
+    assert not [*tmp_path.iterdir()]
+
+
 def test_macros_need_xacro_and_find_packages(tmp_path: Path, monkeypatch) -> None:
     here = package(tmp_path / "maker", "maker")
     file = here / "arm.urdf.xacro"

@@ -73,6 +73,8 @@ def test_an_interrupt_that_a_library_swallows_is_no_bug(
         OSError(errno.ENOMEM, "Cannot allocate memory"),
         RuntimeError("can't start new thread"),
         ValueError("mujoco: Could not allocate memory"),
+        SystemError("error return without exception set"),
+        SystemError("<built-in function x> returned NULL without setting an exception"),
     ],
 )
 def test_a_lack_of_memory_is_told_whatever_meets_it(

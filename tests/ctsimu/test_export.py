@@ -62,6 +62,10 @@ def test_export_reads_back_as_executed_and_as_believed(scan, builder, tmp_path):
     np.testing.assert_array_equal(image[::-1], scan.transmission[3])
     with pytest.raises(ScanExistsError, match="another --out"):
         export_scan(scan, builder.specimen, tmp_path)
+    whole = files.scenario.read_bytes()
+    files.scenario.unlink()  # written last, so that a killed export lacks it
+    export_scan(scan, builder.specimen, tmp_path)
+    assert files.scenario.read_bytes() == whole
 
 
 def test_the_trajectory_is_in_the_frame_of_the_grid(scan, builder, tmp_path):

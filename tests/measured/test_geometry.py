@@ -23,7 +23,7 @@ def told(geometry, **images):
 
 
 def views(geometry, facts=FACTS):
-    return read_description(told(geometry)).geometry.views(facts)
+    return read_description(told(geometry)).views(facts)
 
 
 def same(found, expected=None):
@@ -161,7 +161,8 @@ def test_xtekct_is_a_circle_with_its_axis_to_the_left(tmp_path):
         ("MaskRadius=30", "DetectorOffsetX=1.2", "DetectorOffsetX is '1.2', and may matter"),
         ("MaskRadius=30", "WobbleRadius=1.2", "WobbleRadius is '1.2', and may matter"),
         (f"SrcToObject={SOD}", "", "key SrcToObject is missing"),
-        (f"SrcToObject={SOD}", "SrcToObject=far", "SrcToObject is 'far', not a number"),
+        (f"SrcToObject={SOD}", "SrcToObject=far", "SrcToObject is 'far', not a finite number"),
+        (f"Projections={VIEWS}", "Projections=inf", "Projections is 'inf', not a finite number"),
         (f"Projections={VIEWS}", "Projections=9", "9 views, but there are 24 images"),
         (f"DetectorPixelsX={COLUMNS}", "DetectorPixelsX=9", "20 x 9 pixels .* 20 x 26"),
         ("[XTekCT]", "[Other]", "no section"),
@@ -213,6 +214,27 @@ def test_bad_matrices_are_named(matrices, message, tmp_path):
     keys = {"to": "px", "origin": "pixel_centre", "pitch_mm": PITCH}
     with pytest.raises(InputError, match=message):
         views({"kind": "matrices", "path": str(tmp_path / "p.npy"), **keys})
+
+
+@pytest.mark.parametrize(
+    ("vectors", "detector", "message"),
+    [
+        (
+            lambda a: a * ([[1.0]] * 3 + [[1.1]] + [[1.0]] * 20),
+            (ROWS, COLUMNS),
+            "of view 3 are 2.2",
+        ),
+        (lambda a: a.reshape(48, 6), (ROWS, COLUMNS), r"shape \(48, 6\); expected \(views, 12\)"),
+        (lambda a: a, (ROWS, COLUMNS + 0.5), "expected two numbers of pixels"),
+        (lambda a: a, (ROWS, COLUMNS, 1), "expected two numbers of pixels"),
+    ],
+)
+def test_bad_vectors_of_astra_are_named(vectors, detector, message, tmp_path):
+    geometry, file = orbit(), tmp_path / "geometry.npz"
+    parts = geometry.source, geometry.detector, PITCH * geometry.u, PITCH * geometry.v
+    np.savez(file, vectors=vectors(np.hstack(parts)), detector=detector)
+    with pytest.raises(InputError, match=message):
+        views({"kind": "astra", "path": str(file)})
 
 
 def test_cutting_and_binning_keep_every_ray(circle, stored, imported):

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -136,3 +137,14 @@ def test_names_and_folders_that_cannot_be(plan: MotionPlan, tmp_path) -> None:
         write_program(tmp_path / "new" / "plan", {})
     with pytest.raises(InputError, match="is not a folder"):
         write_program(tmp_path / "new" / "plan" / "a.txt" / "b", {})
+
+
+def test_a_folder_appears_when_it_is_complete(monkeypatch, tmp_path) -> None:
+    def killed(*_: object, **__: object) -> None:
+        assert not (tmp_path / "plan").exists()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_text", killed)
+    with pytest.raises(KeyboardInterrupt):
+        write_program(tmp_path / "plan", {"a.txt": "text"})
+    assert not [*tmp_path.iterdir()]

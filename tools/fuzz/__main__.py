@@ -22,7 +22,8 @@ from driver import fuzz
 
 KINDS = {
     **{"scenarios": "scenario_files", "schema": "generated", "bodies": "bodies"},
-    **{"files": "input_files", "stores": "store_files", "messages": "message_fields"},
+    **{"files": "input_files", "imports": "imports", "stores": "store_files"},
+    "messages": "message_fields",
 }
 """Name of the module of each kind, which has a class ``Kind``."""
 

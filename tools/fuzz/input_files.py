@@ -106,7 +106,7 @@ class Kind:
         else:
             shutil.copy(self._material / name, folder)
             target = folder / name
-        told = _special(rng, target) if rng.random() < SPECIAL else _damaged(rng, target)
+        told = special(rng, target) if rng.random() < SPECIAL else damaged(rng, target)
         path = folder / ("small.json" if name == "drift.csv" else name)
         return Case(f"{target.name}: {told}", lambda: _finite(READERS[name], path))
 
@@ -117,7 +117,8 @@ def _finite(read: Callable[[Path], Any], path: Path) -> str:
     return "read"
 
 
-def _special(rng: random.Random, path: Path) -> str:
+def special(rng: random.Random, path: Path) -> str:
+    """Replace a file by something that is none; return a description of it."""
     path.unlink()
     match rng.choice(("pipe", "zero", "folder", "loop", "nothing", "empty", "memory", "secret")):
         case "pipe":
@@ -145,7 +146,8 @@ def _special(rng: random.Random, path: Path) -> str:
             return "nothing"
 
 
-def _damaged(rng: random.Random, path: Path) -> str:
+def damaged(rng: random.Random, path: Path) -> str:
+    """Damage the content of a file; return a description of it."""
     data = path.read_bytes()
     packed = data[:2] == b"\x1f\x8b" and rng.random() < 0.6
     if packed:  # damage the content, not the compression

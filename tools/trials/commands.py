@@ -116,6 +116,9 @@ COMMANDS = {
     "film": Command("view MADE/run --movie OUT/film.mp4", ("*",), over=True),
     "import": Command("import MADE/run/scan.mcap --out OUT", ("scan.zarr/**/*", "scenario.yaml")),
     "export": Command("export MADE/run --to rtk --out OUT/rtk", ("rtk/*",)),
+    "volume": Command(
+        "export MADE/run --volume volume --to dicom --out OUT/volume", ("volume/*",)
+    ),
     "motion": Command("motion MADE/arms.yaml --to csv --out OUT/plan", ("plan/*",)),
     "drive": Command(
         "drive MADE/arms.yaml --out OUT/drive.mcap --both /arms/follow_joint_trajectory "
@@ -126,10 +129,31 @@ COMMANDS = {
     "uncertainty": Command(
         "uncertainty MADE/arms.yaml --draws 20 --out OUT", ("uncertainty.json",), over=True
     ),
+    "check": Command(
+        "check MADE/arms.yaml --save OUT/plan.npz --picture OUT/view.png", ("*",), over=True
+    ),
+    "verify": Command("verify OUT", SCAN, of="run"),
+    "arm": Command(
+        "arm MADE/moveit/arms.urdf --out OUT/arm", ("arm/*", "arm/meshes/*")
+    ),
+    "urdf": Command("urdf MADE/arms.yaml --out OUT", ("*",), over=True),
+    "geometry": Command(
+        "geometry OUT --as again --set uncertainty.seed=3", (*SCAN, "geometries/again.json"),
+        of="run",
+    ),
+    "import of images": Command(  # metadata and digests name the folder
+        "import MADE/exported --out OUT", ("scan.zarr/[!m]*/**/*", "scenario.yaml", "imported.png")
+    ),
     "compare": Command("compare MADE/run MADE/other --out OUT/page.html", ("*",), over=True),
     "ctsimu render": Command(
         "ctsimu render MADE/ctsimu/SCENARIO --out OUT --samples 1", ("*.tif",), ("--resume",),
         ("*_0*.tif",),
+    ),
+    "ctsimu export": Command(
+        "ctsimu export MADE/run --out OUT/ctsimu", ("ctsimu/*", "ctsimu/projections/*")
+    ),
+    "ctsimu qualify": Command(
+        "ctsimu qualify --out OUT --tests 2D-FB-2", ("2D-FB-2/*.tif", "qualification.json")
     ),
 }  # fmt: skip
 """All commands that work for longer than a second, by their names in the report."""
@@ -150,11 +174,17 @@ def prepare(made, names):
     write(made / "task.yaml", "circle_gantry", TINY | {"task": TASK})
     study = {"scenario": str(made / "gantry.yaml"), "axes": AXES, "keep": "volume"}
     (made / "study.yaml").write_text(json.dumps(study))
-    if any(COMMANDS[n].of or re.search("MADE/(run|ctsimu)", COMMANDS[n].words) for n in names):
+    if any(
+        COMMANDS[n].of or re.search("MADE/(run|ctsimu|exported)", COMMANDS[n].words) for n in names
+    ):
         do("run MADE/gantry.yaml --out MADE/run --link local --record", made)
         shutil.copytree(made / "run", made / "other")
     if "ctsimu render" in names:
         do("ctsimu export MADE/run --out MADE/ctsimu", made)
+    if "arm" in names:
+        do("urdf MADE/arms.yaml --moveit --out MADE/moveit", made)
+    if "import of images" in names:
+        do("export MADE/run --to rtk --out MADE/exported", made)
 
 
 def write(file, extends, keys):
@@ -206,9 +236,11 @@ def contents(out, patterns):
 
 
 def content(file):
-    """Return the bytes of a file, of a drive or a journal without what depends on the time."""
+    """Return the bytes of a file, without what depends on the time or names its own folder."""
     if file.name == "drive.mcap":
         return told_by(file)
+    if file.suffix == ".urdf":
+        return file.read_bytes().replace(file.parent.resolve().as_uri().encode(), b"OUT")
     if file.suffix != ".jsonl":
         return file.read_bytes()
     rows = [json.loads(row) for row in file.read_text().splitlines(True) if row.endswith("\n")]

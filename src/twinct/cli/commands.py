@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import tyro
 
 from twinct.cli.arm import arm
-from twinct.cli.calibrate import METHODS, calibrate
+from twinct.cli.calibrate import METHODS, Errors, calibrate
 from twinct.cli.ctsimu import ctsimu
 from twinct.cli.demo import demo
 from twinct.cli.drive import drive
@@ -55,7 +55,8 @@ def _application(*, summaries: bool) -> tyro.extras.SubcommandApp:
     return made
 
 
-mark_optional(ArmsRecording)
+mark_optional(ArmsRecording, "arms.")
+mark_optional(Errors)
 app = _application(summaries=False)
 
 

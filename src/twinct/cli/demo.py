@@ -42,8 +42,10 @@ def demo(
         out: Folder for the results.
     """
     from twinct import runs
+    from twinct.core.threads import limit_threads
     from twinct.scenario import load_scenario, named_places
 
+    limit_threads(threads)
     load_scenario(NAME, set_)  # a mistake in it is told before anything is tried
     chosen = (*_arms(), *_engine(set_), *set_)  # what the user sets comes last, and counts
     link = _link()

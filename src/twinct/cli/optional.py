@@ -1,4 +1,4 @@
-"""Help of arguments that need no value: tyro would say that their default is None, or nothing."""
+"""Options and arguments of commands as tyro shows them in the help, and as they are read."""
 
 from __future__ import annotations
 
@@ -8,16 +8,24 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import tyro
 
+from twinct.cli.values import read_here
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 _OPTIONAL, _REQUIRED = (
     tyro.conf.arg(help_behavior_hint=f"({word})") for word in ("optional", "required")
 )
 
 
-def mark_optional(command: Command) -> Command:
+def mark_optional(command: Command, group: str = "") -> Command:
     """Mark arguments of a command, or of a group of arguments, as optional in its help.
 
-    An argument that states its own hint keeps it. Lists without default value are required.
+    Otherwise tyro would say that their default is None, or nothing. An argument that states its own
+    hint keeps it. Lists without default value are required. Wrong values are refused by name
+    (``twinct.cli.values``).
+
+    Args:
+        command: function, or class of a group.
+        group: what stands before the names of the group's options, such as ``arms.``.
     """
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in signature(command).parameters.items():
@@ -25,9 +33,12 @@ def mark_optional(command: Command) -> Command:
         base, *facts = get_args(kept) if get_origin(kept) is Annotated else (kept,)
         if tyro.conf.UseAppendAction in facts:  # tyro calls it repeatable
             continue
+        option = f"--{group}{name.strip('_').replace('_', '-')}"
+        read = read_here(base, name if tyro.conf.Positional in facts else option)
         if default in (None, (), ""):
-            hints[name] = Annotated[(base, _OPTIONAL, *facts)]
+            facts = [_OPTIONAL, *facts]
         elif default is Parameter.empty and get_origin(base) is tuple:
-            hints[name] = Annotated[(base, _REQUIRED, *facts)]
+            facts = [_REQUIRED, *facts]
+        hints[name] = Annotated[(read, *facts)] if facts else read
     command.__annotations__ = hints
     return command

@@ -21,8 +21,12 @@ _SQUARE = 256
 _NO_MEMORY = (
     *("failed to map segment", "cannot allocate memory", "could not allocate memory"),
     *("can't start new thread", "bad_alloc"),
+    *("without exception set", "without setting an exception"),
 )
-"""Words of libraries, the dynamic loader and Python about a lack of memory, in small letters."""
+"""Words of libraries, the dynamic loader and Python about a lack of memory, in small letters.
+
+The last two are those of a function in C that failed and found no memory for an exception.
+"""
 
 
 def lacks_memory(error: BaseException) -> bool:

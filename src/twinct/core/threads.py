@@ -82,6 +82,8 @@ def limit_threads(number: int | None = None) -> int:
         InputError: not a whole number of at least 1.
     """
     if number is not None:
+        if number < 1:
+            raise InputError(f"threads {number}: must be at least 1")
         os.environ[SETTING] = str(number)
     asked = bool(os.environ.get(SETTING, "").strip())
     bound = threads()

@@ -80,18 +80,19 @@ def export_scan(
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
     options = "" if ideal else render_options(scan.scenario)
     files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json", options)
-    if taken := [p.name for p in (files.scenario, files.trajectory) if p.exists()]:
-        raise ScanExistsError(f"{folder} already holds {', '.join(taken)}: choose another --out")
+    if files.scenario.exists():  # written last
+        raise ScanExistsError(f"{folder} already holds {files.scenario.name}: choose another --out")
     if not ideal:
         refuse_unsaid(scan.scenario, uneven_mas=scan.mas is not None)
     make_folder(folder)
     with storage_errors(folder):
-        write_json(files.scenario, _scenario(scan, known, specimen, folder, name, ideal))
+        scenario = _scenario(scan, known, specimen, folder, name, ideal)
         images = folder / "projections"
         images.mkdir(exist_ok=True)
         for view, image in enumerate(scan.transmission):
             write_tiff(images / f"{name}_{view:04d}.tif", np.ascontiguousarray(image[::-1]))
         write_json(files.trajectory, _trajectory(scan, known, name))
+        write_json(files.scenario, scenario)
     return files
 
 

@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from twinct.core.errors import InputError, LinkError
+from twinct.core.foreign_text import number, quoted
 from twinct.geometry import Floats
 from twinct.link.stamps import NANO, Stamp
 from twinct.robots.programs import Program
@@ -123,11 +124,19 @@ def limits_of(description: str, where: str) -> dict[str, Limit]:
                 continue
             bounds = (-np.inf, np.inf)
             if joint.get("type") != "continuous" and "upper" in limit.attrib:
-                bounds = float(limit.get("lower", 0)), float(limit.attrib["upper"])
-            found[joint.attrib["name"]] = Limit(*bounds, float(limit.get("velocity", np.inf)))
+                bounds = _bound(limit.get("lower", "0")), _bound(limit.attrib["upper"])
+            found[joint.attrib["name"]] = Limit(*bounds, _bound(limit.get("velocity", "inf")))
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"{where}: not a robot description: {error}") from None
     return found
+
+
+def _bound(text: str) -> float:
+    """Return a limit, which may be infinite; NaN would allow any motion."""
+    bound = number(text)
+    if np.isnan(bound):
+        raise ValueError(f"{quoted(text)} is not a number")
+    return bound
 
 
 def check_limits(course: Course, limits: Mapping[str, Limit], where: str) -> None:

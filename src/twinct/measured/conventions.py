@@ -221,7 +221,7 @@ def _tried(
     measured = changed(told, candidate)
     section = measured.images.model_copy(update={"bin": max(by, 1)})
     rows, columns = turned_shape(section, (sizes[1], sizes[2]))
-    stated = measured.geometry.views(ImageFacts(sizes[0], rows, columns, *_spacing(told)))
+    stated = measured.views(ImageFacts(sizes[0], rows, columns, *_spacing(told)))
     chosen = stated.geometry[views]
     if candidate.reversed_order and not isinstance(told.geometry, Circle):
         chosen = chosen[::-1]

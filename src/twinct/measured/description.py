@@ -9,12 +9,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
+from twinct.core.files.boundary import library_errors
 from twinct.core.settings import Finite, Positive, Section, setting
 from twinct.measured.circle import Circle
 from twinct.measured.joints import Joints
 from twinct.measured.matrices import Matrices, Poses
 from twinct.measured.nikon import Nikon
 from twinct.measured.toolkits import Astra, Cil, Ctsimu, Leap, OpenCt, Rtk, Tigre
+from twinct.measured.views import ImageFacts, Views
 from twinct.scenario.messages import refusal
 from twinct.scenario.reading import Draft, read_yaml
 from twinct.scenario.reconstruction import Grid
@@ -142,6 +144,15 @@ class Measured(Section):
     scenario: dict[str, Any] = setting(
         {}, "Further sections of the scenario that are known, such as source and reconstruction."
     )
+
+    def views(self, facts: ImageFacts) -> Views:
+        """Return the views of all images.
+
+        Raises:
+            InputError: the geometry cannot be read, or does not fit the images.
+        """
+        with library_errors(f"{getattr(self.geometry, 'path', 'geometry')}: the geometry"):
+            return self.geometry.views(facts)
 
 
 def read_description(source: str | Path | Mapping[str, Any]) -> Measured:

@@ -7,6 +7,7 @@ calibration, at the joints that the drivers reported about the time of its image
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -17,11 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.files.boundary import library_errors
 from twinct.core.files.images import read_image
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import draft_of, passing_folder, storage_errors
 from twinct.core.renamed import old_attribute
+from twinct.core.foreign_text import quoted
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
@@ -57,6 +60,25 @@ class _Heard:
     topics: set[str] = field(default_factory=set)
     files: dict[str, bytes] = field(default_factory=dict)
     notes: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    def hear_joints(self, record: Any) -> None:
+        """Keep a message with the positions of joints."""
+        message = record.message
+        names, position = tuple(message.name), message.position
+        if len(names) != len(position):
+            raise ValueError(f"{len(position)} positions of {len(names)} joints")
+        stamps, rows = self.joints.setdefault(names, ([], []))
+        stamps.append(record.stamp_ns)
+        rows.append(position)
+
+    def noted(self, name: str, key: str) -> Any:
+        """Return the value of a key of a note.
+
+        Raises:
+            InputError: it is missing, or no JSON.
+        """
+        with library_errors(f"{key} in the note {quoted(name)} of the recording"):
+            return json_of(self.notes[name][key])
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +149,7 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         pixels = list(_pixels(paths, choice, fields, set(few.tolist()), scenario.detector.panel))
         latency_s = _latency_s(scenario, track, images_s, few, pixels, latency_s)
     kept, lost = _usable(track, images_s, latency_s)
+    lag_ms = _lag_ms(heard, track, epoch_ns)
     time_s = images_s[kept] - latency_s
     position, speed, _ = track.at(time_s)
     poses, panel = poses_of_joints(scenario, position), scenario.detector.panel
@@ -141,7 +164,6 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         _write(draft, scenario, joints, poses, (position, speed, time_s), images)
         folder.write_scenario(scenario)
         draft.rename(folder.scan)
-    lag_ms = _lag_ms(heard, track, epoch_ns)
     return Driven(scenario, 1000 * latency_s, lag_ms, (*told, *lost), len(kept))
 
 
@@ -187,14 +209,12 @@ def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
                 else:
                     heard.notes[record.name] = note
                     if record.name == NOTE and not choice.joint_states:
-                        joint_states = tuple(json.loads(note["joint_states"]))
+                        joint_states = _topics(heard.noted(NOTE, "joint_states"))
                 continue
             heard.topics.add(record.topic)
             if record.topic in joint_states:
-                message = record.message
-                stamps, rows = heard.joints.setdefault(tuple(message.name), ([], []))
-                stamps.append(record.stamp_ns)
-                rows.append(message.position)
+                with library_errors(f"{path}: a message on {record.topic}"):
+                    heard.hear_joints(record)
             elif record.topic == choice.image:
                 heard.images_ns.append(record.stamp_ns)
     for what, found in ((joint_states, heard.joints), ((choice.image,), heard.images_ns)):
@@ -206,6 +226,17 @@ def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
     return heard
 
 
+def _topics(noted: Any) -> tuple[str, ...]:
+    """Return the topics in the note of a drive.
+
+    Raises:
+        InputError: they are no names.
+    """
+    if not isinstance(noted, list) or not all(isinstance(name, str) for name in noted):
+        raise InputError(f"joint_states in the note of the recording is no list: {quoted(noted)}")
+    return tuple(noted)
+
+
 def _scenario(heard: _Heard, choice: ArmsRecording) -> Scenario:
     """Return the user's scenario, or the one of a drive; its cell must have arms."""
     from twinct.link.recording.recorder import SCENARIO
@@ -213,7 +244,8 @@ def _scenario(heard: _Heard, choice: ArmsRecording) -> Scenario:
     if choice.scenario is not None:
         scenario = load_scenario(choice.scenario)
     elif SCENARIO in heard.files:
-        scenario = parse_scenario(json_of(heard.files[SCENARIO]))
+        with library_errors("the scenario in the recording"):
+            scenario = parse_scenario(json_of(heard.files[SCENARIO]))
     else:
         raise InputError("the recording holds no scenario: name yours (--arms.scenario)")
     if not isinstance(scenario.cell, Cell):
@@ -226,12 +258,19 @@ def _names(heard: _Heard, choice: ArmsRecording, scenario: Scenario) -> dict[str
     from twinct.link.recording.drive_file import NOTE
     from twinct.robots.cell import joint_names_of
 
-    if NOTE in heard.notes and not (choice.source_prefix or choice.detector_prefix):
-        return json.loads(heard.notes[NOTE]["joints"])
-    prefixes = {"source_": choice.source_prefix, "detector_": choice.detector_prefix}
     assert isinstance(scenario.cell, Cell)
+    own = joint_names_of(scenario.cell, scenario.detector.panel)
+    if NOTE in heard.notes and not (choice.source_prefix or choice.detector_prefix):
+        noted = heard.noted(NOTE, "joints")
+        if not isinstance(noted, dict) or tuple(noted.values()) != own:
+            raise InputError(
+                f"the recording names the joints {quoted(noted)}, but the scenario has "
+                f"{', '.join(own)}"
+            )
+        return noted
+    prefixes = {"source_": choice.source_prefix, "detector_": choice.detector_prefix}
     found = {}
-    for name in joint_names_of(scenario.cell, scenario.detector.panel):
+    for name in own:
         side = next(side for side in prefixes if name.startswith(side))
         driver = (prefixes[side] or side) + name.removeprefix(side)
         found[driver] = name
@@ -246,14 +285,19 @@ def _lag_ms(heard: _Heard, track: JointTrack, epoch_ns: int) -> float | None:
     from twinct.link.recording.recorder import PLAN
     from twinct.robots.motion import load_plan
 
-    outcome = heard.notes.get(OUTCOME, {})
-    if PLAN not in heard.files or "start_ns" not in outcome:
+    if PLAN not in heard.files or "start_ns" not in heard.notes.get(OUTCOME, {}):
         return None
-    with TemporaryDirectory(prefix="twinct-") as name:
-        (Path(name) / PLAN).write_bytes(heard.files[PLAN])
-        plan = load_plan(Path(name) / PLAN)
-    start_s = (int(outcome["start_ns"]) - epoch_ns) / 1e9
-    return 1000 * track.lag_s(plan, start_s, float(outcome["duration_s"]) / plan.duration_s)
+    start_ns, duration_s = (heard.noted(OUTCOME, key) for key in ("start_ns", "duration_s"))
+    where = "the plan in the recording"
+    with TemporaryDirectory(prefix="twinct-") as name, library_errors(where):
+        (file := Path(name) / PLAN).write_bytes(heard.files[PLAN])
+        try:
+            plan = load_plan(file)
+        except InputError as error:
+            raise InputError(str(error).replace(str(file), where)) from None
+        if not 0 < duration_s < math.inf:
+            raise ValueError(f"executed in {duration_s} s")
+        return 1000 * track.lag_s(plan, (start_ns - epoch_ns) / 1e9, duration_s / plan.duration_s)
 
 
 def _placed(scenario: Scenario, views: Path) -> Scenario:

@@ -140,7 +140,7 @@ def _placed(told: Measured, images: Corrections) -> tuple[Placement, tuple[str, 
     rows, columns = turned_shape(section, stack.shape)
     as_stored = not (section.transpose or section.turn_deg)
     stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
-    views = told.geometry.views(ImageFacts(stack.count, rows, columns, *stated))
+    views = told.views(ImageFacts(stack.count, rows, columns, *stated))
     return Placement(section, views), views.notes
 
 

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import read_text
-from twinct.core.foreign_text import number, quoted
+from twinct.core.foreign_text import number, quoted, shortened
 from twinct.core.settings import Section, setting
 from twinct.measured.circle import Angles, Circle
 from twinct.measured.views import ImageFacts, Views
@@ -114,8 +114,10 @@ def read_xtekct(path: Path, ignore: tuple[str, ...] = ()) -> dict[str, float]:
         if key in section:
             try:
                 numbers[key] = number(section[key])
+                if not math.isfinite(numbers[key]):
+                    raise ValueError
             except ValueError:
-                problems.append(f"{path}: {key} is {quoted(section[key])}, not a number")
+                problems.append(f"{path}: {key} is {quoted(section[key])}, not a finite number")
     if problems:
         raise InputError(problems)
     return numbers
@@ -130,8 +132,8 @@ def _unknown(section: Mapping[str, str], ignore: tuple[str, ...]) -> list[str]:
         if key in _MATTER or not key.startswith(tuple(_WITHOUT_EFFECT)):
             if key in _MATTER or _is_number(text):
                 found.append(
-                    f"{key} is {quoted(text)}, and may matter, but is not read: state the geometry "
-                    "as kind: circle, or name the key in geometry.ignore"
+                    f"{shortened(key, 80)} is {quoted(text)}, and may matter, but is not read: "
+                    "state the geometry as kind: circle, or name the key in geometry.ignore"
                 )
     return found
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
-from twinct.core.files.boundary import ABSENT, no_file, read_text
+from twinct.core.files.boundary import library_errors, no_file, read_text
+from twinct.core.files.plain_json import json_of
 from twinct.core.foreign_text import quoted
 from twinct.measured.ctsimu_metadata import is_metadata, read_metadata
 from twinct.measured.description import Measured, read_description
@@ -38,15 +38,16 @@ def description_of(path: Path) -> Measured:
     Raises:
         InputError: the source is none, or does not state images and geometry.
     """
-    if (why := no_file(path, folder=True)) and why == ABSENT:
+    if why := no_file(path, folder=True):
         raise InputError(f"{path} {why}")
     path = path.resolve()
     suffix = path.suffix.lower()
-    if path.is_dir():
-        return read_description(_exported(path))
-    if suffix in _DESCRIPTIONS:
+    if suffix in _DESCRIPTIONS and not path.is_dir():
         return read_description(path)
-    return read_description(_nikon(path) if suffix == ".xtekct" else _json(path))
+    with library_errors(str(path)):
+        if path.is_dir():
+            return read_description(_exported(path))
+        return read_description(_nikon(path) if suffix == ".xtekct" else _json(path))
 
 
 def _exported(folder: Path) -> dict[str, Any]:
@@ -153,7 +154,7 @@ def _nikon(path: Path) -> dict[str, Any]:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        data = json.loads(read_text(path, f"{path}", MOST_BYTES))
+        data = json_of(read_text(path, f"{path}", MOST_BYTES))
     except ValueError as error:
         raise InputError(f"{path}: not JSON: {error}") from None
     if not isinstance(data, dict):

@@ -28,6 +28,9 @@ _DICOM = (".dcm", ".ima", "")
 _RAW = (".raw", ".bin", ".img", ".dat", ".vol")
 _HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
 
+MOST_FRAMES = 100_000
+"""Largest number of frames that a DICOM file may state."""
+
 
 @dataclass(frozen=True)
 class Stack:
@@ -273,16 +276,26 @@ def _dicom(files: Sequence[Path]) -> Stack:
     """Return the images of DICOM files: one or several frames each, by their instance numbers."""
     import pydicom
 
-    found: list[tuple[int, Path, Any]] = []
+    found: list[tuple[int, Path, tuple[tuple[int, int], int, np.dtype[Any]]]] = []
     for file in files:
         with library_errors(str(file)):
             told: Any = pydicom.dcmread(file, stop_before_pixels=True)
-            found.append((int(told.get("InstanceNumber", 0) or 0), file, told))
+            shape, frames = (int(told.Rows), int(told.Columns)), int(told.get("NumberOfFrames", 1))
+            dtype = np.dtype(
+                f"{'i' if told.get('PixelRepresentation', 0) else 'u'}"
+                f"{int(told.get('BitsAllocated', 16)) // 8}"
+            )
+            if told.get("SamplesPerPixel", 1) != 1 or "ModalityLUTSequence" in told:
+                raise InputError(
+                    f"{file}: an image in colours, or with a modality LUT, is not read"
+                )
+            if not 0 < frames <= MOST_FRAMES:
+                raise InputError(f"{file}: states {frames} frames; expected 1 to {MOST_FRAMES}")
+            found.append((int(told.get("InstanceNumber", 0) or 0), file, (shape, frames, dtype)))
     if len({number for number, _, _ in found}) == len(found):
         found.sort(key=lambda one: one[0])
     stacks: list[Stack] = []
-    for _, file, told in found:
-        shape, frames = (int(told.Rows), int(told.Columns)), int(told.get("NumberOfFrames", 1))
+    for _, file, (shape, frames, dtype) in found:
 
         def image(index: int, file: Path = file, frames: int = frames) -> Image:
             with library_errors(str(file)):
@@ -294,7 +307,5 @@ def _dicom(files: Sequence[Path]) -> Stack:
                 )
             return pixels if (slope, intercept) == (1, 0) else pixels * slope + intercept
 
-        bits = int(told.get("BitsAllocated", 16))
-        kind = "i" if told.get("PixelRepresentation", 0) else "u"
-        stacks.append(Stack(str(file), frames, shape, np.dtype(f"{kind}{bits // 8}"), image))
+        stacks.append(Stack(str(file), frames, shape, dtype, image))
     return _joined([file for _, file, _ in found], stacks)

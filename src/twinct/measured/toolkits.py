@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, Literal
 from xml.etree import ElementTree
@@ -15,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import read_text
+from twinct.core.files.plain_json import json_of
 from twinct.core.foreign_text import number, quoted
 from twinct.core.settings import Length, Pair, Section, setting
 from twinct.geometry import Floats, Panel, ScanGeometry
@@ -24,6 +24,9 @@ from twinct.measured.views import ImageFacts, Views, views_of
 MOST_BYTES = 2**30
 
 Arrays = dict[str, NDArray[Any]]
+
+UNEQUAL = 1e-3
+"""Largest relative difference of the pitches of two views."""
 
 
 def _arrays(path: Path, names: tuple[str, ...]) -> Arrays:
@@ -73,6 +76,19 @@ class _Numbers(Section):
         """Return the panel and S, D, u and v of all views, (views, 3)."""
         raise NotImplementedError
 
+    def _counts(self, found: Arrays, name: str) -> tuple[int, int]:
+        """Return the two numbers of pixels in an array.
+
+        Raises:
+            InputError: they are no whole numbers above 0.
+        """
+        numbers = found[name]
+        if numbers.shape != (2,) or (numbers < 1).any() or (numbers % 1).any():
+            raise InputError(
+                f"{self.path}: {name} is {quoted(numbers.tolist())}; expected two numbers of pixels"
+            )
+        return int(numbers[0]), int(numbers[1])
+
 
 class Astra(_Numbers):
     """ASTRA's ``cone_vec``."""
@@ -81,10 +97,21 @@ class Astra(_Numbers):
 
     def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         found = _arrays(self.path, ("vectors", "detector"))
-        source, detector, u, v = np.split(found["vectors"].reshape(-1, 12), 4, axis=1)
-        rows, columns = found["detector"].astype(int).tolist()
-        pitches = (float(np.linalg.norm(axis[0])) for axis in (u, v))
-        return Panel(rows, columns, *pitches), source, detector, u, v
+        if found["vectors"].ndim != 2 or found["vectors"].shape[1] != 12:
+            raise InputError(
+                f"{self.path}: vectors: shape {found['vectors'].shape}; expected (views, 12)"
+            )
+        source, detector, u, v = np.split(found["vectors"], 4, axis=1)
+        rows, columns = self._counts(found, "detector")
+        pitches = [np.linalg.norm(axis, axis=1) for axis in (u, v)]
+        for pitch in pitches:
+            if (off := np.abs(pitch - pitch[0])).max() > UNEQUAL * pitch[0]:
+                view = int(off.argmax())
+                raise InputError(
+                    f"{self.path}: vectors: pixels of view {view} are {pitch[view]:.6g} mm apart, "
+                    f"those of view 0 {pitch[0]:.6g} mm: one panel has one pitch"
+                )
+        return Panel(rows, columns, *(float(pitch[0]) for pitch in pitches)), source, detector, u, v
 
 
 class Leap(_Numbers):
@@ -95,7 +122,7 @@ class Leap(_Numbers):
     def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         names = "sourcePositions", "moduleCenters", "colVectors", "rowVectors"
         found = _arrays(self.path, (*names, "detector", "pixel"))
-        rows, columns = found["detector"].astype(int).tolist()
+        rows, columns = self._counts(found, "detector")
         height, width = found["pixel"].tolist()
         source, detector, u, v = (found[name] for name in names)
         return Panel(rows, columns, width, height), source, detector, u, v
@@ -110,7 +137,7 @@ class Cil(_Numbers):
         names = "source_position_set", "detector_position_set"
         names += "detector_direction_x_set", "detector_direction_y_set"
         found = _arrays(self.path, (*names, "num_pixels", "pixel_size"))
-        columns, rows = found["num_pixels"].astype(int).tolist()
+        columns, rows = self._counts(found, "num_pixels")
         source, detector, u, v = (found[name] for name in names)
         return Panel(rows, columns, *found["pixel_size"].tolist()), source, detector, u, v
 
@@ -139,7 +166,7 @@ class Tigre(_Numbers):
         detector = source + turn.apply(np.stack([-dsd, right, up], axis=1))
         u = turn.apply(np.stack([nothing, np.cos(yaw), np.sin(yaw)], axis=1))
         v = turn.apply(np.stack([nothing, -np.sin(yaw), np.cos(yaw)], axis=1))
-        rows, columns = found["nDetector"].astype(int).tolist()
+        rows, columns = self._counts(found, "nDetector")
         pitch_v, pitch_u = found["dDetector"].tolist()
         return Panel(rows, columns, pitch_u, pitch_v), source, detector, u, v
 
@@ -248,7 +275,7 @@ def read_openct(path: Path) -> dict[str, Any]:
     """
     where = f"{path}"
     try:
-        data = json.loads(read_text(path, where, MOST_BYTES))
+        data = json_of(read_text(path, where, MOST_BYTES))
         projections, geometry = data["projections"], data["geometry"]
         frame = projections["detectorCoordinateFrame"], projections["detectorCoordinateDimension"]
         matrices = np.array(projections["matrices"], dtype=np.float64).reshape(-1, 3, 4)

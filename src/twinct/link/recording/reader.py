@@ -18,6 +18,7 @@ from zstandard import ZstdError
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
+from twinct.core.foreign_text import whole_number
 from twinct.geometry.wire import PosePairs
 from twinct.link.definitions import definition
 from twinct.link.stamps import NANO
@@ -73,8 +74,11 @@ class Said(NamedTuple):
                 sec, nanosec = struct.unpack_from(f"{order}iI", self.data, 4)
             else:
                 (length,) = struct.unpack_from(f"{order}I", self.data, 8)
-                sec, nanosec = map(int, self.data[12 : 11 + length].split(b"."))
+                parts = self.data[12 : 11 + length].decode("ascii").split(".")
+                sec, nanosec = (whole_number(part) for part in parts)
         except (struct.error, ValueError):
+            return -1
+        if sec is None or nanosec is None:
             return -1
         return sec * NANO + nanosec
 

@@ -25,8 +25,8 @@ from twinct.core.extras import require
 from twinct.core.files.arm_xml import LARGEST_BYTES, mesh_file
 from twinct.core.files.boundary import read_bytes
 from twinct.core.files.ros_packages import PATHS, package_folder
-from twinct.core.files.writing import remove_folder, storage_errors
-from twinct.core.foreign_text import quoted, shortened
+from twinct.core.files.writing import complete, storage_errors
+from twinct.core.foreign_text import number, quoted, shortened
 from twinct.robots.cell.own_arms import check_scale
 
 if TYPE_CHECKING:
@@ -95,14 +95,12 @@ def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written
     meshes.check_scale(root)
     ElementTree.indent(root)
     with storage_errors(folder):
-        (folder / MESHES if meshes.written else folder).mkdir(parents=True)
-        try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with complete(folder) as draft:
+            (draft / MESHES if meshes.written else draft).mkdir(parents=True)
             for name, mesh in meshes.written.items():
-                mesh.export(folder / name)
-            (folder / FILE).write_text(ElementTree.tostring(root, encoding="unicode") + "\n")
-        except BaseException:
-            remove_folder(folder)
-            raise
+                mesh.export(draft / name)
+            (draft / FILE).write_text(ElementTree.tostring(root, encoding="unicode") + "\n")
     links = tuple(link.get("name", "") for link in root.findall("link"))
     return Written(folder / FILE, len(meshes.written), meshes.parts, links, _lacking(root))
 
@@ -167,7 +165,7 @@ class _Meshes:
         """Replace the meshes of a link: pictures as they are, collision meshes by convex parts."""
         name = link.get("name", "")
         for role in ("visual", "collision"):
-            for number, element in enumerate(link.findall(role)):
+            for order, element in enumerate(link.findall(role)):
                 mesh = element.find("geometry/mesh")
                 if mesh is None:
                     continue
@@ -186,7 +184,7 @@ class _Meshes:
                 link.remove(element)
                 for part, piece in enumerate(pieces):
                     copy = deepcopy(element)
-                    stem = "_".join((name, role, str(number), *([str(part)] if part else [])))
+                    stem = "_".join((name, role, str(order), *([str(part)] if part else [])))
                     copy.find("geometry/mesh").set("filename", self._kept(piece, stem))
                     link.insert(at + part, copy)
 
@@ -280,6 +278,14 @@ def _inside(hull: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
     return bool(np.max(across) <= 1e-6)
 
 
+def _number(text: str, joint: Any, name: str) -> float:
+    try:
+        return number(text)
+    except ValueError as error:
+        told = f"{name} of joint {quoted(joint.get('name', ''))}"
+        raise ScenarioError(f"{told}: {error}") from None
+
+
 def _lacking(root: Any) -> dict[str, tuple[str, ...]]:
     moved, lacking = (
         set(),
@@ -291,7 +297,7 @@ def _lacking(root: Any) -> dict[str, tuple[str, ...]]:
         child, limit = joint.find("child"), joint.find("limit")
         moved.add("" if child is None else child.get("link", ""))
         for name, key in (("effort", "joint_torque_nm"), ("velocity", "joint_speed_deg_s")):
-            if limit is None or float(limit.get(name, "0") or 0) <= 0:
+            if limit is None or not _number(limit.get(name) or "0", joint, name) > 0:
                 lacking[key].append(joint.get("name", ""))
     for link in root.findall("link"):
         if link.get("name") in moved and link.find("inertial") is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -102,11 +101,8 @@ def write_program(folder: Path, files: Mapping[str, str]) -> None:
     """
     check_absent(folder)
     with storage_errors(folder):
-        folder.mkdir(parents=True)
-        try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with complete(folder) as draft:
+            draft.mkdir()
             for name, text in files.items():
-                with complete(folder / name) as draft:
-                    draft.write_text(text, encoding="utf-8")
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+                (draft / name).write_text(text, encoding="utf-8")
