@@ -23,8 +23,8 @@ from twinct.core.files.images import read_image
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import draft_of, passing_folder, storage_errors
-from twinct.core.renamed import old_attribute
 from twinct.core.foreign_text import quoted
+from twinct.core.renamed import old_attribute
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
