@@ -207,7 +207,7 @@ def places(text: str) -> list[str]:
 def without_words(schema: Any) -> Any:
     """Return a JSON Schema without descriptions and titles."""
     if isinstance(schema, dict):
-        words = ("description", "title", "source", "examples")
+        words = ("description", "title", "x-source", "examples")
         return {
             key: without_words(value)
             for key, value in schema.items()

@@ -23,6 +23,7 @@ from twinct.core import renamed
 from twinct.version import __version__
 
 if TYPE_CHECKING:
+    from twinct.recon.volume import Volume
     from twinct.runs import compare, evaluate, load_scan, needs, reconstruct, run, simulate
     from twinct.scenario import load_scenario
     from twinct.study import load_results, run_study
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "__version__",
+    "Volume",
     "compare",
     "evaluate",
     "load_results",
@@ -43,6 +45,7 @@ __all__ = [
 ]
 
 _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
+    "Volume": "twinct.recon.volume",
     "load_results": "twinct.study",
     "run_study": "twinct.study",
     "load_scenario": "twinct.scenario",

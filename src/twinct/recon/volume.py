@@ -82,6 +82,18 @@ class Volume(NDArrayOperatorsMixin):
         """Type of a voxel, float32."""
         return self.array.dtype
 
+    def min(self, *args: Any, **options: Any) -> Any:
+        """Return the smallest voxel, as numpy does, also along an axis."""
+        return self.array.min(*args, **options)
+
+    def max(self, *args: Any, **options: Any) -> Any:
+        """Return the largest voxel, as numpy does, also along an axis."""
+        return self.array.max(*args, **options)
+
+    def mean(self, *args: Any, **options: Any) -> Any:
+        """Return the mean of the voxels, as numpy does, also along an axis."""
+        return self.array.mean(*args, **options)
+
     def __len__(self) -> int:
         """Return the number of slices along z."""
         return len(self.array)
