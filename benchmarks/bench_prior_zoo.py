@@ -9,7 +9,8 @@ earlier scan's volume, by ``fast``, is the prior, which ``prior_tv`` registers i
 those of the zoo, near the object as it is now. ``fista_tv`` has the best of its strengths, chosen
 by the truth, and rounds of 1 and 4. The contrast is that of the change's core, two voxels within
 its border, of the truth's; it is judged where the core is at least 10 voxels wide with its border
-and the change exceeds five times the noise of the volume without a prior.
+and the change exceeds five times the noise of the volume without a prior. With ``--perfect`` the
+prior is the earlier scan's truth in its voxels: the bound of any prior.
 """
 
 import argparse
@@ -172,13 +173,15 @@ def measure(change, seed, size, ways, folder):
     judge, found = Judge(now, without), {}
     if "plain" in ways:
         found["plain"] = best_plain(now, judge)
-    if "prior" in ways:
-        prior = Volume(fast(before.A, before.p, photons=change.photons).array, before.grid)
-        volume = prior_tv(now.A, now.p, prior, photons=change.photons)
-        told = {key: volume.extras.get(key) for key in ("regularisation", "doubt")}
+    for way in {"prior", "perfect"} & set(ways):
+        array = before.truth.astype(np.float32)
+        if way == "prior":
+            array = fast(before.A, before.p, photons=change.photons).array
+        volume = prior_tv(now.A, now.p, Volume(array, before.grid), photons=change.photons)
+        told = {"regularisation": volume.extras.get("regularisation")}
         error = now.error(volume.array)
-        found["prior"] = {"error": error, "contrast": judge.contrast(volume.array)} | told
-        found["prior"] |= {"wide": bool(judge.wide), "size": judge.size}
+        found[way] = {"error": error, "contrast": judge.contrast(volume.array)} | told
+        found[way] |= {"wide": bool(judge.wide), "size": judge.size}
     return found
 
 
@@ -191,12 +194,14 @@ def main():
     parser.add_argument("--cases", nargs="+", help="names of cases")
     parser.add_argument("--size", type=int, default=48, help="voxels along an edge")
     parser.add_argument("--seeds", type=int, nargs="+", default=[1])
+    parser.add_argument("--perfect", action="store_true", help="the truth as prior")
     parser.add_argument("--again", action="store_true", help="the volumes with a prior anew")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / f"prior_{options.size}.json"
     known = json.loads(path.read_text()) if path.exists() else {}
     ratios, contrasts = [], []
+    way = "perfect" if options.perfect else "prior"
     for seed in options.seeds:
         for change in CASES:
             if options.cases and change.name not in options.cases:
@@ -204,12 +209,12 @@ def main():
             key = f"{change.name}, seed {seed}"
             one = known.setdefault(key, {})
             if options.again:
-                one.pop("prior", None)
-            missing = [way for way in ("plain", "prior") if way not in one]
+                one.pop(way, None)
+            missing = [name for name in ("plain", way) if name not in one]
             if missing:
                 one |= measure(change, seed, options.size, missing, options.out)
                 path.write_text(json.dumps(known, indent=1))
-            plain, ours = one["plain"], one["prior"]
+            plain, ours = one["plain"], one[way]
             ratios.append(ours["error"] / plain["error"])
             told = "not judged"
             if ours["wide"] and ours["size"] > SIGMAS * plain["noise"]:

@@ -8,6 +8,8 @@ from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_metal
 from twinct.recon.metal import _filled, _laplacian
 from twinct.recon.volume import Volume
+from twinct.report import with_results
+from twinct.runs.metal_reduction import doubts
 
 TISSUE, BONE, METAL = 0.02, 0.05, 0.4
 ATTENUATION = {"tissue": TISSUE, "bone": BONE, "metal": METAL}
@@ -88,6 +90,9 @@ def test_metal_thinner_than_three_voxels_is_counted(circle, ellipsoid_integrals)
     small = (found.voxels % 32 < 15).sum()
     assert 0 < found.thin == small < 20
     assert found.as_named and not found.quantitative
+    assert f"{small} of {found.voxels.size} metal voxels" in doubts(found)
+    volume = found.put_back(Volume(np.zeros(grid.shape, np.float32), grid))
+    assert f"{small} metal voxels too thin" in with_results("nmar", volume.extras)
 
 
 @pytest.mark.parametrize("radius", [4, 8])
