@@ -1,6 +1,6 @@
 """Measured circular scans without a truth: the errors of a scanner, found from projections alone.
 
-    python benchmarks/bench_circle.py [--scans 20] [--photons 5e4] [--first 0]
+    python benchmarks/bench_circle.py [--scans 20] [--photons 5e4] [--first 0] [--views 48]
     python benchmarks/bench_circle.py --walnut
 
 Objects are the ten of the zoo that fit into a round field of view, two scans each: exact rays,
@@ -39,13 +39,12 @@ from twinct.measured.views import ImageFacts
 ROOT = Path(__file__).parents[1]
 OBJECTS = ("foam", "trabecular", "gradients", "sheets", "wires", "board", "casting", "tissue",
            "tooth", "mixture")  # fmt: skip
-VIEWS, PIXELS, PITCH = 48, 128, 1.2
+PIXELS, PITCH = 128, 1.2
 NOMINAL = {
     "kind": "circle",
     "sod_mm": 250.0,
     "sdd_mm": 500.0,
     "pitch_mm": PITCH,
-    "angles": {"step": 360 / VIEWS},
     "rotates": "object",
     "direction": "counterclockwise",
     "rows": "up",
@@ -55,9 +54,13 @@ POINTS = 20.0 * np.array(
 )
 
 
-def circle(**keys) -> ScanGeometry:
-    section = Circle.model_validate({**NOMINAL, **keys})
-    return section.views(ImageFacts(VIEWS, PIXELS, PIXELS)).geometry
+def nominal(views: int) -> dict:
+    return {**NOMINAL, "angles": {"step": 360 / views}}
+
+
+def circle(views: int, **keys) -> ScanGeometry:
+    section = Circle.model_validate({**nominal(views), **keys})
+    return section.views(ImageFacts(views, PIXELS, PIXELS)).geometry
 
 
 def wrong(rng: np.random.Generator) -> dict:
@@ -90,18 +93,18 @@ def images(shapes, geometry: ScanGeometry, photons: float, rng) -> np.ndarray:
     return np.array(found, np.float32)
 
 
-def simulated(number: int, photons: float) -> dict:
+def simulated(number: int, photons: float, views: int) -> dict:
     """Simulate, import and calibrate one scan."""
     rng = np.random.default_rng([38, number])
     name = OBJECTS[number % len(OBJECTS)]
-    executed = circle(**wrong(rng))
+    executed = circle(views, **wrong(rng))
     stack = images(getattr(zoo_objects, name)(rng), executed, photons, rng)
     with tempfile.TemporaryDirectory() as scratch:
         np.save(Path(scratch) / "images.npy", stack)
         section = {"path": str(Path(scratch) / "images.npy"), "values": "transmissions"}
         folder = Path(scratch) / "scan"
         with contextlib.redirect_stderr(io.StringIO()):
-            import_measured({"name": name, "images": section, "geometry": NOMINAL}, folder)
+            import_measured({"name": name, "images": section, "geometry": nominal(views)}, folder)
         start = time.process_time()
         found = calibrate_circle(folder)
         seconds = time.process_time() - start
@@ -125,7 +128,7 @@ def simulated(number: int, photons: float) -> dict:
         "name": name,
         "axis": abs(off[0]) / pitch,
         "roll": abs(after.panel_roll_deg - truth.panel_roll_deg),
-        "before": aligned(circle(), executed, POINTS).after_px,
+        "before": aligned(circle(views), executed, POINTS).after_px,
         "after": aligned(found.geometry, executed, POINTS).after_px,
         "pulls": off / found.deviation,
         "undetermined": found.undetermined,
@@ -134,11 +137,11 @@ def simulated(number: int, photons: float) -> dict:
     }
 
 
-def scans(first: int, number: int, photons: float) -> None:
+def scans(first: int, number: int, photons: float, views: int) -> None:
     """Print a line for each scan, and the worst of all."""
     told = []
     for one in range(first, first + number):
-        told.append(simulated(one, photons))
+        told.append(simulated(one, photons, views))
         line = told[-1]
         named = "; ".join(f"{100 * u.left:.0f} %: {u}" for u in line["undetermined"])
         named = "; ".join([named, *line["uncertain"]])
@@ -186,12 +189,13 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--photons", type=float, default=5e4)
+    parser.add_argument("--views", type=int, default=48)
     parser.add_argument("--walnut", action="store_true")
     told = parser.parse_args()
     if told.walnut:
         walnut()
     else:
-        scans(told.first, told.scans, told.photons)
+        scans(told.first, told.scans, told.photons, told.views)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from twinct.calibration import (
     CircularPrior,
     aligned,
     circle_numbers,
+    circular,
     circular_consistent,
 )
 from twinct.core.errors import InputError
@@ -80,6 +81,18 @@ def test_noise_is_no_knowledge() -> None:
     ]
     pulls = np.abs(off) / found.deviation[[0, 1, 2, 5]]
     assert (spreads[1] >= spreads[0]).all() and pulls.max() < 4, pulls
+
+
+def test_more_views_count_where_few_are_not_precise(monkeypatch) -> None:
+    executed, believed = circle_of(**NUMBERS), circle_of(sod_mm=200.0, sdd_mm=400.0)
+    p = images(executed)
+    p += np.random.default_rng(2).normal(0, 0.05, p.shape).astype(np.float32)
+    spreads: dict[tuple[int, ...], float] = {}
+    for most in ((12,), (12, 24)):
+        monkeypatch.setattr(circular, "MOST_VIEWS", most)
+        found = circular_consistent(p, believed)
+        spreads[most] = found.deviation[5]
+    assert spreads[12, 24] < 0.85 * spreads[12,], spreads
 
 
 def test_no_circle_is_refused() -> None:

@@ -31,16 +31,17 @@ def mirrored(candidate: Candidate, *, offset: bool) -> set[Candidate]:
     return {candidate, other(rows=True), other(**sideways), other(rows=True, **sideways)}
 
 
-def balls_on(circle: Circle, rng: np.random.Generator) -> np.ndarray:
+def balls_on(
+    circle: Circle, rng: np.random.Generator, sizes: tuple[int, int, int] = (VIEWS, ROWS, COLUMNS)
+) -> np.ndarray:
     """Return noisy line integrals of eight balls on a circle's panel, v up and u to the right."""
-    facts = ImageFacts(VIEWS, ROWS, COLUMNS)
-    geometry = circle.views(facts).geometry
-    reach = COLUMNS / 2 * geometry.panel.pitch_u * circle.sod_mm / circle.sdd_mm
-    total = np.zeros((VIEWS, ROWS, COLUMNS))
+    geometry = circle.views(ImageFacts(*sizes)).geometry
+    reach = sizes[2] / 2 * geometry.panel.pitch_u * circle.sod_mm / circle.sdd_mm
+    total = np.zeros(sizes)
     for _ in range(8):
         radius = rng.uniform(0.08, 0.2) * reach
         centre = rng.uniform(-0.4, 0.4, 3) * reach
-        for view in range(VIEWS):
+        for view in range(sizes[0]):
             ray = geometry.pixel_centres(view) - geometry.source[view]
             ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
             off = geometry.source[view] - centre
@@ -105,6 +106,31 @@ def test_a_wrong_convention_is_found(seed, stored):
 @pytest.mark.parametrize("seed", range(1, 20))
 def test_wrong_conventions_are_found(seed, stored):
     check(seed, stored)
+
+
+@pytest.mark.parametrize(
+    ("axes", "right"),
+    [((1, 0, 2), Candidate(views_rows=True)), ((2, 1, 0), Candidate(views_columns=True))],
+)
+def test_axes_exchanged_between_equal_counts_are_found(axes, right, stored):
+    keys = {
+        "kind": "circle",
+        "sod_mm": 250.0,
+        "sdd_mm": 400.0,
+        "pitch_mm": 3.0,
+        "angles": {"step": 15.0},
+        "rotates": "object",
+        "direction": "clockwise",
+        "rows": "up",
+    }
+    told = read_description({"images": {"path": "-", "values": "line_integrals"}, "geometry": keys})
+    images = balls_on(told.geometry, np.random.default_rng(3), (24, 24, 24))
+    ranking = try_conventions(
+        read_description({"images": stored(images.transpose(axes)), "geometry": keys})
+    )
+    first = {tried.candidate for tried in ranking.classes[0]}
+    assert right in first, ranking.told
+    assert first <= mirrored(right, offset=False), ranking.told
 
 
 def test_what_is_right_stays_first(stored, circle, tmp_path):

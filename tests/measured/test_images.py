@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import tifffile
@@ -200,6 +202,7 @@ RAW = np.full(SHAPE, 30000, np.uint16)
     [
         (None, "intensities need flats"),
         (FULL, r"flats.0.*image 0 is saturated: 100.0% of its pixels are 65535"),
+        (np.where(np.arange(ROWS)[:, None] < 2, 4095, LIT // 16), "4095, the largest number of 12"),
         (np.zeros_like(LIT), "100.0% of the pixels are no brighter than 0"),
         (LIT[:5], "5 x 26 pixels, but the projections have 20 x 26"),
         (np.full_like(LIT, 100), "does images.flats belong to these images"),
@@ -272,6 +275,26 @@ def test_views_that_show_nothing_are_named(images, angles, grid, message, circle
         told["grid"] = grid
     with pytest.raises(InputError, match=message):
         imported(told)
+
+
+@pytest.mark.parametrize(
+    ("array", "angles", "doubt"),
+    [
+        (LINES, {"step": 15}, None),
+        (LINES.transpose(1, 0, 2), {"step": 15}, "view to view, .* from row to row: are views and"),
+        (LINES.transpose(2, 1, 0), {"step": 15}, "to column: .* See images.axes; --try tries both"),
+        (np.exp(-LINES), {"step": 15}, "near 1 and hardly any near 0: are they transmissions"),
+        (LINES[:1], {"step": 15}, "one view: no volume can be made from it"),
+        (LINES, {"step": 0.15}, "24 views cover 3.45 deg: are the angles in radians"),
+        (LINES, {"step": 1, "unit": "rad"}, "cover 3.66 turns: are they in degrees"),
+    ],
+)
+def test_statements_that_are_seldom_right_are_doubted(
+    array, angles, doubt, circle, stored, imported
+):
+    found = imported({"images": stored(array), "geometry": circle | {"angles": angles}})[1].doubts
+    assert len(found) == (doubt is not None)
+    assert all(re.search(str(doubt), sentence) for sentence in found)
 
 
 def test_bad_stacks_are_named(tmp_path):

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from twinct.cli import run_command
-from twinct.cli.progress import NOTICED, on_terminal
+from twinct.cli.progress import NOTICED, on_terminal, warnings_into
 from twinct.core.errors import ScenarioError
 from twinct.scenario import load_scenario, scenario_schema
 from twinct.scenario.messages import PATTERNS
@@ -80,11 +80,20 @@ def test_a_check_with_warnings_says_so_in_its_title(capsys: pytest.CaptureFixtur
     assert "can be run, with the warnings above" in " ".join(told.out.split())
 
 
-def test_a_notice_is_no_warning(capsys: pytest.CaptureFixture[str]) -> None:
-    log = logging.getLogger(f"{NOTICED}.test")
+@pytest.mark.parametrize("name", NOTICED)
+def test_a_notice_is_no_warning(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    log = logging.getLogger(f"{name}.test")
     with on_terminal():
         log.warning("first run: compiling", extra={"notice": True})
         log.warning("the residual grows")
     told = capsys.readouterr()
     assert told.out == "first run: compiling\n"
     assert told.err == "twinct: warning: the residual grows\n"
+
+
+def test_warnings_are_told_once_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    log, kept = logging.getLogger(f"{NOTICED[0]}.test"), list[str]()
+    with warnings_into(kept), on_terminal():
+        log.warning("a body is cut")
+    assert kept == ["a body is cut"]
+    assert capsys.readouterr().err == "twinct: warning: a body is cut\n"

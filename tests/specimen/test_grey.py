@@ -288,6 +288,22 @@ def test_what_cannot_be(file: Path, keys: dict[str, Any], told: str) -> None:
         build(file, **keys)
 
 
+def test_zeros_are_no_air_and_a_body_without_air_is_a_box(tmp_path: Path) -> None:
+    """Attenuation in other units lies between 0 and some hundreds, as HU may."""
+    truth = head()
+    where = truth.values > -500
+    scaled = Truth(np.where(where, 200.0, 0.0), truth.affine)
+    path = write(tmp_path / "scaled.nii", scaled)
+    with pytest.raises(SpecimenError, match="of its values are 0, and none is below"):
+        build(path)
+    mask = tmp_path / "mask.nii"
+    nibabel.save(nibabel.Nifti1Image(where.astype(np.uint8), truth.affine), mask)
+    assert build(path, mask={"path": str(mask)}).bounds[1, 0] > 0
+    inner = Truth(np.where(truth.values > 500, 900.0, 40.0), truth.affine)
+    size = np.ptp(build(write(tmp_path / "inner.nii", inner)).bounds, axis=0)
+    assert size == pytest.approx(np.array(SHAPE) * SPACING, abs=3.5)
+
+
 def test_attenuation_values(file: Path, tmp_path: Path) -> None:
     """Attenuation at an energy gives what its HU give; without the statement it is refused."""
     truth = head()

@@ -66,6 +66,22 @@ def test_full_voxels_have_the_lengths_of_soft_ones():
     np.testing.assert_allclose(sharp, soft, atol=1e-3)
 
 
+@pytest.mark.parametrize("sharp", [False, True])
+def test_a_moved_body_needs_no_other_kernel(sharp):
+    """A kernel that is compiled for writable voxels fails each test (``tests/conftest.py``)."""
+    rng = np.random.default_rng(7)
+    amounts = fractions(rng, 2).astype(np.float32)
+    grid = VolumeGrid(amounts.shape[:3], (3.0, 2.5, 4.0))
+    view = random_view(rng, PANEL, np.zeros(3))
+    materials = tuple(material(name) for name in NAMES[:2])
+    caster = GreyCaster(GreyField(materials, amounts, grid, sharp), PANEL)
+    moved = amounts[::-1].copy()
+    caster.show(moved)
+    np.testing.assert_array_equal(caster.cast(view), cast(moved, grid, view, sharp=sharp))
+    moved[:] = 0
+    assert not caster.cast(view).any(), "later states are shown, too"
+
+
 def test_a_ball_in_voxels_has_nearly_its_chords():
     radius, voxel = 24.0, 3.0
     ball = trimesh.creation.icosphere(subdivisions=5, radius=radius)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -57,8 +58,8 @@ COMMON = 10.0
 LEAST_SHARE = 0.04
 """Least share of the normal matrix, along each direction, that is not noise."""
 
-MOST_VIEWS = 60
-"""Largest number of views that are compared, spread over the scan."""
+MOST_VIEWS = (60, 240)
+"""Largest number of views that are compared, spread over the scan; then if that is not precise."""
 
 SHADOW = 0.1
 """Least line integral of an object's shadow, relative to the largest."""
@@ -208,14 +209,28 @@ def circular_consistent(
     checks = Checks((len(believed), *believed.panel.shape))
     p, pixels = checks.projections(line_integrals, mask)
     checks.done()
-    some = np.unique(np.linspace(0, len(p) - 1, min(len(p), MOST_VIEWS)).round().astype(int))
-    if pixels is not None and pixels.ndim == 3:
-        pixels = pixels[some]
-    pairs = _Pairs(p[some], pixels, believed[some], circle)
     deviations = (prior or CircularPrior()).deviations(believed)
+
+    def found_in(most: int, start: Floats) -> CircularCalibration:
+        some = np.unique(np.linspace(0, len(p) - 1, min(len(p), most)).round().astype(int))
+        of_views = pixels[some] if pixels is not None and pixels.ndim == 3 else pixels
+        pairs = _Pairs(p[some], of_views, believed[some], circle)
+        return _calibrated(pairs, believed, deviations, start, progress)
+
+    found = found_in(MOST_VIEWS[0], np.zeros(6))
+    for fewer, most in pairwise(MOST_VIEWS):
+        if found.uncertain and len(p) > fewer:
+            found = found_in(most, found.change)
+    return found
+
+
+def _calibrated(
+    pairs: _Pairs, believed: ScanGeometry, deviations: Floats, start: Floats, progress: Progress
+) -> CircularCalibration:
+    """Return what some views tell of the geometry of all, from a start at six numbers."""
     precision = np.diag(deviations**-2.0)
     first = pairs.seen(np.zeros(6), FINEST).spread
-    change, information, across, drift = _found(pairs, deviations, progress)
+    change, information, across, drift = _found(pairs, deviations, start, progress)
     told = _covariance(information, pairs.scatter(change, across), drift)
     covariance: Floats = np.asarray(np.linalg.inv(np.linalg.inv(told) + precision), np.float64)
     # What the views alone tell, then with the prior: it counts more than in the steps.
@@ -227,19 +242,19 @@ def circular_consistent(
         geometry,
         change,
         np.sqrt(np.diag(covariance)),
-        circle_numbers(believed, circle),
-        circle_numbers(geometry, circle),
+        circle_numbers(believed, pairs.circle),
+        circle_numbers(geometry, pairs.circle),
         _undetermined(covariance, deviations),
         (first, last),
     )
 
 
 def _found(
-    pairs: _Pairs, deviations: Floats, progress: Progress
+    pairs: _Pairs, deviations: Floats, start: Floats, progress: Progress
 ) -> tuple[Floats, Floats, int, Floats]:
     """Return numbers, normal matrix and pixels of the last round that counts, and its change."""
     precision = np.diag(deviations**-2.0)
-    change, information, across = np.zeros(6), np.zeros((6, 6)), FINEST
+    change, information, across = start, np.zeros((6, 6)), FINEST
     drift = np.zeros(6)
     with progress.stage("circle", len(ROUNDS)) as step:
         for number, (pixels_across, steps) in enumerate(ROUNDS):

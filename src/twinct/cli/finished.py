@@ -49,8 +49,8 @@ def import_(
     Args:
         out: Folder to write, without a run in it.
         try_: For a measured scan: import nothing, but try other conventions (direction of rotation,
-            flips, transposed images, sign and unit of offsets), rank them, and show them in
-            DIR/tried.png.
+            flips, transposed images, exchanged axes, sign and unit of offsets), rank them, and show
+            them in DIR/tried.png.
     """
     from twinct.core.errors import InputError
     from twinct.measured import is_measured
@@ -104,6 +104,8 @@ def _import_measured(source: Path, out: Path) -> None:
         found = import_measured(description_of(source), out, audience)
     for sentence in found.notes:
         say(sentence)
+    for doubt in found.doubts:
+        say(doubt, warning=True)
     say(f"imported to {out}; {out / 'imported.png'} shows it, 'twinct reconstruct {out}' goes on")
 
 

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
     from twinct.observers import Audience, Event, Observer
 
-NOTICED = "twinct.recon"
-"""Logger whose warnings are shown, and its notices, such as of kernels that are compiled."""
+NOTICED = "twinct.recon", "twinct.specimen"
+"""Loggers whose warnings are shown, and their notices, such as of kernels that are compiled."""
 
 _LINE_EVERY_S = 30.0
 _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False}
@@ -28,12 +28,35 @@ def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
 
     kinds = (StageBegan, StageStep, StageEnded, Said)
     with audience_of([Observer(_while_read(TerminalProgress()), kinds), *others]) as audience:
-        notices = _Notices(audience)
-        logger = logging.getLogger(NOTICED)
-        logger.addHandler(notices)
-        try:
+        with _noticed(lambda text, warning: audience.say(text, warning=warning)):
             yield audience
-        finally:
+
+
+@contextmanager
+def warnings_into(told: list[str]) -> Iterator[None]:
+    """Show the warnings of twinct's own libraries at once, and add them to a list."""
+
+    def hear(text: str, warning: bool) -> None:
+        say(text, warning=warning)
+        if warning:
+            told.append(text)
+
+    with _noticed(hear):
+        yield
+
+
+@contextmanager
+def _noticed(hear: Callable[[str, bool], None]) -> Iterator[None]:
+    """Pass on messages of the noticed loggers, unless a block around this one does."""
+    notices = _Notices(hear)
+    loggers = [logging.getLogger(name) for name in NOTICED]
+    free = [one for one in loggers if not any(isinstance(h, _Notices) for h in one.handlers)]
+    for logger in free:
+        logger.addHandler(notices)
+    try:
+        yield
+    finally:
+        for logger in free:
             logger.removeHandler(notices)
 
 
@@ -53,12 +76,12 @@ def _while_read(hear: Callable[[Event], None]) -> Callable[[Event], None]:
 class _Notices(logging.Handler):
     """Handler that shows the warnings and notices of twinct's own libraries."""
 
-    def __init__(self, audience: Audience) -> None:
+    def __init__(self, hear: Callable[[str, bool], None]) -> None:
         super().__init__(logging.WARNING)
-        self._audience = audience
+        self._hear = hear
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._audience.say(record.getMessage(), warning=not getattr(record, "notice", False))
+        self._hear(record.getMessage(), not getattr(record, "notice", False))
 
 
 def say(text: str, *, warning: bool = False) -> None:

@@ -16,7 +16,7 @@ from rich.table import Column, Table
 
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
-from twinct.cli.progress import on_terminal, say
+from twinct.cli.progress import on_terminal, say, warnings_into
 from twinct.cli.time_limit import limited
 
 if TYPE_CHECKING:
@@ -54,7 +54,8 @@ def check(
     limit_threads(threads)
     with answering(as_json) as answer, limited(time_limit, "--time-limit"):
         answer |= {"scenario": str(scenario), "can_be_run": False, "warnings": []}
-        _check(scenario, save, None if no_cures else picture, all_cures, set_, answer)
+        with warnings_into(answer["warnings"]):
+            _check(scenario, save, None if no_cures else picture, all_cures, set_, answer)
 
 
 def _check(
@@ -95,9 +96,9 @@ def _check(
                 _planned(builder)
         check_physics(builder)
         require_feasible(loaded, builder.commanded)
-        answer["warnings"] = check_sight(builder)
-        for warning in answer["warnings"]:
+        for warning in check_sight(builder):
             say(warning, warning=True)
+            answer["warnings"].append(warning)
         with remedy():
             _planned(builder)
         with on_terminal() as audience:

@@ -24,7 +24,7 @@ from twinct.core.files.pictures import show
 from twinct.core.renamed import old_attribute
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.measured.circle import Circle
-from twinct.measured.corrections import corrections
+from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured
 from twinct.measured.field_of_view import grid_of
 from twinct.measured.orientation import Placement, turned_shape
@@ -69,6 +69,8 @@ class Candidate(NamedTuple):
         transposed: rows and columns are exchanged.
         offset_sign: offsets have the other sign.
         offset_px: offsets are pixels, not mm.
+        views_rows: views and rows are exchanged among the axes of an array.
+        views_columns: views and columns are.
     """
 
     reversed_order: bool = False
@@ -77,6 +79,8 @@ class Candidate(NamedTuple):
     transposed: bool = False
     offset_sign: bool = False
     offset_px: bool = False
+    views_rows: bool = False
+    views_columns: bool = False
 
     @property
     def in_words(self) -> str:
@@ -88,6 +92,8 @@ class Candidate(NamedTuple):
             "transposed": self.transposed,
             "offsets of the other sign": self.offset_sign,
             "offsets in pixels": self.offset_px,
+            "axes of views and rows exchanged": self.views_rows,
+            "axes of views and columns exchanged": self.views_columns,
         }
         return ", ".join(name for name, on in words.items() if on) or "as stated"
 
@@ -143,22 +149,66 @@ def try_conventions(told: Measured, observers: Observers = ()) -> Ranking:
     Raises:
         InputError: images or geometry cannot be read, or there are too few views.
     """
-    images = corrections(told.images)
-    count, shape = images.stack.count, images.stack.shape
-    views = np.unique(np.linspace(0, count - 1, min(count, MOST_VIEWS)).round().astype(int))
-    if len(views) < 6:
-        raise InputError(f"--try: {len(views)} views are too few; at least 6 are needed")
-    by = max(1, -(-max(shape) // MOST_PIXELS))
-    stored = [images.transmission(int(view))[0].astype(np.float32) for view in views]
+    orders = list(_orders(told))
     found: list[Tried] = []
-    candidates = list(_candidates(told, shape))
     with audience_of(observers) as audience:
-        with audience.stage("conventions", len(candidates)) as step:
-            for candidate in candidates:
-                found.append(_tried(told, candidate, stored, views, (count, *shape), by))
-                step()
+        with audience.stage("conventions", sum(len(order.candidates) for order in orders)) as step:
+            for order in orders:
+                stored = order.read()
+                for candidate in order.candidates:
+                    found.append(_tried(told, candidate, order, stored))
+                    step()
     found.sort(key=lambda one: one.residual_rel)
     return Ranking(tuple(_classes(found)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Order:
+    """Images of a scan with one order of the axes, and the candidates that have it."""
+
+    images: Corrections
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def views(self) -> NDArray[np.intp]:
+        """The views that are used."""
+        count = self.images.stack.count
+        return np.unique(np.linspace(0, count - 1, min(count, MOST_VIEWS)).round().astype(int))
+
+    def read(self) -> list[NDArray[np.float32]]:
+        """Return the transmissions of these views."""
+        return [self.images.transmission(int(v))[0].astype(np.float32) for v in self.views]
+
+    def facts(self, shape: tuple[int, int]) -> ImageFacts:
+        """Return the facts on images that are turned to (rows, columns)."""
+        stack = self.images.stack
+        return ImageFacts(stack.count, *shape, stack.spacing, stack.first_pixel)
+
+
+def _orders(told: Measured) -> Iterator[_Order]:
+    """Yield the stated order of axes, then those that fit the geometry, too.
+
+    Raises:
+        InputError: the images cannot be read as stated, or there are too few views.
+    """
+    for exchange in (Candidate(), Candidate(views_rows=True), Candidate(views_columns=True)):
+        try:
+            section = changed(told, exchange).images
+            images = corrections(section)
+            order = _Order(images, tuple(_candidates(told, images.stack.shape, exchange)))
+            if len(order.views) < 6:
+                raise InputError(
+                    f"--try: {len(order.views)} views are too few; at least 6 are needed"
+                )
+            if any(exchange):
+                told.geometry.views(order.facts(turned_shape(section, images.stack.shape)))
+        except InputError:
+            if any(exchange):
+                continue  # no reading of these images
+            raise
+        yield order
+        if not images.stack.exchangeable:
+            return
 
 
 def _classes(found: list[Tried]) -> Iterator[tuple[Tried, ...]]:
@@ -170,8 +220,8 @@ def _classes(found: list[Tried]) -> Iterator[tuple[Tried, ...]]:
         found = found[len(alike) :]
 
 
-def _candidates(told: Measured, shape: tuple[int, int]) -> Iterator[Candidate]:
-    """Yield all combinations that the description leaves open."""
+def _candidates(told: Measured, shape: tuple[int, int], exchange: Candidate) -> Iterator[Candidate]:
+    """Yield all combinations that the description leaves open, with an exchange of axes."""
     geometry, both = told.geometry, (False, True)
     circle = isinstance(geometry, Circle)
     offsets = circle and bool(np.any([*geometry.panel_offset_mm, geometry.axis_offset_mm]))
@@ -184,6 +234,8 @@ def _candidates(told: Measured, shape: tuple[int, int]) -> Iterator[Candidate]:
             both if other_shape and not cropped else (False,),
             both if offsets else (False,),
             both if offsets else (False,),
+            (exchange.views_rows,),
+            (exchange.views_columns,),
         ),
     )
 
@@ -193,6 +245,11 @@ def changed(told: Measured, candidate: Candidate) -> Measured:
     images, geometry = told.images, told.geometry
     if candidate.transposed:
         images = images.model_copy(update={"transpose": not images.transpose})
+    if candidate.views_rows or candidate.views_columns:
+        other = "row" if candidate.views_rows else "column"
+        exchanged = {"view": other, other: "view"}
+        axes = tuple(exchanged.get(axis, axis) for axis in images.axes)
+        images = images.model_copy(update={"axes": axes})
     if isinstance(geometry, Circle):
         keys: dict[str, Any] = {}
         if candidate.reversed_order:
@@ -210,19 +267,14 @@ def changed(told: Measured, candidate: Candidate) -> Measured:
 
 
 def _tried(
-    told: Measured,
-    candidate: Candidate,
-    stored: list[NDArray[np.float32]],
-    views: NDArray[np.intp],
-    sizes: tuple[int, int, int],
-    by: int,
+    told: Measured, candidate: Candidate, order: _Order, stored: list[NDArray[np.float32]]
 ) -> Tried:
     """Reconstruct a candidate from every other view, and predict the others."""
-    measured = changed(told, candidate)
-    section = measured.images.model_copy(update={"bin": max(by, 1)})
-    rows, columns = turned_shape(section, (sizes[1], sizes[2]))
-    stated = measured.views(ImageFacts(sizes[0], rows, columns, *_spacing(told)))
-    chosen = stated.geometry[views]
+    measured, shape = changed(told, candidate), order.images.stack.shape
+    by = max(1, -(-max(shape) // MOST_PIXELS))
+    section = measured.images.model_copy(update={"bin": by})
+    stated = measured.views(order.facts(turned_shape(section, shape)))
+    chosen = stated.geometry[order.views]
     if candidate.reversed_order and not isinstance(told.geometry, Circle):
         chosen = chosen[::-1]
     flips = stated.flip_rows != candidate.rows, stated.flip_columns != candidate.columns
@@ -237,14 +289,6 @@ def _tried(
     off = held - Projector(geometry[1::2], grid)(volume.array)
     residual = float(np.sqrt(np.mean(off**2) / max(float(np.mean(held**2)), 1e-30)))
     return Tried(candidate, residual, volume.array[len(volume) // 2].copy())
-
-
-def _spacing(told: Measured) -> tuple[Any, Any]:
-    """Return spacing and first pixel that the files state, for RTK's geometry."""
-    from twinct.measured.stack import open_stack
-
-    stack = open_stack(told.images, "images")
-    return stack.spacing, stack.first_pixel
 
 
 def _grid(geometry: ScanGeometry) -> VolumeGrid:

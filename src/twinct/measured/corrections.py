@@ -21,7 +21,10 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SATURATED = 0.001
-"""Largest share of the pixels of a flat image at the largest number of its type."""
+"""Largest share of the pixels of a flat image at the largest number of its bits."""
+
+BITS = 8, 10, 12, 14, 16
+"""Bits of the numbers of detectors, which may be stored in wider types."""
 
 DEAD = 0.05
 """Largest share of the pixels of a flat image that may be no brighter than the dark image."""
@@ -233,7 +236,7 @@ def _fields(
                 f"{key}.{index}: {stack.where}: images of {stack.shape[0]} x {stack.shape[1]} "
                 f"pixels, but the projections have {like.shape[0]} x {like.shape[1]}"
             )
-        if bright and np.issubdtype(stack.dtype, np.integer):
+        if bright:
             _refuse_saturated(stack, f"{key}.{index}")
         images = (stack.image(i).astype(np.float64) for i in range(stack.count))
         mean = next(images)
@@ -253,13 +256,18 @@ def _fields(
 
 
 def _refuse_saturated(stack: Stack, key: str) -> None:
-    most = np.iinfo(stack.dtype).max
+    tops = {2**bits - 1: f"{bits} bits" for bits in BITS}
+    if np.issubdtype(stack.dtype, np.integer):
+        tops[np.iinfo(stack.dtype).max] = f"{stack.dtype}"
     for index in range(stack.count):
-        share = float((stack.image(index) == most).mean())
-        if share > SATURATED:
+        image = stack.image(index)
+        most = float(np.nanmax(image, initial=0))
+        share = float((image == most).mean())
+        if most in tops and share > SATURATED:
             raise InputError(
                 f"{key}: {stack.where}: image {index} is saturated: {share:.1%} of its pixels are "
-                f"{most}, the largest number of {stack.dtype}; at most {SATURATED:.1%} are allowed"
+                f"{most:.0f}, the largest number of {tops[int(most)]}; at most {SATURATED:.1%} are "
+                "allowed"
             )
 
 

@@ -23,6 +23,7 @@ from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
+from twinct.measured.doubts import Doubts
 from twinct.measured.field_of_view import grid_of
 from twinct.measured.orientation import Placement, turned_shape
 from twinct.measured.views import ImageFacts
@@ -56,11 +57,13 @@ class Imported:
         folder: the folder with ``scan.zarr`` and ``scenario.yaml``.
         scenario: the scenario that was written.
         notes: sentences on what was read, with units.
+        doubts: sentences on statements that can be right, but seldom are.
     """
 
     folder: Path
     scenario: Scenario
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
     told = old_attribute("told", "notes")
 
 
@@ -113,13 +116,14 @@ def import_measured(
         draft = draft_of(folder.scan)
         shutil.rmtree(draft, ignore_errors=True)  # of a killed process
         stack.callback(shutil.rmtree, draft, ignore_errors=True)
-        scales = _write_views(draft, scenario, placement, images, geometry, audience)
+        doubts = Doubts(told, images)
+        scales = _write_views(draft, scenario, placement, doubts, geometry, audience)
         folder.write_scenario(scenario)
         draft.rename(folder.scan)
     sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(scenario)
     scan = ScanStore(folder.scan).read()
     show(partial(_draw, scan), (10.4, 7.0), folder.imported)
-    return Imported(folder.path, scenario, sentences)
+    return Imported(folder.path, scenario, sentences, doubts.sentences)
 
 
 def _remove_unfinished(folder: Folder) -> None:
@@ -202,12 +206,13 @@ def _write_views(
     path: Path,
     scenario: Scenario,
     placement: Placement,
-    images: Corrections,
+    doubts: Doubts,
     geometry: ScanGeometry,
     audience: Audience,
 ) -> list[float]:
     """Write the store; return the scale of each view from its air."""
-    poses, every = PosePairs.from_geometry(geometry), images.section.every
+    poses, images = PosePairs.from_geometry(geometry), doubts.images
+    every = images.section.every
     store = ScanStore.create(path, scenario, poses, (), 0)
     still, none = Pose.identity(), np.zeros(0)
     scales: list[float] = []
@@ -215,6 +220,7 @@ def _write_views(
         for view in range(len(geometry)):
             image, scale = images.transmission(view * every)
             scales.append(scale)
+            doubts.add(image)
             executed = PosePairs.at(*poses[view], still)
             reached = Reached(executed, (), none, none, none, none, float(view), float("nan"))
             store.write(view, placement.image(image).astype(np.float32), reached)

@@ -44,6 +44,7 @@ class Stack:
         image: returns an image, (rows, columns), by its index.
         spacing: pitch along (columns, rows) that the file states, mm, or None.
         first_pixel: place of pixel (0, 0) on the panel that the file states, mm, or None.
+        exchangeable: True for an array, whose axes may be named in another order.
     """
 
     where: str
@@ -53,6 +54,7 @@ class Stack:
     image: Callable[[int], Image]
     spacing: tuple[float, float] | None = None
     first_pixel: tuple[float, float] | None = None
+    exchangeable: bool = False
 
 
 def open_stack(section: Files, key: str) -> Stack:
@@ -150,7 +152,8 @@ def _of_array(array: Any, section: Files, where: str, **stated: Any) -> Stack:
         found = np.asarray(array[tuple(at)])
         return found if row < column else found.T
 
-    return Stack(where, shape[view], (shape[row], shape[column]), dtype, image, **stated)
+    size = shape[row], shape[column]
+    return Stack(where, shape[view], size, dtype, image, exchangeable=True, **stated)
 
 
 def _npy(path: Path, section: Files, key: str, image: bool = False) -> Stack:

@@ -289,9 +289,8 @@ def _add_sharp_means(
     from twinct.specimen import _grey_kernels
 
     first, steps, counts, box = _sampling(field.grid, grid, world_from_field)
-    amounts = np.require(field.amounts, requirements=["C", "W"])  # one type for numba
-    found = np.zeros(out[box].shape, dtype=np.float32)
-    _grey_kernels.add_sharp_means(amounts, np.append(weights, 0.0), first, steps, counts, found)
+    found, all_weights = np.zeros(out[box].shape, dtype=np.float32), np.append(weights, 0.0)
+    _grey_kernels.add_sharp_means(field.amounts, all_weights, first, steps, counts, found)
     out[box] += found
 
 

@@ -40,6 +40,9 @@ SLOPE_VOXELS = 2
 SMALLEST_RANGE_HU = 50.0
 """Range of values below which they are no HU of a body in air."""
 
+BLANK = 0.1
+"""Share of voxels at exactly 0, the lowest value, from which 0 is no water but nothing."""
+
 PADDING_HU = -1100.0
 """Values below this are padding outside the scanner's field of view."""
 
@@ -131,6 +134,12 @@ def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -
         raise SpecimenError(
             f"{where}: no value exceeds surface_hu {shape.surface_hu:g}; its values lie between "
             f"{low:g} and {high:g} HU"
+        )
+    selected = shape.mask or shape.keep == "labelled" or (shape.above_hu or AIR_HU) >= 0
+    if low == 0 and not selected and (share := float(np.mean(image.values == 0))) > BLANK:
+        raise SpecimenError(
+            f"{where}: {share:.0%} of its values are 0, and none is below, so that 0 is air, which "
+            "has -1000 HU: are they attenuation, or stored numbers that the key hu turns to HU?"
         )
     if low > AIR_HU / 2:
         log.warning(
@@ -241,6 +250,9 @@ def _skin(voxels: _Voxels, shape: scenario.GreyVolume, where: str) -> trimesh.Tr
     if not (hu > level).any():
         raise SpecimenError(f"{where}: the body above {level:g} HU is smaller than {SKIN_MM:g} mm")
     affine = voxels.grid.affine.copy()
+    if (hu > level).all():  # cut out of a body: the skin is the box
+        hu = np.pad(hu, 1, constant_values=AIR_HU)
+        affine[:3, 3] -= affine[:3, :3] @ factors[::-1]
     affine[:3, 3] += affine[:3, :3] @ ((factors[::-1] - 1) / 2)
     affine[:3, :3] *= factors[::-1]
     mesh = simplified(isosurface(hu.transpose(2, 1, 0), level, affine), SKIN_TRIANGLES)

@@ -21,11 +21,12 @@ class GreyCaster:
     def __init__(self, field: GreyField, panel: Panel) -> None:
         """Take a field, which is not copied, and the panel of every view."""
         self.field, self.panel = field, panel
-        self._flat = field.amounts.reshape(-1)
+        self.show(field.amounts)
 
     def show(self, amounts: NDArray[np.float32]) -> None:
         """Take other amounts of the same shape, such as those of a moved body."""
-        self._flat = amounts.reshape(-1)
+        self._flat = amounts.reshape(-1).view()
+        self._flat.setflags(write=False)  # one type for numba
 
     def cast(self, view: ScanGeometry) -> NDArray[np.float32]:
         """Return the integral of each amount along each ray, (materials, rows, columns), mm.

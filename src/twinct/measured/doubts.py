@@ -1,0 +1,122 @@
+"""Doubts about a measured scan: statements that can be right, but seldom are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.measured.circle import Circle
+from twinct.measured.corrections import Corrections
+from twinct.measured.description import Measured
+
+LEAST = 1e-7
+"""Smallest transmission whose logarithm is taken."""
+
+UNSTEADY = 0.1
+"""Change of the mean line integral from view to view, relative to it, that is looked at."""
+
+STEADIER = 3.0
+"""How many times less it changes along another axis that may be that of the views."""
+
+NEAR_ONE = 0.9, 1.15
+"""Range of the largest line integrals that may be the transmission of air."""
+
+AIR = 0.1
+"""Least share of the pixels of an image that show air, if any do."""
+
+NO_AIR = 0.02
+"""Line integrals up to this one, relative to the largest, are taken for air."""
+
+FEW_DEG = 2.5, 7.0
+"""Range of spans, deg, that are more likely to be those of a scan in rad."""
+
+TURNS = 2.0
+"""Number of turns of a circular scan beyond which its angles are doubtful."""
+
+
+@dataclass(eq=False)
+class Doubts:
+    """Sums of the images of a scan while they are read, and what they make doubtful.
+
+    Attributes:
+        told: description of the scan.
+        images: its images.
+    """
+
+    told: Measured
+    images: Corrections
+    _views: list[float] = field(default_factory=list)
+    _rows: NDArray[np.float64] | float = 0.0
+    _columns: NDArray[np.float64] | float = 0.0
+    _like_transmissions: int = 0
+
+    def add(self, transmission: NDArray[np.float64]) -> None:
+        """Count one more view, (rows, columns), as stored."""
+        p = -np.log(np.maximum(transmission, LEAST))
+        self._views.append(float(p.mean()))
+        self._rows = self._rows + p.mean(axis=1)
+        self._columns = self._columns + p.mean(axis=0)
+        high = float(np.percentile(p, 99.5))
+        air = np.mean(p <= NO_AIR * high), np.mean(p >= NEAR_ONE[0] * high)
+        alike = NEAR_ONE[0] < high < NEAR_ONE[1] and air[0] < AIR < air[1]
+        self._like_transmissions += int(alike)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One sentence for each doubt."""
+        count = len(self._views)
+        if count == 1:
+            return ("one view: no volume can be made from it",)
+        found = _doubts_of_angles(self.told.geometry, self.images.stack.count)
+        if self.told.images.values == "line_integrals" and self._like_transmissions > count / 2:
+            found.append(
+                "images.values: line_integrals, but most views have many pixels near 1 and hardly "
+                "any near 0: are they transmissions, which are 1 in air?"
+            )
+        changes = {name: _change(sums) for name, sums in self._other_axes()}
+        here = _change(np.array(self._views))
+        if changes and here > UNSTEADY and here > STEADIER * min(changes.values()):
+            name = min(changes, key=lambda one: changes[one])
+            found.append(
+                f"line integrals change by {here:.0%} (RMS) from view to view, but by "
+                f"{changes[name]:.1%} from {name} to {name}: are views and {name}s exchanged? "
+                + (
+                    "See images.axes; --try tries both"
+                    if self.images.stack.exchangeable
+                    else "Are the files sinograms?"
+                )
+            )
+        return tuple(found)
+
+    def _other_axes(self) -> list[tuple[str, NDArray[np.float64]]]:
+        """Return the sums along each axis that may be that of the views, by their counts."""
+        stack, geometry = self.images.stack, self.told.geometry
+        free = isinstance(geometry, Circle) and geometry.angles.step is not None
+        axes = zip(("row", "column"), stack.shape, (self._rows, self._columns), strict=True)
+        return [
+            (name, np.asarray(sums))
+            for name, count, sums in axes
+            if count > 1 and (free or count == stack.count)
+        ]
+
+
+def _doubts_of_angles(geometry: object, views: int) -> list[str]:
+    if not isinstance(geometry, Circle):
+        return []
+    span, unit = float(np.ptp(geometry.angles.radians(views, "angles"))), geometry.angles.unit
+    if unit == "deg" and FEW_DEG[0] < np.degrees(span) < FEW_DEG[1]:
+        return [
+            f"geometry.angles: {views} views cover {np.degrees(span):.3g} deg: are the angles in "
+            "radians? Then state unit: rad"
+        ]
+    if span > TURNS * 2 * np.pi:
+        other = "are they in degrees? Then state unit: deg" if unit == "rad" else "is that right?"
+        return [f"geometry.angles: the angles cover {span / (2 * np.pi):.3g} turns: {other}"]
+    return []
+
+
+def _change(sums: NDArray[np.float64]) -> float:
+    """Return the standard deviation of sums, relative to their mean."""
+    return float(np.std(sums) / max(abs(float(np.mean(sums))), 1e-12))
