@@ -130,8 +130,8 @@ def _unknown(section: Mapping[str, str], ignore: tuple[str, ...]) -> list[str]:
         if key in _MATTER or not key.startswith(tuple(_WITHOUT_EFFECT)):
             if key in _MATTER or _is_number(text):
                 found.append(
-                    f"{shortened(key, 80)} is {quoted(text)}, and may matter, but is not read: state the geometry "
-                    "as kind: circle, or name the key in geometry.ignore"
+                    f"{shortened(key, 80)} is {quoted(text)}, and may matter, but is not read: "
+                    "state the geometry as kind: circle, or name the key in geometry.ignore"
                 )
     return found
 
