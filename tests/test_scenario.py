@@ -472,3 +472,9 @@ def test_a_dotted_key_in_a_file_is_named_in_its_own_line(tmp_path: Path) -> None
     file.write_text(f"extends: {DEMO}\n\nsource.spectrum: x\n")
     text = problems(path=file)
     assert text.startswith(f"{file}:3: source.spectrum: unknown key; nest keys in a file")
+
+
+def test_a_path_that_is_no_utf_8_is_refused_in_our_words() -> None:
+    part = {"shape": {"kind": "mesh", "path": "/tmp/\udcff.stl"}}
+    with pytest.raises(ScenarioError, match="a path or text is not UTF-8: rename the file"):
+        load_scenario({"specimen": {"parts": [part]}})

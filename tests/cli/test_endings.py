@@ -108,6 +108,20 @@ def test_a_command_with_little_memory_ends_at_once() -> None:
     assert re.match(r"twinct: too little memory: \d+ MiB are left by the limit", done.stderr)
 
 
+def test_names_of_files_are_utf_8_whatever_the_locale(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With LANG=C and no coercion, no JSON could hold them."""
+    begun = Mock()
+    monkeypatch.setattr("twinct.cli.os.execv", begun)
+    monkeypatch.setattr("twinct.cli.run_command", Mock(return_value=0))
+    monkeypatch.setattr(sys, "getfilesystemencoding", lambda: "ascii")
+    monkeypatch.setenv("PYTHONUTF8", "0")
+    for _ in range(2):  # once, also where the command line of Python forbids it
+        with pytest.raises(SystemExit):
+            main()
+    begun.assert_called_once_with(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+    assert os.environ["PYTHONUTF8"] == "1"
+
+
 def test_readings_that_an_interrupt_cuts_short_do_not_complain(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -88,6 +88,7 @@ def test_a_wrong_value_is_named(words: str, said: str, capsys: pytest.CaptureFix
         ("render demo --view -1", "--view -1: the scenario has views"),
         ("demo --threads -0", "threads 0: must be at least 1"),
         ("check demo --time-limit -0.5e1", "--time-limit -5: must be above 0 seconds"),
+        ("check demo --time-limit 1e300", "--time-limit 1e+300: must be at most 1e+08 seconds"),
     ],
 )
 def test_a_right_value_is_read(words: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 
-from twinct.core.errors import InputError
+from twinct.core.errors import InputError, StorageError
 from twinct.core.files.meshes import open_edges
 from twinct.ctsimu import suite
 from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify, samples
@@ -86,6 +89,14 @@ def test_toolbox_judges_the_free_beam(tmp_path):
     verdict = qualify(tmp_path, ["2D-FB-2"])[0]
     assert verdict.passed and verdict.test == "2D-FB-2"
     assert (tmp_path / "qualification.json").is_file()
+
+
+def test_a_full_disk_is_told_whoever_meets_it(tmp_path, monkeypatch):
+    full = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(suite, "render", Mock(side_effect=full))
+    monkeypatch.setattr(suite, "_toolbox", Mock())
+    with pytest.raises(StorageError, match="the disk is full"):
+        qualify(tmp_path, ["2D-FB-2"])
 
 
 def test_the_tests_left_out_are_named_with_the_reason(tmp_path):

@@ -1,5 +1,6 @@
 """The table of results: alike whether made from the journal or read from its file."""
 
+import os
 import sys
 from dataclasses import replace
 
@@ -102,6 +103,15 @@ def test_the_file_holds_what_the_journal_does(study, monkeypatch):
     pd.testing.assert_frame_equal(twinct.load_results(str(study)), made)
 
 
+def test_a_folder_may_have_a_name_that_is_no_utf_8(tmp_path, monkeypatch):
+    folder = tmp_path / os.fsdecode(b"\xff")
+    folder.mkdir()
+    Journal(folder).append(ROWS)
+    write_results(folder, ROWS)
+    monkeypatch.setattr(results, "results_table", None)
+    assert len(load_results(folder)) == len(ROWS)
+
+
 def test_rows_that_came_after_the_file_are_seen(study):
     write_results(study, ROWS)
     again = replace(ROWS[2], status="done", message="", figures={"image.ssim": 0.25})
@@ -133,7 +143,7 @@ def test_a_write_that_fails_leaves_the_file_that_was(study, monkeypatch):
     before = (study / "results.parquet").read_bytes()
 
     def torn(table, where):
-        where.write_bytes(b"PAR1")
+        where.write(b"PAR1")
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pyarrow.parquet, "write_table", torn)

@@ -33,6 +33,8 @@ EXIT_SIGNAL = 128
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run one command and end the process; see ``run_command`` for the exit code."""
+    if argv is None:
+        _settle_on_utf8()
     atexit.register(ignore_endings)  # registered first, called last
     hear_lost_signals()
     try:
@@ -47,6 +49,16 @@ def main(argv: Sequence[str] | None = None) -> None:
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
     sys.exit(code)
+
+
+def _settle_on_utf8() -> None:
+    """Start again in Python's UTF-8 mode, if it reads the names of files as ASCII (LANG=C).
+
+    It then has names that neither JSON nor any library takes.
+    """
+    if sys.getfilesystemencoding() != "utf-8" and os.environ.get("PYTHONUTF8") != "1":
+        os.environ["PYTHONUTF8"] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 def run_command(argv: Sequence[str] | None = None) -> int:

@@ -9,6 +9,9 @@ from types import FrameType
 
 from twinct.core.errors import InputError
 
+MOST_S = 1e8
+"""Largest limit, three years; the operating system takes no 1e18 seconds."""
+
 
 class TimeUpError(InputError):
     """The time that a command may take is over."""
@@ -23,14 +26,15 @@ def limited(seconds: float | None, option: str) -> Iterator[None]:
         option: option that states it, for the message.
 
     Raises:
-        InputError: the limit is not above 0.
+        InputError: the limit is not above 0, or above ``MOST_S``.
         TimeUpError: the block took longer; raised inside it.
     """
     if seconds is None:
         yield
         return
-    if not seconds > 0:
-        raise InputError(f"{option} {seconds:g}: must be above 0 seconds")
+    if not 0 < seconds <= MOST_S:
+        limit = "above 0" if seconds <= 0 else f"at most {MOST_S:g}"
+        raise InputError(f"{option} {seconds:g}: must be {limit} seconds")
 
     def over(number: int, frame: FrameType | None) -> None:
         raise TimeUpError(f"stopped after {seconds:g} s ({option}); what is printed is complete")

@@ -48,6 +48,11 @@ def refusal(
     conflicts: list[str] = []
     in_conflict: list[Key] = []
     details = error.errors(include_url=False)
+    if details[0]["type"] == "json_invalid":
+        return ScenarioError(
+            "a path or text is not UTF-8: rename the file or folder, or set LANG to C.UTF-8: "
+            f"{shortened(details[0]['msg'])}"
+        )
     for detail in details[:MOST_PROBLEMS]:
         key, model, others = _plain_key(detail["loc"], draft.data, root)
         if detail["type"] == "missing" and isinstance(key[-1], int):  # a list that is too short

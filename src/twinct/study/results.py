@@ -113,8 +113,9 @@ def write_results(folder: Path, rows: Iterable[Row]) -> None:
     table = pa.Table.from_pandas(results_table(rows), preserve_index=False)
     data = {**(table.schema.metadata or {}), _JOURNAL_BYTES: str(held).encode()}
     path = folder / NAME
-    with storage_errors(path), complete(path) as draft:
-        pq.write_table(table.replace_schema_metadata(data), draft)
+    # By a stream, as pyarrow takes no names that are not UTF-8.
+    with storage_errors(path), complete(path) as draft, draft.open("wb") as stream:
+        pq.write_table(table.replace_schema_metadata(data), stream)
 
 
 def load_results(folder: str | Path) -> pd.DataFrame:
@@ -137,9 +138,11 @@ def load_results(folder: str | Path) -> pd.DataFrame:
             "it appears when the first trial has ended"
         )
     try:
-        told = (pq.read_schema(path).metadata or {}).get(_JOURNAL_BYTES)
+        with path.open("rb") as stream:
+            told = (pq.read_schema(stream).metadata or {}).get(_JOURNAL_BYTES)
         if told == str(journal.whole_bytes()).encode():
-            return pq.read_table(path).to_pandas()
+            with path.open("rb") as stream:
+                return pq.read_table(stream).to_pandas()
     except (OSError, pa.ArrowException):
         pass  # absent or damaged: the journal is complete
     return results_table(journal.rows())

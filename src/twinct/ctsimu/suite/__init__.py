@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError, MissingExtraError
-from twinct.core.files.writing import write_json
+from twinct.core.files.writing import storage_errors, write_json
 from twinct.ctsimu.outputs import Files, Options
 from twinct.ctsimu.render import render
 from twinct.ctsimu.scenario import load_ctsimu
@@ -35,7 +35,7 @@ def qualify(
     Raises:
         InputError: a test does not exist.
         MissingExtraError: the toolbox is not installed.
-        StorageError: the folder cannot be created.
+        StorageError: the folder cannot be written.
     """
     unknown = [name for name in tests if name not in TESTS]
     if unknown:
@@ -48,20 +48,20 @@ def qualify(
     make_folder(folder)
     found: list[Verdict] = []
     for test in tests:
-        place = folder / test
-        for case in cases([test]):
-            step(case.name)
-            scenario = load_ctsimu(case.write(place))
-            options = Options(case.samples, case.spot_points)
-            render(scenario, place, options, resume=Files(place, case.name).key.exists())
-        found += _judged(test, place)
-        figures = {"figures": [asdict(v) for v in found], "not_taken": NOT_TAKEN}
-        write_json(folder / "qualification.json", figures)
+        with storage_errors(folder):
+            found += _judged(test, folder / test, step)
+            figures = {"figures": [asdict(v) for v in found], "not_taken": NOT_TAKEN}
+            write_json(folder / "qualification.json", figures)
     return found
 
 
-def _judged(test: str, folder: Path) -> list[Verdict]:
-    """Run the toolbox with its output in a log file, and read its results."""
+def _judged(test: str, folder: Path, step: Callable[[str], None]) -> list[Verdict]:
+    """Render what is missing, run the toolbox with its output in a log, and read its results."""
+    for case in cases([test]):
+        step(case.name)
+        scenario = load_ctsimu(case.write(folder))
+        options = Options(case.samples, case.spot_points)
+        render(scenario, folder, options, resume=Files(folder, case.name).key.exists())
     toolbox = _toolbox()
     renderings = {case.key: str(Files(folder, case.name).metadata) for case in cases([test])}
     results = folder / f"{test}-results"
