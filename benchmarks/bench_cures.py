@@ -21,7 +21,7 @@ from typing import Any
 from twinct.cli.reach import LEAST_WORK, SHARE, pictured, remedies
 from twinct.core.cached import forget
 from twinct.core.errors import TrajectoryError
-from twinct.core.progress import Work, counted
+from twinct.core.progress import Effort, counted
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 
@@ -50,7 +50,7 @@ def seconds(name: str, changes: dict[str, Any], picture: Path) -> dict[str, Any]
     forget("specimen")
     began = time.process_time()
     _ = builder.cell
-    times, planning = {"room_s": time.process_time() - began}, Work()
+    times, planning = {"room_s": time.process_time() - began}, Effort()
     _, begun = builder.specimen.surface(), time.process_time()
     try:
         with counted() as planning:

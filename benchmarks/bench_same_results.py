@@ -72,7 +72,7 @@ def scale(file: str) -> tuple[str, ...]:
     """Return the changes that scale a scenario down."""
     from twinct.scenario import load_scenario
 
-    whole = load_scenario(file)
+    whole: Any = load_scenario(file)
     detector, section = whole.detector, whole.reconstruction
     shrink = detector.columns / COLUMNS
     changes: dict[str, Any] = {
@@ -121,7 +121,7 @@ def ran(file: str, link: str, out: Path) -> dict[str, str]:
     try:
         from twinct.link import ros_rigs
     except ImportError:  # the name before the restructuring
-        from twinct.ros import ros_rigs
+        from twinct.ros import ros_rigs  # pyright: ignore[reportMissingImports]
     try:
         from twinct.scan import SimulationBuilder
     except ImportError:
@@ -134,7 +134,7 @@ def ran(file: str, link: str, out: Path) -> dict[str, str]:
 
 def volumes(out: Path) -> dict[str, str]:
     """Return digests of voxels and affines; the header holds a note in words."""
-    import nibabel
+    import nibabel.loadsave
     import numpy as np
 
     found: dict[str, str] = {}
@@ -165,7 +165,7 @@ def flat(data: Any, key: str = "") -> Iterator[tuple[str, Any]]:
 
 def mutants(material: str, folder: str, number: str) -> None:
     """Write mutants of the scenarios, with overrides, by the fuzzing of the package at hand."""
-    from scenario_files import Kind
+    from scenario_files import Kind  # pyright: ignore[reportMissingImports]
 
     kind = Kind(Path(material))
     for seed in range(int(number)):
@@ -276,7 +276,7 @@ def main() -> None:
             told = [
                 [{k: v for k, v in one.items() if k != "text"} for one in of] for of in outcomes
             ]
-            compared("mutants", *(dict(enumerate(map(str, of))) for of in told))
+            compared("mutants", *({str(i): str(one) for i, one in enumerate(of)} for of in told))
             print(Counter("refused" if "code" in one else "valid" for one in outcomes[0]))
 
 

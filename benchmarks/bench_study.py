@@ -66,10 +66,13 @@ class Here:
     threads = 1
 
     def __init__(self, folder):
-        self.folder, self.offered = folder, {}
+        self.folder, self.offered, self.attached = folder, {}, {}
 
     def fetch(self, name):
         return self.offered[name]
+
+    def attach(self, name, path):
+        self.attached[name] = path
 
 
 @contextmanager
@@ -168,7 +171,7 @@ def sharing(kind, folder, number):
         rows = load_results(bench.folder.path)
         own = sum(rows[f"seconds.{stage}"].sum() for stage in (*SCAN, "reconstruction"))
         alone = seconds_of(take_scan, specs[0], here)
-        parts = [try_trial(spec, here).value["seconds"]["reconstruction"] for spec in specs]
+        parts = [try_trial(spec, here)["seconds"]["reconstruction"] for spec in specs]
         ratios.append((studied / own, studied / (alone + sum(parts))))
         each = median(parts)
         print(

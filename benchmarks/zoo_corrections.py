@@ -14,6 +14,7 @@ to that of the metal named, as twinct states it; it is marked below 0.75 and abo
 
 import argparse
 import warnings
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -91,7 +92,9 @@ class Corrected:
         found = {way: self.errors(self.alone(one)) for way, one in p.items()}
         if self.object in METAL:
             names = dict(zip(("tissue", "bone", "metal"), METAL[self.object], strict=True))
-            mus = {key: MATERIALS[name].mu_per_mm(self.energy) for key, name in names.items()}
+            mus: dict[str, Any] = {
+                key: MATERIALS[name].mu_per_mm(self.energy) for key, name in names.items()
+            }
             try:
                 done = without_metal(made.A, self.alone(p.get("two", p["one"])), **mus)
                 found["NMAR"] = self.errors(done.line_integrals)

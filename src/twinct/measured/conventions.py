@@ -201,7 +201,7 @@ def _orders(told: Measured) -> Iterator[_Order]:
                     f"--try: {len(order.views)} views are too few; at least 6 are needed"
                 )
             if any(exchange):
-                told.geometry.views(order.facts(turned_shape(section, images.stack.shape)))
+                told.views(order.facts(turned_shape(section, images.stack.shape)))
         except InputError:
             if any(exchange):
                 continue  # no reading of these images
