@@ -112,6 +112,13 @@ def test_updates_are_those_that_were_promised(bodies):
     assert shapes == [14] * 60 * 4 + [28] * 60 * 2 + [40] * 60 * 2
 
 
+def test_many_views_do_not_lower_the_total_variation_more_often(circle, monkeypatch):
+    A, calls = Projector(circle(200, Panel(8, 8, 20.0, 2.0)), VolumeGrid((4, 4, 592), 0.3)), []
+    monkeypatch.setattr(A.kernels, "lower", lambda x, *_: calls.append(float(x.max())))
+    fast(A, np.ones(A.range_shape), photons=1e8, levels=1, passes=2)
+    assert len(calls) == 10
+
+
 def test_a_margin_behind_the_source_is_named(bodies):
     A, p, _ = bodies
     with pytest.raises(

@@ -71,8 +71,8 @@ PER_STRENGTH = 0.15
 OF_MODEL = 0.012
 """Errors of the model of the rays, as a share of the range of line integrals; they act as noise."""
 
-MOST_BETWEEN = 30.0
-"""Largest sum of relaxations between two steps of the total variation."""
+BETWEEN, MOST_STEPS = 30.0, 5
+"""Sum of relaxations between two steps of the total variation; or more, for this many in a pass."""
 
 TV_STEPS = 8
 """Dual iterations of such a step."""
@@ -327,11 +327,12 @@ def _from_coarse_to_fine(
         before = None  # frees the coarser level, as does each ``del``
         work, since = WorkingVolume(level.A.kernels, level.start()), 0.0
         shares = steps.shares(level.A, factor, work.array)
+        between = max(BETWEEN, float(shares[: len(level.A)].sum()) / MOST_STEPS)
         views = np.tile(spread_order(len(level.A)), steps.number(factor))
         for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
             square, rays = level.update(work, int(view), float(share), steps.floor, listener.wanted)
             since, ended = since + float(share), factor == 1 and used % len(level.A) == 0
-            if steps.strength and factor == 1 and (ended or since > MOST_BETWEEN):
+            if steps.strength and factor == 1 and (ended or since > between):
                 work, since = _lowered(level.A, work, since * steps.strength, steps.floor), 0.0
             if best.watches and ended and best.is_over(work.array):
                 break
