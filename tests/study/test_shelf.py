@@ -134,6 +134,12 @@ def test_what_a_dead_worker_left_goes_with_the_locks(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     cache.array("a", lambda: np.zeros(1))
     Cache(tmp_path / f"{PASSING}x").array("a", lambda: np.zeros(1))
+    begun = tmp_path / "scans" / ".b.partial" / "scan.zarr" / "status"
+    for draft in (begun, tmp_path / "scans" / ".a.partial" / "scan.zarr.new"):
+        draft.mkdir(parents=True)
+    (begun / "c.0").touch()
+    (tmp_path / "arrays" / ".c.partial").touch()
     cache.remove_locks()
     assert cache.array("a", lambda: np.ones(1)).tolist() == [0]
-    assert [path.name for path in tmp_path.iterdir()] == ["arrays"]
+    assert {path.name for path in tmp_path.iterdir()} == {"arrays", "scans"}
+    assert [path.name for path in tmp_path.glob("*/.*.partial")] == [".b.partial"]

@@ -136,6 +136,12 @@ def met_python(code, words, number):
     return "twinct: " not in words and (code == -number or code == 1 and told)
 
 
+def is_begun_scan(path):
+    """Return True in a study's draft of a scan that has a view, which --resume continues."""
+    drafts = [part for part in (path, *path.parents) if part.name.endswith(".partial")]
+    return any(one for part in drafts for one in (part / "scan.zarr" / "status").glob("c.*"))
+
+
 class Trial:
     """A trial in a folder of its own."""
 
@@ -347,7 +353,11 @@ class Trial:
 
     def leftovers(self):
         """Return what is left of a command that had the time to clean up."""
-        drafts = [str(p.relative_to(self.out)) for p in self.out.rglob("*") if DRAFT.search(p.name)]
+        drafts = [
+            str(path.relative_to(self.out))
+            for path in self.out.rglob("*")
+            if DRAFT.search(path.name) and not is_begun_scan(path)
+        ]
         beside = [p.name for p in self.out.parent.iterdir() if p != self.out]
         temporary = [p.name for p in self.temporary.iterdir()] if not self.killed else []
         left = [*drafts, *beside, *temporary]

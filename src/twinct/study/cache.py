@@ -120,9 +120,15 @@ class Cache:
 
     @postponed()
     def remove_locks(self) -> None:
-        """Remove all locks, and what dead workers left; no process may use the cache."""
+        """Remove all locks, and what dead workers left; no process may use the cache.
+
+        The draft of a scan that has a view stays: a later worker continues it.
+        """
         for path in self.folder.glob("*/.*.lock"):
             path.unlink(missing_ok=True)
+        for path in self.folder.glob("*/.*.partial"):
+            if not any((path / "scan.zarr" / "status").glob("c.*")):
+                remove(path)
         for path in self.folder.glob(f"{PASSING}*"):
             remove_folder(path)
 
