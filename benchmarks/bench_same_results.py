@@ -100,9 +100,7 @@ def runs(folder: str, link: str, *files: str) -> None:
         except Exception as error:
             found = {"refused": f"{type(error).__name__}: {error}"}
             print(file, link, found, file=sys.stderr)
-        for path in sorted(p for p in (out / "scan.zarr").rglob("*") if p.is_file()):
-            found[str(path.relative_to(out))] = hashlib.sha256(path.read_bytes()).hexdigest()
-        results[Path(file).stem] = found
+        results[Path(file).stem] = found | stored(out / "scan.zarr")
     print(json.dumps(results))
 
 
@@ -129,6 +127,23 @@ def ran(file: str, link: str, out: Path) -> dict[str, str]:
     out.mkdir(parents=True)
     rigs = ros_rigs(out / "logs")
     acquire_to_store(SimulationBuilder(scenario), out / "scan.zarr", rigs, resume=False)
+    return found
+
+
+def stored(store: Path) -> dict[str, str]:
+    """Return the digest of each file of a scan store, and its attributes one by one.
+
+    The manifest is left out: it holds digests of the other files.
+    """
+    found: dict[str, str] = {}
+    for path in sorted(p for p in store.rglob("*") if p.is_file()):
+        name = str(path.relative_to(store))
+        if name == "zarr.json":
+            facts = json.loads(path.read_text())
+            facts["attributes"]["scenario"] = json.loads(facts["attributes"]["scenario"])
+            found |= {f"{name}: {key}": repr(value) for key, value in flat(facts)}
+        elif not name.startswith("manifest"):
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 
 
