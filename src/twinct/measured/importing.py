@@ -113,10 +113,9 @@ def import_measured(
         stack.callback(shutil.rmtree, draft, ignore_errors=True)
         scales = _write_views(draft, scenario, placement, images, geometry, audience)
         folder.write_scenario(scenario)
+        show(partial(_draw, ScanStore(draft).read()), (10.4, 7.0), folder.imported)
         draft.rename(folder.scan)
     sentences = *_told_of_images(images, geometry, scales), *views, *_told_of_grid(scenario)
-    scan = ScanStore(folder.scan).read()
-    show(partial(_draw, scan), (10.4, 7.0), folder.imported)
     return Imported(folder.path, scenario, sentences)
 
 
@@ -125,6 +124,7 @@ def _remove_unfinished(folder: Folder) -> None:
     if not folder.scan.exists():
         remove_folder(folder.inputs)
         folder.scenario.unlink(missing_ok=True)
+        folder.imported.unlink(missing_ok=True)
 
 
 def _remove_empty(path: Path) -> None:
