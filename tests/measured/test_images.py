@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from ball_scan import COLUMNS, ROWS, VIEWS, ball_images, orbit
 from soft_balls import circle_of, images
 
 from twinct.core.errors import InputError, ScenarioError
-from twinct.measured import import_measured
+from twinct.measured import import_measured, importing
 from twinct.measured.corrections import filled, unlike
 from twinct.measured.description import Files
 from twinct.measured.stack import open_stack
@@ -357,3 +358,16 @@ def test_an_import_cut_short_leaves_nothing(stored, circle, tmp_path, monkeypatc
     assert out.exists() == own_folder
     assert not own_folder or not list(out.iterdir())
     assert import_measured(source, out).folder == out
+
+
+def test_an_import_that_is_interrupted_while_it_draws_can_be_repeated(
+    circle, stored, monkeypatch, tmp_path
+):
+    told = {"images": stored(ball_images(orbit())), "geometry": circle}
+    with monkeypatch.context() as patch:
+        patch.setattr(importing, "show", Mock(side_effect=KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            import_measured(told, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    import_measured(told, tmp_path / "out")
+    assert (tmp_path / "out" / "imported.png").exists()

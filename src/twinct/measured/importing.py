@@ -119,10 +119,9 @@ def import_measured(
         doubts = Doubts(told, images)
         scales = _write_views(draft, scenario, placement, doubts, geometry, audience)
         folder.write_scenario(scenario)
+        show(partial(_draw, ScanStore(draft).read()), (10.4, 7.0), folder.imported)
         draft.rename(folder.scan)
     sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(scenario)
-    scan = ScanStore(folder.scan).read()
-    show(partial(_draw, scan), (10.4, 7.0), folder.imported)
     return Imported(folder.path, scenario, sentences, doubts.sentences)
 
 
@@ -131,6 +130,7 @@ def _remove_unfinished(folder: Folder) -> None:
     if not folder.scan.exists():
         remove_folder(folder.inputs)
         folder.scenario.unlink(missing_ok=True)
+        folder.imported.unlink(missing_ok=True)
 
 
 def _remove_empty(path: Path) -> None:
