@@ -154,15 +154,15 @@ def calibrate_kinematics(
         for folder in folders:
             stack.enter_context(sole_owner(folder.lock))
         views = balls_of(scan, audience).views
-        found = calibrated_arms(
+        arms = calibrated_arms(
             chains,
             phantom_views(scan, views, motions),
             (priors[0], priors[1]),
             gear_periods=scenario.uncertainty.arms.gear_periods,
         )
-        _add(found.arms, name, list(zip(folders, scans, strict=True)))
-        found.arms.write(folders[0].arms)
-    return found
+        _add(arms.arms, name, list(zip(folders, scans, strict=True)))
+        arms.arms.write(folders[0].arms)
+    return arms
 
 
 def apply_kinematics(
@@ -183,10 +183,10 @@ def apply_kinematics(
     refuse_own(name)
     folder = Folder(Path(path))
     scan = load_scan(folder.path)
-    found = CalibratedArms.read(Path(arms), chains_of_scan(scan.scenario))
+    calibrated = CalibratedArms.read(Path(arms), chains_of_scan(scan.scenario))
     with audience_of(observers), sole_owner(folder.lock):
-        _add(found, name, [(folder, scan)])
-    return found
+        _add(calibrated, name, [(folder, scan)])
+    return calibrated
 
 
 def phantom_views(
@@ -203,9 +203,9 @@ def phantom_views(
 
 
 def _add(arms: CalibratedArms, name: str, where: list[tuple[Folder, Scan]]) -> None:
-    found: list[NamedGeometry] = []
+    added: list[NamedGeometry] = []
     for _, scan in where:
         poses = arms.poses(encoders_of(scan.scenario, scan.joints))
         made_by = {**arms.made_by, "executed": poses_digest(scan.executed)}
-        found.append(NamedGeometry(name, poses, made_by))
-    store_geometries(found, where)
+        added.append(NamedGeometry(name, poses, made_by))
+    store_geometries(added, where)

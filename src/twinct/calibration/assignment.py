@@ -40,10 +40,10 @@ def assigned(
         CalibrationError: less than half of the balls in sight have a spot. The message says
             whether a mirrored image would fit.
     """
-    found = _shifted(predicted, spots, radius_px, reach_px)
+    assignment = _shifted(predicted, spots, radius_px, reach_px)
     sight = int(np.isfinite(predicted).all(axis=1).sum())
-    if (found >= 0).sum() < LEAST_SHARE * sight:
-        problem = f"{(found >= 0).sum()} of {sight} balls have a shadow where one is expected"
+    if (assignment >= 0).sum() < LEAST_SHARE * sight:
+        problem = f"{(assignment >= 0).sum()} of {sight} balls have a shadow where one is expected"
         if len(spots):
             for axis, what in enumerate(("columns", "rows")):
                 turned = spots.copy()
@@ -52,20 +52,20 @@ def assigned(
                 if (again >= 0).sum() >= LEAST_SHARE * sight:
                     problem += f"; the image would fit with its {what} mirrored"
         raise CalibrationError(problem)
-    return found
+    return assignment
 
 
 def _shifted(
     predicted: Floats, spots: Floats, radius_px: float, reach_px: float
 ) -> NDArray[np.intp]:
-    found = np.full(len(predicted), -1)
+    assignment = np.full(len(predicted), -1)
     seen = np.flatnonzero(np.isfinite(predicted).all(axis=1))
     if not len(seen) or not len(spots):
-        return found
+        return assignment
     differences = (spots[:, None] - predicted[seen]).reshape(-1, 2)
     differences = differences[np.abs(differences).max(axis=1) <= reach_px]
     if not len(differences):
-        return found
+        return assignment
     votes = scipy.spatial.cKDTree(differences)
     counts: Any = votes.query_ball_point(differences, NEAR * radius_px, return_length=True)
     centre = differences[int(np.argmax(counts))]
@@ -76,5 +76,5 @@ def _shifted(
     far, there = (np.asarray(one) for one in scipy.spatial.cKDTree(spots).query(moved))
     back = np.asarray(scipy.spatial.cKDTree(moved).query(spots)[1])
     mutual = (back[there] == np.arange(len(seen))) & (far <= NEAR * radius_px)
-    found[seen[mutual]] = there[mutual]
-    return found
+    assignment[seen[mutual]] = there[mutual]
+    return assignment

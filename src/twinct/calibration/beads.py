@@ -79,11 +79,11 @@ def calibrated_view(
     inside = ((predicted >= 0) & (predicted <= (panel.columns - 1, panel.rows - 1))).all(axis=1)
     predicted[~inside] = np.nan
     typical = float(np.median(radius_px))
-    found = spots(transmission, typical)
-    mine = assigned(predicted, found, typical, REACH_MM / panel.pitch_u)
+    spotted = spots(transmission, typical)
+    mine = assigned(predicted, spotted, typical, REACH_MM / panel.pitch_u)
     known = np.flatnonzero(mine >= 0)
     spread = np.broadcast_to(SPOT_PX**2 * np.eye(2), (len(known), 2, 2))
-    view = resected(phantom, Shadows(known, found[mine[known]], spread), believed).geometry
+    view = resected(phantom, Shadows(known, spotted[mine[known]], spread), believed).geometry
     result = None
     for _ in range(ROUNDS):
         predicted = view.project(phantom.centres)[0]
@@ -118,7 +118,7 @@ def calibrated(
     """
     views: list[Resection | None] = []
     problems: dict[int, str] = {}
-    found: list[ScanGeometry] = []
+    geometries: list[ScanGeometry] = []
     with progress.stage("calibration", len(believed)) as step:
         for index, (image, view) in enumerate(zip(transmission, believed, strict=True)):
             result = None
@@ -127,10 +127,10 @@ def calibrated(
             except CalibrationError as error:
                 problems[index] = str(error)
             views.append(result)
-            found.append(result.geometry if result else view)
+            geometries.append(result.geometry if result else view)
             step()
     if len(problems) == len(believed):
         raise CalibrationError(
             f"none of {len(believed)} views can be calibrated; view 0: {problems[0]}"
         )
-    return BallCalibration(ScanGeometry.joined(found), tuple(views), problems)
+    return BallCalibration(ScanGeometry.joined(geometries), tuple(views), problems)

@@ -159,11 +159,11 @@ class _Fit:
 
     def noise(self, lengths: Floats, good: NDArray[np.bool_]) -> float:
         """Return the factor by which shadows are noisier than their pixels suggest, at least 1."""
-        told = 2 * int(good.sum())
-        if not told:
+        measurements = 2 * int(good.sum())
+        if not measurements:
             return 1.0
         fitted = 9 * int(good.any(axis=1).sum()) + 3 * good.shape[1] - 7
-        left = np.sqrt(told / max(told - fitted, 0.1 * told))
+        left = np.sqrt(measurements / max(measurements - fitted, 0.1 * measurements))
         return max(float(np.median(lengths[good])) / _MEDIAN * left, 1.0)
 
     def settled(

@@ -42,14 +42,14 @@ def calibrate_circle(
     folder, prior = Folder(Path(path)), prior or CircularPrior()
     scan = load_scan(folder.path)
     with audience_of(observers) as audience, sole_owner(folder.lock):
-        found = circular_consistent(
+        calibration = circular_consistent(
             line_integrals(scan.transmission),
             scan.believed.geometry(scan.scenario.detector.panel),
             prior,
             mask=None if scan.bad_pixels is None else ~scan.bad_pixels,
             progress=audience,
         )
-        first, last = found.residuals
+        first, last = calibration.residuals
         if last >= first:
             raise CalibrationError(
                 f"the views agree no better in the geometry that was found (spread {last:.4g}) "
@@ -57,6 +57,6 @@ def calibrate_circle(
                 "object should lie within the panel in all views, and have fine structure"
             )
         made_by = {"model": "circle", "believed": scan.reported.digest, **asdict(prior)}
-        geometry = NamedGeometry(name, PosePairs.from_geometry(found.geometry), made_by)
+        geometry = NamedGeometry(name, PosePairs.from_geometry(calibration.geometry), made_by)
         store_geometries([geometry], [(folder, scan)])
-    return found
+    return calibration

@@ -179,8 +179,10 @@ class CircularCalibration:
         """Axis and roll, in words, where their spread exceeds ``FINE_PX`` and ``FINE_DEG``."""
         axis_px = float(self.deviation[0]) / self.geometry.panel.pitch_u
         roll_deg = float(np.degrees(self.deviation[5]))
-        told = (("axis", axis_px, FINE_PX, "px"), ("roll", roll_deg, FINE_DEG, "deg"))
-        return tuple(f"{name} +- {of:.2g} {unit}" for name, of, fine, unit in told if of > fine)
+        deviations = (("axis", axis_px, FINE_PX, "px"), ("roll", roll_deg, FINE_DEG, "deg"))
+        return tuple(
+            f"{name} +- {of:.2g} {unit}" for name, of, fine, unit in deviations if of > fine
+        )
 
 
 def circular_consistent(
@@ -217,11 +219,11 @@ def circular_consistent(
         pairs = _Pairs(p[some], of_views, believed[some], circle)
         return _calibrated(pairs, believed, deviations, start, progress)
 
-    found = found_in(MOST_VIEWS[0], np.zeros(6))
+    result = found_in(MOST_VIEWS[0], np.zeros(6))
     for fewer, most in pairwise(MOST_VIEWS):
-        if found.uncertain and len(p) > fewer:
-            found = found_in(most, found.change)
-    return found
+        if result.uncertain and len(p) > fewer:
+            result = found_in(most, result.change)
+    return result
 
 
 def _calibrated(
@@ -259,13 +261,13 @@ def _found(
     with progress.stage("circle", len(ROUNDS)) as step:
         for number, (pixels_across, steps) in enumerate(ROUNDS):
             if number == 0 or pairs.factor(pixels_across) < pairs.factor(ROUNDS[number - 1][0]):
-                found, normal = pairs.agreed(change, pixels_across, steps, deviations)
+                agreement, normal = pairs.agreed(change, pixels_across, steps, deviations)
                 # Finer pixels of noisy views may tell less.
                 if pixels_across <= SURE or _knowledge(normal, precision) > _knowledge(
                     information, precision
                 ):
-                    drift = found - change if number else drift
-                    change, information, across = found, normal, pixels_across
+                    drift = agreement - change if number else drift
+                    change, information, across = agreement, normal, pixels_across
             step()
     return change, information, across, drift
 
@@ -410,7 +412,7 @@ def _without(normal: Floats, noise: Floats, deviations: Floats) -> Floats:
 def _undetermined(covariance: Floats, deviations: Floats) -> tuple[Undetermined, ...]:
     """Return the combinations of which much of the prior's deviation is left."""
     values, vectors = np.linalg.eigh(covariance / np.outer(deviations, deviations))
-    found: list[Undetermined] = []
+    undetermined: list[Undetermined] = []
     for value, vector in zip(values[::-1], vectors.T[::-1], strict=True):
         left = float(min(value, 1.0) ** 0.5)
         if left < HARDLY:
@@ -419,8 +421,8 @@ def _undetermined(covariance: Floats, deviations: Floats) -> tuple[Undetermined,
         weights = vector[order] / vector[order[0]]
         named = int((np.abs(weights) >= NAMED).sum())
         parts = tuple(NUMBERS[i] for i in order[:named])
-        found.append(Undetermined(parts, tuple(weights[:named].tolist()), left))
-    return tuple(found)
+        undetermined.append(Undetermined(parts, tuple(weights[:named].tolist()), left))
+    return tuple(undetermined)
 
 
 def circle_numbers(geometry: ScanGeometry, circle: Circle | None = None) -> CircleNumbers:

@@ -227,7 +227,7 @@ class PlaneDerivatives:
         partners, cut, used = (
             self.per_view(planes) for planes in (np.ones_like(self.cut), self.cut, self.used)
         )
-        found: dict[int, str] = {}
+        by_view: dict[int, str] = {}
         for view in np.flatnonzero(used < LEAST_PLANES):
             if not partners[view]:
                 problem = "its source is too near to all sources that it is compared with"
@@ -241,8 +241,8 @@ class PlaneDerivatives:
                     f"{used[view]} of the {cut[view]} planes that it shares with others carry a "
                     f"signal, but {LEAST_PLANES} are needed"
                 )
-            found[int(view)] = problem
-        return found
+            by_view[int(view)] = problem
+        return by_view
 
     @property
     def spread(self) -> float:

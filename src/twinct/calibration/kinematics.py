@@ -151,10 +151,12 @@ class _Arm:
         known = minimal_from_full(chain)[: 4 * count + self._tool] * sigmas
         # Drop terms that are known exactly, and merge terms that only act together.
         u, s, _ = np.linalg.svd(known, full_matrices=False)
-        kept = s > 1e-9 * s.max(initial=0.0)
+        significant = s > 1e-9 * s.max(initial=0.0)
         gears = np.repeat(prior.gear * chain.hinges, 2)
         joints = np.concatenate([prior.compliance_sigma, gears])
-        self.factor = scipy.linalg.block_diag(u[:, kept] * s[kept], np.diag(joints)[:, joints > 0])
+        self.factor = scipy.linalg.block_diag(
+            u[:, significant] * s[significant], np.diag(joints)[:, joints > 0]
+        )
         self.mean = np.zeros(len(self.factor))
         self.mean[4 * count + self._tool :][:count] = prior.compliance
         names = [f"joint {j + 1} {part}" for j in range(count) for part in ("x", "y", *_TURNS[:2])]
@@ -199,7 +201,7 @@ def minimal_from_full(chain: Chain) -> Floats:
     count = len(chain)
     full = np.eye(6 * (count + 2)).reshape(count + 2, 6, -1)
     frames = [chain.base, *chain.joints, chain.tool]
-    found: list[Floats] = []
+    minimal: list[Floats] = []
     carried = here = full[0]
     for joint, (before, after, own) in enumerate(
         zip(frames[:-1], frames[1:], full[1:], strict=True)
@@ -208,11 +210,11 @@ def minimal_from_full(chain: Chain) -> Floats:
         here = Pose.from_matrix(step[:3, 3], step[:3, :3]).adjoint() @ carried + own
         # Some components commute with the joint's motion and pass on to the next frame.
         passed = SHIFT if joint in chain.rails else SLIDE
-        carried, kept = np.zeros_like(here), here.copy()
+        carried, remaining = np.zeros_like(here), here.copy()
         carried[list(passed)] = here[list(passed)]
-        kept[list(passed)] = 0.0
-        found.append(kept[list(AXIS)])
-    return np.concatenate([*found[:-1], here])
+        remaining[list(passed)] = 0.0
+        minimal.append(remaining[list(AXIS)])
+    return np.concatenate([*minimal[:-1], here])
 
 
 def calibrated_arms(
@@ -326,8 +328,8 @@ def _fit(arms: Sequence[_Arm], seen: PhantomViews) -> tuple[Floats, Floats, Floa
             parts.append(slope.reshape(-1, len(at)))
         return np.concatenate([np.concatenate(parts, axis=1), np.eye(len(z))])
 
-    found = scipy.optimize.least_squares(left, np.zeros(sum(sizes)), jac=slopes, method="lm")
-    return found.x, slopes(found.x), left(found.x)[: 9 * len(seen)]
+    fit = scipy.optimize.least_squares(left, np.zeros(sum(sizes)), jac=slopes, method="lm")
+    return fit.x, slopes(fit.x), left(fit.x)[: 9 * len(seen)]
 
 
 def _off(arms: Sequence[_Arm], zs: Sequence[Floats], seen: PhantomViews) -> Floats:
@@ -348,10 +350,10 @@ def _rms(off: Floats) -> float:
     return float(np.sqrt((off**2).sum(axis=-1).mean()))
 
 
-def _undetermined(arms: Sequence[_Arm], told: Floats) -> list[UndeterminedByArm]:
+def _undetermined(arms: Sequence[_Arm], determined: Floats) -> list[UndeterminedByArm]:
     """Return the combinations whose singular values are below 1: the prior knows them better."""
-    found: list[UndeterminedByArm] = []
-    for arm, own in zip(arms, np.split(told, [arms[0].factor.shape[1]], axis=1), strict=True):
+    undetermined: list[UndeterminedByArm] = []
+    for arm, own in zip(arms, np.split(determined, [arms[0].factor.shape[1]], axis=1), strict=True):
         _, values, directions = np.linalg.svd(own)
         values = np.concatenate([values, np.zeros(len(directions) - len(values))])
         sigma = np.linalg.norm(arm.factor, axis=1)
@@ -366,8 +368,10 @@ def _undetermined(arms: Sequence[_Arm], told: Floats) -> list[UndeterminedByArm]
             most = [i for i in order[:PARTS] if abs(weights[i]) > LEAST_WEIGHT]
             parts = tuple(arm.names[i] for i in most)
             left = float(1 / np.sqrt(1 + value**2))
-            found.append(UndeterminedByArm(arm.side, parts, tuple(map(float, weights[most])), left))
-    return found
+            undetermined.append(
+                UndeterminedByArm(arm.side, parts, tuple(map(float, weights[most])), left)
+            )
+    return undetermined
 
 
 def _apart(loads: Floats) -> Floats:

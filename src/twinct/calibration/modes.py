@@ -59,10 +59,10 @@ def aligned(geometry: ScanGeometry, reference: ScanGeometry, points: ArrayLike) 
         moved = _moved(geometry, seven * _TYPICAL, middle)
         return (moved.project(points) - target).ravel()
 
-    found = scipy.optimize.least_squares(off, np.zeros(7), method="lm")
-    seven = found.x * _TYPICAL
+    fit = scipy.optimize.least_squares(off, np.zeros(7), method="lm")
+    seven = fit.x * _TYPICAL
     count = target[..., 0].size
-    before, after = (float(np.sqrt((off(at) ** 2).sum() / count)) for at in (np.zeros(7), found.x))
+    before, after = (float(np.sqrt((off(at) ** 2).sum() / count)) for at in (np.zeros(7), fit.x))
     motion = _about(middle, seven[:6])
     return Aligned(_moved(geometry, seven, middle), motion, float(1 + seven[6]), before, after)
 

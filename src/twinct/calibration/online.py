@@ -150,7 +150,7 @@ def _shadows(
         alone = np.isfinite(start).all(axis=1)
         alone &= ~overlapping(start, shadow_radius_px(view, phantom), RIM_PX)
         wanted = np.flatnonzero(alone)
-        found = measured(
+        shadows = measured(
             np.asarray(transmission[index]),
             view,
             phantom,
@@ -160,5 +160,8 @@ def _shadows(
             degree=DEGREE,
             rim_px=RIM_PX,
         )
-        pixels[index, found.balls], spread[index, found.balls] = found.pixels, found.covariance
+        pixels[index, shadows.balls], spread[index, shadows.balls] = (
+            shadows.pixels,
+            shadows.covariance,
+        )
     return pixels, spread

@@ -117,8 +117,8 @@ class PlaneIntegrals:
         views, pixels = len(parts[0]), a.size
         flat = [np.ascontiguousarray(part.reshape(views, -1).T) for part in parts]
         directions = round(np.pi / self._turn)
-        found = np.empty((views, directions, 2 * self._middle + 1), np.float32)
-        shape, ends = (found.shape[2], pixels), np.arange(0, 2 * pixels + 1, 2)
+        sums = np.empty((views, directions, 2 * self._middle + 1), np.float32)
+        shape, ends = (sums.shape[2], pixels), np.arange(0, 2 * pixels + 1, 2)
         for index in range(directions):
             at = self._turn * index
             place = (a * np.cos(at) + b * np.sin(at)).ravel() / self._bin + self._middle
@@ -130,8 +130,8 @@ class PlaneIntegrals:
             image = flat[0]
             if len(flat) == 2:
                 image = np.float32(np.cos(at)) * image + np.float32(np.sin(at)) * flat[1]
-            found[:, index] = (spread @ image).T
-        return found
+            sums[:, index] = (spread @ image).T
+        return sums
 
     def at(self, view: int, lines: Floats) -> tuple[Floats, Floats, Floats]:
         """Return derivatives of plane integrals from one view.

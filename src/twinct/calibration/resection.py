@@ -140,10 +140,10 @@ def _least_squares(
         return np.einsum("nij,nj->ni", spreads, off).ravel()
 
     # Outliers must not pull before the rest has settled.
-    found = scipy.optimize.least_squares(
+    fit = scipy.optimize.least_squares(
         left, first / _SCALE, loss="soft_l1", f_scale=OUTLIER, x_scale=1.0
     )
-    return found.x * _SCALE
+    return fit.x * _SCALE
 
 
 def _covariance(points: Floats, spreads: Floats, start: ScanGeometry, change: Floats) -> Floats:

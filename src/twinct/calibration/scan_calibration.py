@@ -130,16 +130,16 @@ def calibrate_beads(
         audience = stack.enter_context(audience_of(observers))
         for folder in folders:
             stack.enter_context(sole_owner(folder.lock))
-        found = balls_of(scan, audience)
+        calibration = balls_of(scan, audience)
         made_by = {
             "model": "beads",
             "scan": scan.scenario.name,
-            "told": len(scan) - len(found.problems),
-            "rms_px": round(float(np.nanmedian(found.rms_px)), 4),
+            "told": len(scan) - len(calibration.problems),
+            "rms_px": round(float(np.nanmedian(calibration.rms_px)), 4),
         }
-        geometry = NamedGeometry(name, PosePairs.from_geometry(found.geometry), made_by)
+        geometry = NamedGeometry(name, PosePairs.from_geometry(calibration.geometry), made_by)
         store_geometries([geometry] * len(folders), list(zip(folders, scans, strict=True)))
-    return found
+    return calibration
 
 
 def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
@@ -195,7 +195,7 @@ def calibrate_balls(
     with audience_of(observers) as audience, sole_owner(folder.lock):
         panel = scan.scenario.detector.panel
         believed = scan.believed.geometry(panel)
-        found = online_calibrated(
+        estimate = online_calibrated(
             scan.transmission,
             believed,
             radius_mm,
@@ -205,16 +205,16 @@ def calibrate_balls(
         )
         executed = scan.relative.geometry(panel)
         points = _points_of(scan.scenario.reconstruction.volume_grid)
-        at_executed = aligned(found.geometry, executed, points)
+        at_executed = aligned(estimate.geometry, executed, points)
         geometry = NamedGeometry(
             name,
-            PosePairs.from_geometry(at_executed.geometry if align else found.geometry),
+            PosePairs.from_geometry(at_executed.geometry if align else estimate.geometry),
             {
                 "model": "balls",
-                "balls": len(found.bundle.balls),
+                "balls": len(estimate.bundle.balls),
                 "radius_mm": radius_mm,
-                "told": len(scan) - len(found.problems),
-                "rms_px": round(found.rms_px, 4),
+                "told": len(scan) - len(estimate.problems),
+                "rms_px": round(estimate.rms_px, 4),
                 "aligned": align,
                 "executed": poses_digest(scan.executed),
                 "believed": scan.reported.digest,
@@ -222,7 +222,7 @@ def calibrate_balls(
             },
         )
         store_geometries([geometry], [(folder, scan)])
-    return OnlineCalibrated(found, aligned(believed, executed, points), at_executed)
+    return OnlineCalibrated(estimate, aligned(believed, executed, points), at_executed)
 
 
 def calibrate_self(
@@ -259,13 +259,13 @@ def calibrate_self(
     with audience_of(observers) as audience, sole_owner(folder.lock):
         panel, grid = scan.scenario.detector.panel, scan.scenario.reconstruction.volume_grid
         believed = scan.believed.geometry(panel)
-        first, found = _from_projections(scan, prior, what, start, audience)
+        first, estimate = _from_projections(scan, prior, what, start, audience)
         executed, points = scan.relative.geometry(panel), _points_of(grid)
-        at_executed = aligned(found.geometry, executed, points)
-        kept = at_executed.geometry if align else found.geometry
+        at_executed = aligned(estimate.geometry, executed, points)
+        stored = at_executed.geometry if align else estimate.geometry
         geometry = NamedGeometry(
             name,
-            PosePairs.from_geometry(kept),
+            PosePairs.from_geometry(stored),
             {
                 "model": "self",
                 "what": what,
@@ -278,7 +278,7 @@ def calibrate_self(
         )
         store_geometries([geometry], [(folder, scan)])
     return SelfCalibrated(
-        found,
+        estimate,
         aligned(believed, executed, points),
         at_executed,
         first,

@@ -141,15 +141,15 @@ def measured(
     def shape(ball: int) -> _Shape:
         return _Shape(view, phantom.centres[ball], phantom.radius_mm, blur_px)
 
-    found = [
+    shadows = [
         (ball, fit)
         for ball, start in zip(balls, pixels, strict=True)
         if (fit := _fitted(transmission, shape(ball), start, degree, rim_px)) is not None
     ]
     return Shadows(
-        np.array([ball for ball, _ in found], np.intp),
-        np.array([pixel for _, (pixel, _) in found]).reshape(-1, 2),
-        np.array([spread for _, (_, spread) in found]).reshape(-1, 2, 2),
+        np.array([ball for ball, _ in shadows], np.intp),
+        np.array([pixel for _, (pixel, _) in shadows]).reshape(-1, 2),
+        np.array([spread for _, (_, spread) in shadows]).reshape(-1, 2, 2),
     )
 
 

@@ -89,11 +89,11 @@ def tracked(
         radius_px: radius of a ball's shadow, near the middle.
         reach_px: largest distance of shadows from their places in the believed geometry.
     """
-    told = [round_spots(image, radius_px) for image in images]
-    strongest = [response[0] for _, response in told if len(response)]
+    responses = [round_spots(image, radius_px) for image in images]
+    strongest = [response[0] for _, response in responses if len(response)]
     least = LEAST_RESPONSE * float(np.median(strongest)) if strongest else 0.0
-    spots = [pixels[response > least] for pixels, response in told]
-    answers = [response[response > least] for _, response in told]
+    spots = [pixels[response > least] for pixels, response in responses]
+    answers = [response[response > least] for _, response in responses]
     return _tracked(believed, spots, answers, reach_px)
 
 
@@ -106,7 +106,7 @@ def _tracked(
     sight = np.maximum(LEAST_SHARE * inside(believed, proposed).sum(axis=0), LEAST_VIEWS)
     nearest = _nearest(believed, spots, proposed, reach_px)
     places: list[Floats] = []
-    found: list[NDArray[np.intp]] = []
+    tracks: list[NDArray[np.intp]] = []
     while len(proposed):
         free = [
             ~np.append(used, True)[mine] for used, mine in zip(taken, nearest, strict=True)
@@ -125,17 +125,17 @@ def _tracked(
         for view in seen:
             taken[view][mine[view]] = True
         places.append(place)
-        found.append(mine)
+        tracks.append(mine)
     strength = [
         float(np.median([answers[view][mine[view]] for view in np.flatnonzero(mine >= 0)]))
-        for mine in found
+        for mine in tracks
     ]
-    kept = [i for i, one in enumerate(strength) if one >= ALIKE * float(np.median(strength))]
-    pixels = np.full((len(believed), len(kept), 2), np.nan)
-    for ball, i in enumerate(kept):
-        for view in np.flatnonzero(found[i] >= 0):
-            pixels[view, ball] = spots[view][found[i][view]]
-    return Tracks(np.array([places[i] for i in kept]).reshape(-1, 3), pixels)
+    accepted = [i for i, one in enumerate(strength) if one >= ALIKE * float(np.median(strength))]
+    pixels = np.full((len(believed), len(accepted), 2), np.nan)
+    for ball, i in enumerate(accepted):
+        for view in np.flatnonzero(tracks[i] >= 0):
+            pixels[view, ball] = spots[view][tracks[i][view]]
+    return Tracks(np.array([places[i] for i in accepted]).reshape(-1, 3), pixels)
 
 
 def inside(geometry: ScanGeometry, places: Floats) -> NDArray[np.bool_]:
@@ -190,15 +190,15 @@ def _nearest(
     geometry: ScanGeometry, spots: list[Floats], places: Floats, reach_px: float
 ) -> NDArray[np.intp]:
     """Return the spot nearest to each place's projection, (views, places); -1 for none in reach."""
-    found = np.full((len(geometry), len(places)), -1)
+    nearest = np.full((len(geometry), len(places)), -1)
     if not len(places):
-        return found
+        return nearest
     pixels = np.nan_to_num(geometry.project(places), nan=np.inf, posinf=1e9, neginf=1e9)
     for view, one in enumerate(spots):
         if len(one):
             far, which = (np.asarray(x) for x in scipy.spatial.cKDTree(one).query(pixels[view]))
-            found[view] = np.where(far <= reach_px, which, -1)
-    return found
+            nearest[view] = np.where(far <= reach_px, which, -1)
+    return nearest
 
 
 def _settled(

@@ -86,9 +86,9 @@ def run_command(argv: Sequence[str] | None = None) -> int:
 def _code_of_interruption(stop: KeyboardInterrupt) -> int:
     """Say what an interrupted command keeps."""
     number = stop.number if isinstance(stop, EndedBySignal) else signal.SIGINT
-    kept = "; ".join(notes_of(stop)) or "before anything new was complete; earlier results stay"
+    notes = "; ".join(notes_of(stop)) or "before anything new was complete; earlier results stay"
     try:
-        _say(f"twinct: interrupted: {kept}")
+        _say(f"twinct: interrupted: {notes}")
     except BrokenPipeError:
         _close_unread()
     return EXIT_SIGNAL + number
@@ -191,7 +191,7 @@ def _unread() -> list[int]:
     watched = select.poll()
     for stream in (1, 2):
         watched.register(stream, 0)
-    return [stream for stream, told in watched.poll(0) if told & select.POLLERR]
+    return [stream for stream, events in watched.poll(0) if events & select.POLLERR]
 
 
 def _close_unread() -> None:

@@ -74,12 +74,12 @@ def beads(folder: Run, *, as_: Name = "beads", to: Others = ()) -> None:
 
     with on_terminal() as audience:
         found = calibrate_beads(folder, name=as_, others=to, observers=audience)
-    told = [view for view in found.views if view]
-    left_out = sum(int(view.outliers.sum()) for view in told)
+    calibrated = [view for view in found.views if view]
+    left_out = sum(int(view.outliers.sum()) for view in calibrated)
     say(
-        f"{as_}: {len(told)} of {len(found.views)} views calibrated, "
-        f"median {np.median([len(view.shadows) for view in told]):.0f} balls per view, "
-        f"reprojection error {np.median([view.rms_px for view in told]):.3f} px (median), "
+        f"{as_}: {len(calibrated)} of {len(found.views)} views calibrated, "
+        f"median {np.median([len(view.shadows) for view in calibrated]):.0f} balls per view, "
+        f"reprojection error {np.median([view.rms_px for view in calibrated]):.3f} px (median), "
         f"{counted(left_out, 'outlier')}"
     )
     for view, problem in sorted(found.problems.items()):
@@ -115,19 +115,19 @@ def balls(
             name=as_,
             observers=audience,
         )
-    found, bundle = calibration.estimate, calibration.estimate.bundle
+    estimate, bundle = calibration.estimate, calibration.estimate.bundle
     seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
     say(
-        f"{as_}: {len(seen) - len(found.problems)} of {len(seen)} views calibrated, "
+        f"{as_}: {len(seen) - len(estimate.problems)} of {len(seen)} views calibrated, "
         f"{counted(len(bundle.balls), 'ball')} found, median {np.median(seen):.0f} per view, "
-        f"reprojection error {found.rms_px:.3f} px (RMS), "
+        f"reprojection error {estimate.rms_px:.3f} px (RMS), "
         f"{counted(bundle.outliers.sum(), 'outlier')}"
     )
     _say_against_executed(calibration.believed, calibration.after, folder)
     for view, ball in np.argwhere(bundle.outliers):
         place = ", ".join(f"{x:.1f}" for x in bundle.balls[ball])
         say(f"view {view}: the shadow of the ball at ({place}) mm is an outlier")
-    for view, problem in sorted(found.problems.items()):
+    for view, problem in sorted(estimate.problems.items()):
         say(f"view {view} keeps its believed pose: {problem}", warning=True)
 
 
@@ -164,10 +164,10 @@ def self_(
         )
     if calibration.start is not None and calibration.started is not None:
         _say_start(calibration.start, calibration.started)
-    found = calibration.estimate
+    estimate = calibration.estimate
 
     def rms(part: slice) -> float:
-        return float(np.sqrt((found.change[:, part] ** 2).sum(axis=1).mean()))
+        return float(np.sqrt((estimate.change[:, part] ** 2).sum(axis=1).mean()))
 
     if what == "arms":
         moved = f"source moved by {rms(slice(0, 3)):.3f} mm, panel by {rms(slice(3, 6)):.3f} mm"
@@ -176,8 +176,8 @@ def self_(
             f"patient moved by {rms(slice(0, 3)):.3f} mm, {np.degrees(rms(slice(3, 6))):.3f} deg"
         )
     say(
-        f"{as_}: {counted(len(found.change), 'view')}, {moved} (RMS); residual "
-        f"{found.residuals[0]:.4g} at first, {found.residuals[-1]:.4g} in the last round"
+        f"{as_}: {counted(len(estimate.change), 'view')}, {moved} (RMS); residual "
+        f"{estimate.residuals[0]:.4g} at first, {estimate.residuals[-1]:.4g} in the last round"
     )
     _say_against_executed(calibration.believed, calibration.after, folder)
 
@@ -206,15 +206,15 @@ def kinematics(
         say(f"{as_}: made with the arms in {from_}")
         return
     with on_terminal() as audience:
-        found = calibrate_kinematics(folder, name=as_, others=to, observers=audience)
+        fit = calibrate_kinematics(folder, name=as_, others=to, observers=audience)
     say(
-        f"{as_}: arms calibrated from {found.views} views; source off by "
-        f"{found.left_mm[0]:.3f} mm, panel by {found.left_mm[1]:.3f} mm (RMS), "
-        f"{found.predicted_mm[0]:.3f} and {found.predicted_mm[1]:.3f} mm in every "
-        f"fifth view, predicted from the others; residuals {found.misfit:.1f} times their noise; "
+        f"{as_}: arms calibrated from {fit.views} views; source off by "
+        f"{fit.left_mm[0]:.3f} mm, panel by {fit.left_mm[1]:.3f} mm (RMS), "
+        f"{fit.predicted_mm[0]:.3f} and {fit.predicted_mm[1]:.3f} mm in every "
+        f"fifth view, predicted from the others; residuals {fit.misfit:.1f} times their noise; "
         f"stored in {Folder(folder).arms}"
     )
-    for one in found.undetermined:
+    for one in fit.undetermined:
         say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
 
 
@@ -243,8 +243,8 @@ def circle(
             raise InputError(f"{key} {value:g}: must be more than 0")
     prior = CircularPrior(sigma_px, sigma_sdd, sigma_deg)
     with on_terminal() as audience:
-        found = calibrate_circle(folder, prior, name=as_, observers=audience)
-    _say_circle(as_, found)
+        calibration = calibrate_circle(folder, prior, name=as_, observers=audience)
+    _say_circle(as_, calibration)
 
 
 METHODS = {
@@ -274,19 +274,19 @@ def _say_start(start: EpipolarConsistency, started: Aligned) -> None:
         say(f"view {view} starts from its believed pose: {problem}", warning=True)
 
 
-def _say_circle(name: str, found: CircularCalibration) -> None:
+def _say_circle(name: str, circle: CircularCalibration) -> None:
     import numpy as np
 
-    before, after, geometry = found.before, found.after, found.geometry
+    before, after, geometry = circle.before, circle.after, circle.geometry
     pitch_u = geometry.panel.pitch_u
-    spread = dict(zip(("u", "v", "sdd", "tilt", "slant", "roll"), found.deviation, strict=True))
+    spread = dict(zip(("u", "v", "sdd", "tilt", "slant", "roll"), circle.deviation, strict=True))
     degrees = {key: np.degrees(spread[key]) for key in ("roll", "tilt", "slant")}
     say(
         f"{name}: the axis projects {_signed(after.axis_px, 2)} +- {spread['u'] / pitch_u:.2f} px "
         f"from the middle column (was {_signed(before.axis_px, 2)}); roll "
         f"{_signed(after.panel_roll_deg, 3)} +- {degrees['roll']:.3f} deg (was "
         f"{_signed(before.panel_roll_deg, 3)}); spread of the "
-        f"differences {found.residuals[0]:.4g} before, {found.residuals[1]:.4g} after"
+        f"differences {circle.residuals[0]:.4g} before, {circle.residuals[1]:.4g} after"
     )
     right, up = after.panel_offset_mm
     say(
@@ -299,10 +299,10 @@ def _say_circle(name: str, found: CircularCalibration) -> None:
         f"{spread['u']:.2g} and {spread['v']:.2g} mm of the offsets, {degrees['tilt']:.2g} deg of "
         f"the tilt and {degrees['slant']:.2g} deg of the slant"
     )
-    for one in found.undetermined:
+    for one in circle.undetermined:
         say(f"hardly determined ({100 * one.left:.0f} % of its prior spread is left): {one}")
-    if found.uncertain:
-        say(f"not found precisely: {', '.join(found.uncertain)}")
+    if circle.uncertain:
+        say(f"not found precisely: {', '.join(circle.uncertain)}")
     say(
         f"not determined by any image: sod_mm ({after.sod_mm:g}), which scales the volume; the "
         "height of the volume and its turn about the axis"
@@ -314,18 +314,18 @@ def _signed(value: float, digits: int) -> str:
     return f"{round(value, digits) + 0.0:+.{digits}f}"
 
 
-def _say_against_executed(believed: Aligned, found: Aligned, folder: Path) -> None:
+def _say_against_executed(believed: Aligned, after: Aligned, folder: Path) -> None:
     from twinct.measured import is_measured_scan
 
     if is_measured_scan(folder):
         say(
-            f"distance to the imported geometry: {found.after_px:.3f} px (RMS over points of the "
+            f"distance to the imported geometry: {after.after_px:.3f} px (RMS over points of the "
             f"grid, after removing the motion and scale that no image shows; scale "
-            f"{found.scale:.5f}); no truth shows which is right: compare the residuals of both"
+            f"{after.scale:.5f}); no truth shows which is right: compare the residuals of both"
         )
         return
     say(
         f"distance to the executed geometry: {believed.after_px:.3f} px believed, "
-        f"{found.after_px:.3f} px found (RMS over points of the grid, after removing the motion "
-        f"and scale that no image shows; scale {found.scale:.5f})"
+        f"{after.after_px:.3f} px found (RMS over points of the grid, after removing the motion "
+        f"and scale that no image shows; scale {after.scale:.5f})"
     )

@@ -141,13 +141,13 @@ def qualify(
     table = Table("test", "figure", "required", "measured", "")
     marks = {True: "passed", False: "FAILED", None: ""}
     with keeping(lambda: f"{out} keeps its images; the same command continues"):
-        found = qualify(out, tests or TESTS, step=say)
-    for v in found:
+        verdicts = qualify(out, tests or TESTS, step=say)
+    for v in verdicts:
         table.add_row(v.test, v.what, v.required, v.measured, marks[v.passed])
     console.print(table)
     for name, why in NOT_TAKEN.items():
         console.print(f"{name} is skipped: {why}", highlight=False)
-    if any(verdict.passed is False for verdict in found):
+    if any(verdict.passed is False for verdict in verdicts):
         raise SystemExit(1)
 
 

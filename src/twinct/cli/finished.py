@@ -68,13 +68,13 @@ def import_(
         return
     from twinct.runs import import_scan
 
-    found = import_scan(files, out)
-    for problem in found.contents.problems:
+    imported = import_scan(files, out)
+    for problem in imported.contents.problems:
         say(problem, warning=True)
-    if found.missing:
-        say(f"missing: {found.missing_in_words}", warning=True)
-    count = len(found.views)
-    say(f"{count} of {count + len(found.missing)} views imported to {out}")
+    if imported.missing:
+        say(f"missing: {imported.missing_in_words}", warning=True)
+    count = len(imported.views)
+    say(f"{count} of {count + len(imported.missing)} views imported to {out}")
 
 
 def _import_driven(files: tuple[Path, ...], out: Path, arms: ArmsRecording) -> bool:
@@ -86,14 +86,14 @@ def _import_driven(files: tuple[Path, ...], out: Path, arms: ArmsRecording) -> b
     if not is_driven(files, arms):
         return False
     require("robots")
-    found = import_driven(files, out, arms)
-    for sentence in found.notes:
+    imported = import_driven(files, out, arms)
+    for sentence in imported.notes:
         say(sentence, warning=True)
-    if found.lag_ms is not None:
-        say(f"the arms followed the plan {found.lag_ms:.2f} ms late")
+    if imported.lag_ms is not None:
+        say(f"the arms followed the plan {imported.lag_ms:.2f} ms late")
     estimated = ", estimated from the images" if arms.estimate_latency else ""
-    say(f"images are stamped {found.latency_ms:.2f} ms after their exposures{estimated}")
-    say(f"{counted(found.views, 'view')} imported to {out}")
+    say(f"images are stamped {imported.latency_ms:.2f} ms after their exposures{estimated}")
+    say(f"{counted(imported.views, 'view')} imported to {out}")
     return True
 
 
@@ -101,10 +101,10 @@ def _import_measured(source: Path, out: Path) -> None:
     from twinct.measured import description_of, import_measured
 
     with on_terminal() as audience:
-        found = import_measured(description_of(source), out, audience)
-    for sentence in found.notes:
+        imported = import_measured(description_of(source), out, audience)
+    for sentence in imported.notes:
         say(sentence)
-    for doubt in found.doubts:
+    for doubt in imported.doubts:
         say(doubt, warning=True)
     say(f"imported to {out}; {out / 'imported.png'} shows it, 'twinct reconstruct {out}' goes on")
 
@@ -275,14 +275,14 @@ def _report_measured(folder: Path, set_: tuple[str, ...]) -> dict[str, Any]:
     if set_:
         raise InputError(f"--set {set_[0]}: a measured scan has no truth that evaluation could use")
     with on_terminal() as audience:
-        kept = report_measured(folder, audience)
-    for one in kept.values():
+        volumes = report_measured(folder, audience)
+    for one in volumes.values():
         say(one.description)
     page = folder / "report.html"
     say(f"report: {page}")
     return {
         "report": str(page),
-        "figures": {name: asdict(one.judgement) for name, one in kept.items()},
+        "figures": {name: asdict(one.judgement) for name, one in volumes.items()},
     }
 
 
@@ -344,16 +344,16 @@ def verify(
     from twinct.runs import verify
 
     with answering(as_json) as answer:
-        found = verify(folder)
-        for problem in found.problems:
+        damages = verify(folder)
+        for problem in damages.problems:
             say(problem, warning=True)
-        for file in found.unknown:
+        for file in damages.unknown:
             say(f"{file}: unknown file, ignored")
-        state = counted(len(found.problems), "problem") if found.problems else "intact"
-        say(f"{folder}: {state} ({found.in_words})")
-        answer |= {"intact": not found.problems, "problems": found.problems}
-        answer["unknown"] = [str(file) for file in found.unknown]
-    if found.problems:
+        state = counted(len(damages.problems), "problem") if damages.problems else "intact"
+        say(f"{folder}: {state} ({damages.in_words})")
+        answer |= {"intact": not damages.problems, "problems": damages.problems}
+        answer["unknown"] = [str(file) for file in damages.unknown]
+    if damages.problems:
         sys.exit(1)
 
 

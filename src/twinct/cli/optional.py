@@ -29,8 +29,8 @@ def mark_optional(command: Command, group: str = "") -> Command:
     """
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in signature(command).parameters.items():
-        kept, default = hints[name], parameter.default
-        base, *facts = get_args(kept) if get_origin(kept) is Annotated else (kept,)
+        hint, default = hints[name], parameter.default
+        base, *facts = get_args(hint) if get_origin(hint) is Annotated else (hint,)
         if tyro.conf.UseAppendAction in facts:  # tyro calls it repeatable
             continue
         option = f"--{group}{name.strip('_').replace('_', '-')}"

@@ -36,15 +36,15 @@ def plan_command(
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be at least 1")
     bound = limit_threads(threads)
-    asked = load_scenario(scenario, set_)
-    if asked.cell.kind == "arms":
+    loaded = load_scenario(scenario, set_)
+    if loaded.cell.kind == "arms":
         require("robots")
     with (
         named_places(scenario, set_),
         on_terminal() as audience,
         _pool(address, jobs, bound) as pool,
     ):
-        found = plan_views(
+        plan = plan_views(
             scenario,
             out,
             set_,
@@ -55,30 +55,30 @@ def plan_command(
             progress=audience,
         )
     table = Table(
-        title=f"{counted(len(found.views), 'view')}; "
-        f"{found.reachable} of {found.candidates} candidates reachable"
+        title=f"{counted(len(plan.views), 'view')}; "
+        f"{plan.reachable} of {plan.candidates} candidates reachable"
     )
     for name in ("", "planned", "evenly spread", "the scenario's path"):
         table.add_column(name)
-    assert asked.task is not None
-    for name, figures in found.figures.items():
-        label = asked.task.label(name)
+    assert loaded.task is not None
+    for name, figures in plan.figures.items():
+        label = loaded.task.label(name)
         table.add_row(
             label, *("-" if value is None else f"{value:.4g}" for value in figures.values())
         )
     console = Console()
     console.print(table)
-    if (seen := found.scouted) is not None:
+    if (seen := plan.scouted) is not None:
         moved = f"{seen.moved_mm:.2f} mm and {seen.turned_deg:.2f} deg"
         console.print(
             f"registering {seen.views} scout views moved the specimen by {moved}", highlight=False
         )
-    if found.tried is not None:
-        own, planned = (100 * found.tried[name] for name in ("own_path", "planned"))
+    if plan.tried is not None:
+        own, planned = (100 * plan.tried[name] for name in ("own_path", "planned"))
         words = f"error in the region: {planned:.2f} % planned, {own:.2f} % on the scenario's path"
         console.print(words, highlight=False)
-    if found.scan_s is not None:
-        motion = f"motion {found.scan_s:.1f} s, smallest clearance {found.clearance_mm:.1f} mm"
+    if plan.scan_s is not None:
+        motion = f"motion {plan.scan_s:.1f} s, smallest clearance {plan.clearance_mm:.1f} mm"
         console.print(motion, highlight=False)
     console.print(f"wrote {out}; twinct run {out / SCENARIO} takes these views", highlight=False)
 

@@ -106,7 +106,7 @@ def reach_command(
     builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), on_terminal() as audience:
         sod, its_odd, centre = _orbit(builder)
-        found = reach(
+        result = reach(
             builder.cell,
             loaded.motion,
             directions=directions,
@@ -116,7 +116,7 @@ def reach_command(
             connected=connected,
             progress=audience,
         )
-        rows = shares(found)
+        rows = shares(result)
     table = Table(title=f"{loaded.name}: share of {directions} directions")
     table.add_column("SOD, mm")
     names = [n for n in ("source", "detector", "both", "connected") if f"{n}_share" in rows[0]]
@@ -133,10 +133,10 @@ def reach_command(
         return rows
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
-        write_tables(found, out)
-        for k, one in enumerate(found.sod_mm.tolist()):
-            draw_sphere(found, out / f"sphere_{one:g}.png", k, loaded.name)
-            draw_room(found, builder.room, out / f"room_{one:g}.png", k, loaded.name)
+        write_tables(result, out)
+        for k, one in enumerate(result.sod_mm.tolist()):
+            draw_sphere(result, out / f"sphere_{one:g}.png", k, loaded.name)
+            draw_room(result, builder.room, out / f"room_{one:g}.png", k, loaded.name)
     Console().print(f"wrote {out}", highlight=False)
     return rows
 
@@ -156,7 +156,7 @@ def place_command(
     builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), on_terminal() as audience:
         free, searched, judged = _views_to_serve(builder, sphere)
-        found = place(
+        placement = place(
             cell,
             builder.cell_of,
             loaded.motion,
@@ -167,27 +167,27 @@ def place_command(
             seed=seed,
             progress=audience,
         )
-        before, after = (_share(builder, one, judged, free) for one in (cell, found.cell))
+        before, after = (_share(builder, one, judged, free) for one in (cell, placement.cell))
     what = "directions" if sphere else "views"
     say(
         f"both arms reach {100 * before:.1f} % of {len(judged)} {what} before, {100 * after:.1f} % "
-        f"after; {found.judged} cells were judged on {len(searched)} {what}, seed {seed}"
+        f"after; {placement.judged} cells were judged on {len(searched)} {what}, seed {seed}"
     )
-    if np.array_equal(found.before, found.after) and found.cell == cell:
+    if np.array_equal(placement.before, placement.after) and placement.cell == cell:
         say("nothing better was found: the arms stay where they are")
-    for override in found.overrides:
+    for override in placement.overrides:
         say(override)
     if save is not None:
         with storage_errors(save):
-            write_scenario(save, scenario, [*set_, *found.overrides])
+            write_scenario(save, scenario, [*set_, *placement.overrides])
         say(f"wrote {save}")
     return {
         "share_before": before,
         "share_after": after,
         "judged_on": len(judged),
-        "cells": found.judged,
+        "cells": placement.judged,
         "seed": seed,
-        "set": list(found.overrides),
+        "set": list(placement.overrides),
     }
 
 
@@ -302,8 +302,8 @@ def _remedies(
         len(builder.requested),
         lambda some: _requested(builder, some),
     )
-    found, more = reasons(search, lost, progress)
-    return found, [*more, *words]
+    remedies, more = reasons(search, lost, progress)
+    return remedies, [*more, *words]
 
 
 def draw_anyway(
@@ -312,11 +312,11 @@ def draw_anyway(
     """Draw a view, even if it is infeasible, and return its problems."""
     from twinct.robots.cell import Marks, render_cell
 
-    if isinstance(builder.scenario.cell, Cell) and (found := overlaps(builder.room)):
-        red = tuple(body.body for one in found for body in (one.first, one.second))
+    if isinstance(builder.scenario.cell, Cell) and (overlapping := overlaps(builder.room)):
+        red = tuple(body.body for one in overlapping for body in (one.first, one.second))
         still = np.zeros(len(builder.room.joint_names))
         render_cell(builder.room, path, still, width, height, Marks(red=red))
-        return [one.words for one in found]
+        return [one.words for one in overlapping]
     try:
         builder.draw(path, view, width, height)
         return []

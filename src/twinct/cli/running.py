@@ -65,8 +65,8 @@ def run(
         live, builder = [], None
         if view:
             builder = SimulationBuilder(loaded)  # shared by page and run, so that it is built once
-            told = live_page(out, builder, host, port, allow_network)
-            live = [page.enter_context(told).observer]
+            viewer = live_page(out, builder, host, port, allow_network)
+            live = [page.enter_context(viewer).observer]
         with named_places(scenario, set_), on_terminal(live) as audience:
             finished = runs.run(
                 loaded,

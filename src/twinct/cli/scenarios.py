@@ -103,22 +103,22 @@ def _check(
             _planned(builder)
         with on_terminal() as audience:
             rehearse(builder, audience)
-        found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
+        facts = {name: words.replace("×", "x") for name, words in findings(builder).items()}
         doubt = ", with the warnings above" if answer["warnings"] else ""
-        table = _findings_table(f"{loaded.name}: can be run{doubt}", found)
+        table = _findings_table(f"{loaded.name}: can be run{doubt}", facts)
         if save is not None:
             from twinct.robots.motion import save_plan
 
             assert builder.followed is not None  # as _check_plan_file has found
             save_plan(builder.followed, save)
-    answer |= {"can_be_run": True, "findings": found}
+    answer |= {"can_be_run": True, "findings": facts}
     Console().print(table)
 
 
-def _findings_table(title: str, found: dict[str, str]) -> Table:
+def _findings_table(title: str, facts: dict[str, str]) -> Table:
     """Return the findings; long words, such as a digest, go on in the next line."""
     table = Table("", Column(overflow="fold"), title=title, show_header=False)
-    for name, words in found.items():
+    for name, words in facts.items():
         table.add_row(name, words)
     return table
 
@@ -269,8 +269,8 @@ def urdf(
         files = builder.moveit(out) if moveit else {"cell.urdf": builder.urdf(meshes=out)}
         for name, text in files.items():
             write_text(out / name, text)
-    told = ", ".join(str(out / name) for name in files)
-    Console().print(f"wrote {told}", highlight=False)
+    paths = ", ".join(str(out / name) for name in files)
+    Console().print(f"wrote {paths}", highlight=False)
 
 
 def init(

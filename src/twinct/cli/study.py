@@ -94,24 +94,24 @@ def _planned(file: Path, out: Path, jobs: int | None, retry: bool) -> DryRun:
         return dry_run(file, out, jobs=jobs, retry=retry, observers=audience)
 
 
-def _show(found: DryRun) -> None:
-    console, estimate = Console(), found.estimate
+def _show(preview: DryRun) -> None:
+    console, estimate = Console(), preview.estimate
     table = Table(box=None)
-    labels = list(found.trials[0].axes) if found.trials else []
+    labels = list(preview.trials[0].axes) if preview.trials else []
     for name in ("trial", *labels, "seed"):
         table.add_column(name)
-    for trial in found.trials[:_MOST_SHOWN]:
+    for trial in preview.trials[:_MOST_SHOWN]:
         values = [_in_words(trial.axes[name]) for name in labels]
         table.add_row(str(trial.number), *values, "" if trial.seed is None else str(trial.seed))
     console.print(table)
-    if len(found.trials) > _MOST_SHOWN:
-        console.print(f"... and {len(found.trials) - _MOST_SHOWN} more")
-    there = f", {found.there} already present" if found.there else ""
+    if len(preview.trials) > _MOST_SHOWN:
+        console.print(f"... and {len(preview.trials) - _MOST_SHOWN} more")
+    there = f", {preview.there} already present" if preview.there else ""
     size = f"{estimate.disk_bytes / 1e6:.1f} MB" if estimate.disk_bytes < 1e9 else ""
     size = size or f"{estimate.disk_bytes / 1e9:.2f} GB"
     first = (
-        f" (the first batch of {found.total})"
-        if found.total > estimate.trials + found.there
+        f" (the first batch of {preview.total})"
+        if preview.total > estimate.trials + preview.there
         else ""
     )
     trials, scans = _number(estimate.trials, "trial"), _number(estimate.scans, "scan")

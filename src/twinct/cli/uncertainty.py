@@ -43,10 +43,14 @@ def uncertainty_command(
     # With calibrated arms, no other arms are drawn.
     if not (loaded.uncertainty.calibration and loaded.task):
         with named_places(scenario, set_), explained(builder, picture):
-            found = errors_of(builder, draws)
-        rows = _of_poses(found, f"{loaded.name}: executed minus believed, {counted(draws, 'draw')}")
-        data = propagation_data(found, builder)
-        drawn = errors_picture(figures(found), rows, f"{loaded.name}: executed minus believed")
+            propagation = errors_of(builder, draws)
+        rows = _of_poses(
+            propagation, f"{loaded.name}: executed minus believed, {counted(draws, 'draw')}"
+        )
+        data = propagation_data(propagation, builder)
+        drawn = errors_picture(
+            figures(propagation), rows, f"{loaded.name}: executed minus believed"
+        )
     if loaded.task is not None:
         with (
             named_places(scenario, set_),
@@ -66,17 +70,17 @@ def uncertainty_command(
     return data
 
 
-def _of_poses(found: Propagation, title: str) -> list[dict[str, Any]]:
+def _of_poses(propagation: Propagation, title: str) -> list[dict[str, Any]]:
     """Print the effects of the errors on poses and images, and their causes; return the causes."""
-    table = Table(title=f"{title} of {found.errors.shape[1]} views")
+    table = Table(title=f"{title} of {propagation.errors.shape[1]} views")
     for name in ("", "mean", "median", "95 %", "largest"):
         table.add_column(name)
-    for name, spread in summary(found).items():
+    for name, spread in summary(propagation).items():
         values = (spread[key] for key in ("mean", "median", "p95", "max"))
         what, unit = name.rsplit("_", 1)
         table.add_row(f"{what}, {UNITS[unit]}", *(f"{value:.3f}" for value in values))
     Console().print(table)
-    rows = found.shares()
+    rows = propagation.shares()
     table = Table(title="each cause alone, to first order, RMS")
     names = [name for name in rows[0] if name != "term"] if rows else []
     for name in ("cause", *(name.replace("_", "\n") for name in names)):

@@ -25,9 +25,9 @@ def once(kind: str, digest: str, make: Callable[[], Kept]) -> Kept:
         return before[1]
     del before
     _last.pop(kind, None)
-    found = make()
-    _last[kind] = digest, found
-    return found
+    made = make()
+    _last[kind] = digest, made
+    return made
 
 
 def forget(kind: str) -> None:

@@ -52,7 +52,7 @@ def offers(
         built_in: choices of this package, by name; no other distribution may take these names.
         taken: further names that no distribution may take.
     """
-    found, points = Offers(built_in), entry_points(group=group)
+    named, points = Offers(built_in), entry_points(group=group)
     reserved = {*built_in, *taken}
     for point in points:
         try:
@@ -66,14 +66,14 @@ def offers(
                 raise TypeError(f"it points to {type(loaded).__name__}, not to {kind.__name__}")
             if (own := getattr(loaded, "name", None)) != point.name:
                 raise ValueError(f"its own name is {own!r}")
-            found[point.name] = loaded
+            named[point.name] = loaded
         except Exception as error:  # an external module may fail in any way
             cannot = f"{point.name!r} of {_owner(point)} cannot be used"
             reason = f"{cannot}: {type(error).__name__}: {error}"
             log.warning("%s: %s", group, reason)
             if point.name not in reserved:
-                found.broken[point.name] = reason
-    return found
+                named.broken[point.name] = reason
+    return named
 
 
 def _owner(point: EntryPoint) -> str:

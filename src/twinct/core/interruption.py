@@ -162,15 +162,15 @@ def keeping(words: Callable[[], str]) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as stop:
-        if told := words():
-            stop.add_note(told)
+        if note := words():
+            stop.add_note(note)
         raise
 
 
 def notes_of(stop: BaseException | None) -> list[str]:
     """Return the notes of an interruption, and of those before that it cut short."""
-    found: list[str] = []
+    notes: list[str] = []
     while stop is not None:
-        found += getattr(stop, "__notes__", [])
+        notes += getattr(stop, "__notes__", [])
         stop = stop.__context__
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(notes))

@@ -126,5 +126,5 @@ def _number(path: Path, name: str = "") -> int | None:
         text = path.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):
         return None
-    found = re.search(rf"^{re.escape(name)}\s*(\d+)\b", text, re.MULTILINE)
-    return int(found[1]) if found else None
+    match = re.search(rf"^{re.escape(name)}\s*(\d+)\b", text, re.MULTILINE)
+    return int(match[1]) if match else None

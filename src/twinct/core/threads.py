@@ -85,15 +85,15 @@ def limit_threads(number: int | None = None) -> int:
         if number < 1:
             raise InputError(f"threads {number}: must be at least 1")
         os.environ[SETTING] = str(number)
-    asked = bool(os.environ.get(SETTING, "").strip())
+    set_by_user = bool(os.environ.get(SETTING, "").strip())
     bound = threads()
     loaded = "numba" in sys.modules
     let_idle_threads_sleep()
     for name in _ENVIRONMENT:
         # numba reads it again, and refuses another number once its threads run.
         if not (loaded and name == "NUMBA_NUM_THREADS"):
-            os.environ[name] = str(bound) if asked else os.environ.get(name, str(bound))
-    if not asked:
+            os.environ[name] = str(bound) if set_by_user else os.environ.get(name, str(bound))
+    if not set_by_user:
         return bound
     if loaded:
         import numba

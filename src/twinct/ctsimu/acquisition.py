@@ -32,9 +32,9 @@ def check_header(section: JsonSection) -> None:
     section.require("file_type")
     if kind is not None and kind != "CTSimU Scenario":
         section.problem("file_type", f"{short(kind)} is not 'CTSimU Scenario'")
-    found = section.section("file_format_version", needed=True)
-    number = found.whole("major", 0), found.whole("minor", 0)
-    if found.data and not (1, 0) <= number <= FORMAT:
+    stated = section.section("file_format_version", needed=True)
+    number = stated.whole("major", 0), stated.whole("minor", 0)
+    if stated.data and not (1, 0) <= number <= FORMAT:
         section.problem(
             "file_format_version", f"{number[0]}.{number[1]} is not a version from 1.0 to 1.2"
         )

@@ -112,48 +112,48 @@ def _fields(frames: int, without_noise: int) -> Json:
 
 
 def _beam(source: sections.Source, folder: Path, name: str) -> Json:
-    found: Json = {}
+    beam: Json = {}
     if source.spectrum is not None:
         spectrum = build_spectrum(source)
         photons = spectrum.photons * MM2_AT_1M_PER_SR
         file = _table(folder / f"{name}_spectrum.tsv", spectrum.energies_kev, photons)
-        found["spectrum"] = {"monochromatic": False, "file": file}
-        found["voltage"] = quantity(float(spectrum.energies_kev[-1]), "kV")
+        beam["spectrum"] = {"monochromatic": False, "file": file}
+        beam["voltage"] = quantity(float(spectrum.energies_kev[-1]), "kV")
     if isinstance(source.focal_spot, sections.GaussianSpot):
         sigma = source.focal_spot.sigma_mm
         across, down = sigma if isinstance(sigma, tuple) else (sigma, sigma)
         spot = {"u": quantity(across, "mm"), "v": quantity(down, "mm")}
-        found["spot"] = {"sigma": spot | {"w": quantity(0.0, "mm")}}
-    return found
+        beam["spot"] = {"sigma": spot | {"w": quantity(0.0, "mm")}}
+    return beam
 
 
 def _seen(detector: sections.Detector, folder: Path, name: str) -> tuple[Json, list[Json]]:
-    found: Json = {}
+    results: Json = {}
     materials: list[Json] = []
     response, spread = detector.response, detector.point_spread
     if isinstance(response, sections.ScintillatorResponse):
         layer = _substance(response.material)
         materials.append(as_material(layer))
         thickness = quantity(response.thickness_mm, "mm")
-        found["type"] = "real"
-        found["scintillator"] = {"material_id": layer.name, "thickness": thickness}
+        results["type"] = "real"
+        results["scintillator"] = {"material_id": layer.name, "thickness": thickness}
     elif isinstance(response, sections.FileResponse):
         file = _table(folder / f"{name}_efficiency.tsv", *read_columns(response.path, 2))
-        found["type"] = "real"
-        found["gray_value"] = {"efficiency_characteristics_file": file}
+        results["type"] = "real"
+        results["gray_value"] = {"efficiency_characteristics_file": file}
     if isinstance(spread, sections.GaussianSpread):
         panel = physical_panel(detector)
         pixel = panel.pitch_u * panel.pitch_v / 12
         # The resolution includes the pixel: see ``Digitiser._sigma_mm``.
         resolution = float(np.sqrt(2 * (spread.sigma_mm**2 + pixel)))
-        found["unsharpness"] = {"basic_spatial_resolution": quantity(resolution, "mm")}
+        results["unsharpness"] = {"basic_spatial_resolution": quantity(resolution, "mm")}
     elif isinstance(spread, sections.FileSpread):
         file = _table(folder / f"{name}_mtf.tsv", *read_columns(spread.path, 2))
-        found["unsharpness"] = {"mtf": file}
+        results["unsharpness"] = {"mtf": file}
     if isinstance(detector.noise, sections.SnrNoise):
         # CTSimU states the SNR of a physical pixel; binning n x n pixels raises it n times.
-        found["noise"] = {"snr_at_imax": quantity(detector.noise.snr / detector.binning)}
-    return found, materials
+        results["noise"] = {"snr_at_imax": quantity(detector.noise.snr / detector.binning)}
+    return results, materials
 
 
 def _substance(of: str | sections.Composition) -> Material:

@@ -60,10 +60,10 @@ def _filled(values: list[str]) -> list[str]:
 
 
 def _finite(values: Sequence[float]) -> list[float]:
-    found = [as_float(value) for value in values]
-    if not all(math.isfinite(value) for value in found):
+    numbers = [as_float(value) for value in values]
+    if not all(math.isfinite(value) for value in numbers):
         raise ValueError("holds a value that is not finite")
-    return found
+    return numbers
 
 
 def interpolated(values: Sequence[float], place: float) -> float:

@@ -174,14 +174,14 @@ def _moving(believed: Sequence[Pose], executed: Sequence[Pose], keys: str = "uw"
 def _turns(rotations: Sequence[Rotation], known: bool) -> list[Json]:
     """Return rotations about the world's x, then y, then z, through the part's centre."""
     angles = np.array([rotation.as_euler("xyz") for rotation in rotations])
-    found = []
+    turns = []
     for axis, letter in enumerate("xyz"):
         drift = _drift(angles[:, axis], "rad", known)
         if drift:
             amount = quantity(0.0, "rad") | {"drifts": [drift | {"known_to_reconstruction": True}]}
             turn = {"type": "rotation", "axis": letter, "amount": amount}
-            found.append(turn | {"known_to_reconstruction": known})
-    return found
+            turns.append(turn | {"known_to_reconstruction": known})
+    return turns
 
 
 def _drift(values: Floats, unit: str, known: bool) -> Json | None:

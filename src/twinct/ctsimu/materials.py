@@ -19,15 +19,15 @@ SUM_TOLERANCE = 0.01
 
 def read_materials(root: JsonSection) -> Materials:
     """Return all materials of the file."""
-    found: Materials = {}
+    materials: Materials = {}
     for section in root.sections("materials"):
         name = section.text("id")
         section.require("id")
-        if name in found:
+        if name in materials:
             section.problem("id", f"{short(name)} is already the id of an earlier material")
         section.skip("name")
-        found[name or section.place] = _read(section, name or section.place)
-    return found
+        materials[name or section.place] = _read(section, name or section.place)
+    return materials
 
 
 def _read(section: JsonSection, name: str) -> Material | None:

@@ -108,10 +108,10 @@ class JsonSection:
 
     def number(self, key: str, unit: str = "", allowed: Range = ANY) -> float | None:
         """Return a number in our unit with its drifts; None if it is missing, null, or invalid."""
-        found = self._parameter(key, unit)
-        if found is None:
+        parameter = self._parameter(key, unit)
+        if parameter is None:
             return None
-        value, drifts, scale = found
+        value, drifts, scale = parameter
         if isinstance(value, bool) or not isinstance(value, int | float):
             self.problem(key, f"{short(value)} is not a number")
             return None
@@ -127,10 +127,10 @@ class JsonSection:
 
     def drift(self, key: str, unit: str = "") -> float:
         """Return the sum of a number's drifts, without the number."""
-        found = self._parameter(key, unit)
-        if found is None:
+        parameter = self._parameter(key, unit)
+        if parameter is None:
             return 0.0
-        return sum(self._drifted(key, drift, unit, found[2]) for drift in found[1])
+        return sum(self._drifted(key, drift, unit, parameter[2]) for drift in parameter[1])
 
     def needed(self, key: str, unit: str = "", allowed: Range = ANY) -> float:
         """Return a required number; report a missing or invalid one, and return NaN."""
@@ -164,10 +164,10 @@ class JsonSection:
 
     def text(self, key: str, allowed: tuple[str, ...] | None = None) -> str | None:
         """Return a text, or the last drift in its place; None if it is missing or null."""
-        found = self._parameter(key, "")
-        if found is None:
+        parameter = self._parameter(key, "")
+        if parameter is None:
             return None
-        value, drifts, _ = found
+        value, drifts, _ = parameter
         if not isinstance(value, str):
             self.problem(key, f"{short(value)} is not a text")
             return None

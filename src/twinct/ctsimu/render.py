@@ -193,10 +193,10 @@ def _claim(files: Files, identity: str, resume: bool) -> None:
 def _digest(key: Path) -> str | None:
     """Return the digest in a key file; None if the file is not ours."""
     try:
-        found = read_json(key)
+        stored = read_json(key)
     except (OSError, ValueError):
         return None
-    return found.get("digest") if isinstance(found, dict) else None
+    return stored.get("digest") if isinstance(stored, dict) else None
 
 
 def _identity(scenario: CtsimuScenario, options: Options) -> str:
@@ -208,11 +208,11 @@ def _identity(scenario: CtsimuScenario, options: Options) -> str:
 
 
 def _referred(scenario: CtsimuScenario) -> set[Path]:
-    found: set[Path | RawImage | None] = set()
+    files: set[Path | RawImage | None] = set()
     for index in range(scenario.frames):
         frame = scenario.frame(index)
         response = frame.response
-        found |= {sample.file for sample in frame.samples}
-        found |= {frame.tube.spectrum, frame.spot.image, response.bad_pixels}
-        found |= {response.efficiency, response.curve, response.noise, response.mtf}
-    return {item.path if isinstance(item, RawImage) else item for item in found if item is not None}
+        files |= {sample.file for sample in frame.samples}
+        files |= {frame.tube.spectrum, frame.spot.image, response.bad_pixels}
+        files |= {response.efficiency, response.curve, response.noise, response.mtf}
+    return {item.path if isinstance(item, RawImage) else item for item in files if item is not None}

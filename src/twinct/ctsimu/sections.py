@@ -60,8 +60,8 @@ def read_frame(root: JsonSection) -> Frame | None:
             "grey values for an energy in J need a source with a known number of photons, which a "
             "monochromatic source does not have: give imin and imax",
         )
-    found = [_sample(s, stage, materials) for s in root.sections("samples")]
-    samples = tuple(sample for sample in found if sample is not None)
+    read_samples = [_sample(s, stage, materials) for s in root.sections("samples")]
+    samples = tuple(sample for sample in read_samples if sample is not None)
     room = _environment(root.section("environment"), materials)
     u, v_down, w = detector.rotation.T
     distance_mm = float(w @ (source.position - detector.position))
@@ -233,8 +233,8 @@ def _environment(section: JsonSection, materials: Materials) -> Material | None:
 
 
 def _layers(section: JsonSection, key: str, materials: Materials) -> list[Layer]:
-    found = [_layer(item, materials) for item in section.sections(key)]
-    return [layer for layer in found if layer is not None]
+    layers = [_layer(item, materials) for item in section.sections(key)]
+    return [layer for layer in layers if layer is not None]
 
 
 def _layer(section: JsonSection, materials: Materials) -> Layer | None:

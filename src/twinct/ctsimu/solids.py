@@ -57,7 +57,7 @@ class Solids:
                 its size; names it.
         """
         solids = [(sample, self._mesh(sample)) for sample in samples]
-        found = []
+        meshes = []
         for index, (sample, mesh) in enumerate(solids):
             if sample.material is None:
                 continue
@@ -67,8 +67,8 @@ class Solids:
             ]
             left = self._without(sample, mesh, later)
             if len(left.faces):
-                found.append((sample, self._refined(sample, left, source)))
-        return found
+                meshes.append((sample, self._refined(sample, left, source)))
+        return meshes
 
     def _refined(self, sample: Sample, mesh: Trimesh, source: Floats) -> Trimesh:
         """Return a mesh fine enough for the sample's distance, independent of earlier frames."""

@@ -102,24 +102,24 @@ def _spread(mask: Bits, ball: NDArray[np.bool_]) -> Bits:
     """
     from twinct.evaluation import _bits
 
-    found = np.zeros_like(mask.words)
+    words = np.zeros_like(mask.words)
     if not ball.any():
-        return Bits(found, mask.length)
+        return Bits(words, mask.length)
     lengths = np.count_nonzero(ball, axis=-1).astype(np.int64) - 1
-    _bits.dilate(mask.words, lengths, found)
+    _bits.dilate(mask.words, lengths, words)
     # A widened row may reach beyond its end.
     if left := mask.length % WORD:
-        found[..., -1] &= np.uint64((1 << left) - 1)
-    return Bits(found, mask.length)
+        words[..., -1] &= np.uint64((1 << left) - 1)
+    return Bits(words, mask.length)
 
 
 def whole_windows(mask: Bits, window: int) -> Bits:
     """Return the centres of the cubic windows, of an odd edge in voxels, that lie in a mask."""
     from twinct.evaluation import _bits
 
-    found = np.zeros_like(mask.words)
-    _bits.erode(mask.words, window // 2, found)
-    return Bits(found, mask.length)
+    words = np.zeros_like(mask.words)
+    _bits.erode(mask.words, window // 2, words)
+    return Bits(words, mask.length)
 
 
 def _squares(
@@ -136,6 +136,6 @@ def _squares(
 
 def read_only(array: NDArray[Any], dtype: Any) -> NDArray[Any]:
     """Return a read-only array for a kernel, which numba compiles once for this kind alone."""
-    found = np.ascontiguousarray(array, dtype=dtype).view()
-    found.flags.writeable = False
-    return found
+    view = np.ascontiguousarray(array, dtype=dtype).view()
+    view.flags.writeable = False
+    return view

@@ -53,10 +53,10 @@ def contrast(
     )
     if not (inner.size and outer.size):
         return Contrast(math.nan, math.nan, math.nan)
-    found, true = inner.mean() - outer.mean(), true_inner.mean() - true_outer.mean()
+    difference, true = inner.mean() - outer.mean(), true_inner.mean() - true_outer.mean()
     noise = np.std(outer - true_outer, ddof=1) if outer.size > 1 else math.nan
     return Contrast(
-        float(found / mu_reference),
-        float(found / true) if abs(true) > 1e-6 * mu_reference else math.nan,
-        float(found / noise) if noise > 0 else math.nan,
+        float(difference / mu_reference),
+        float(difference / true) if abs(true) > 1e-6 * mu_reference else math.nan,
+        float(difference / noise) if noise > 0 else math.nan,
     )

@@ -47,11 +47,11 @@ class RegionDepth:
     @cached_property
     def cells(self) -> tuple[tuple[NDArray[np.int64], Floats], ...]:
         """Along z, y and x, the point before each voxel, and the weight of the next point."""
-        found: list[tuple[NDArray[np.int64], Floats]] = []
+        results: list[tuple[NDArray[np.int64], Floats]] = []
         for at, points in zip(self.at, self.lattice.shape, strict=True):
             low = np.minimum(at.astype(np.int64), points - 2)
-            found.append((low, at - low))
-        return tuple(found)
+            results.append((low, at - low))
+        return tuple(results)
 
     def planes(self, planes: slice) -> Floats:
         """Return the depth of all voxels of z planes, (planes, y, x), mm; negative outside."""

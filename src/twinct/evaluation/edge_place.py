@@ -91,9 +91,9 @@ def edge_place(
     far, sharpest = SEARCH * reach, _SHARPEST_VOXELS * voxel_mm
     start = np.array([0.0] * (axes + 1) + [voxel_mm])
     bounds = [-far] * (axes + 1) + [sharpest], [far] * (axes + 1) + [2 * reach]
-    found: Any = least_squares(
+    fit: Any = least_squares(
         left, start, bounds=bounds, x_scale=voxel_mm, max_nfev=MOST_EVALUATIONS
     )
-    if found.status <= 0 or np.abs(found.x[: axes + 1]).max() > _NEAREST_BOUND * far:
+    if fit.status <= 0 or np.abs(fit.x[: axes + 1]).max() > _NEAREST_BOUND * far:
         raise InputError(f"no edge lies within {far:.2g} mm of the true one")
-    return EdgePlace(found.x[:axes], float(found.x[axes]))
+    return EdgePlace(fit.x[:axes], float(fit.x[axes]))

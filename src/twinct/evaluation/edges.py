@@ -146,7 +146,7 @@ def _surface_points(
     Returns:
         (points, 3): voxel indices along z, y, x, with fractions.
     """
-    found: list[tuple[int, NDArray[np.intp]]] = []
+    points: list[tuple[int, NDArray[np.intp]]] = []
     size = truth[0].size
     above, lines = truth[0] >= level, truth.shape[2]
     for k in range(len(truth)):
@@ -156,14 +156,14 @@ def _surface_points(
             low, high = ((a, slice(None)), (b, slice(None))) if axis == 1 else ((..., a), (..., b))
             across = (above[low] != above[high]) & seen[low] & seen[high]
             j, i = np.nonzero(across)
-            found.append((axis, k * size + j * lines + i))
+            points.append((axis, k * size + j * lines + i))
         if k + 1 < len(truth):
             following = truth[k + 1] >= level
             across = (above != following) & seen & region[k + 1]
-            found.append((0, k * size + np.flatnonzero(across)))
+            points.append((0, k * size + np.flatnonzero(across)))
             above = following
-    flat = np.concatenate([places for _, places in found])
-    axes = np.repeat([axis for axis, _ in found], [len(places) for _, places in found])
+    flat = np.concatenate([places for _, places in points])
+    axes = np.repeat([axis for axis, _ in points], [len(places) for _, places in points])
     order = np.random.default_rng(seed).permutation(len(flat))[:most]
     lower = np.stack(np.unravel_index(flat[order], truth.shape), axis=1)
     step = np.eye(3, dtype=np.intp)[axes[order]]
@@ -186,8 +186,8 @@ def _with_normals(
         slope += truth[tuple((middle + shift).T)][:, None] * (weight * shift)
     slope /= edges
     length = np.linalg.norm(slope, axis=1)
-    kept = length > 0
-    return points[kept], -slope[kept] / length[kept, None] / edges
+    valid = length > 0
+    return points[valid], -slope[valid] / length[valid, None] / edges
 
 
 def _widths(profiles: Floats, along: Floats) -> Floats:

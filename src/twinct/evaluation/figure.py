@@ -87,11 +87,11 @@ def has_signal(signal_rel: float) -> bool:
 
 def null_without_signal(data: Mapping[str, Any], figures: Iterable[Figure]) -> dict[str, Any]:
     """Return figures of a volume without signal, NaN where it would be rewarded for that."""
-    found = dict(data)
+    result = dict(data)
     for one in figures:
         if one.without_signal == "null":
-            _set_nan(found, one.key.split("."))
-    return found
+            _set_nan(result, one.key.split("."))
+    return result
 
 
 def _set_nan(data: dict[str, Any], path: list[str]) -> None:

@@ -175,9 +175,9 @@ class FigureKind(Generic[SettingsT]):
         """
         seen = has_signal(at.signal_rel)
         rewarded = all(one.without_signal == "null" for one in self.figures)
-        found = self.measure(at, entry) if seen or not rewarded else {}
+        result = self.measure(at, entry) if seen or not rewarded else {}
         if not seen:  # curves go, too
-            data = {one.key: found[one.key] for one in self.figures if one.key in found}
-            found = null_without_signal(data, self.figures)
-        scalars = {one.key: float(found.get(one.key, math.nan)) for one in self.figures}
-        return scalars | {key: value for key, value in found.items() if key not in scalars}
+            data = {one.key: result[one.key] for one in self.figures if one.key in result}
+            result = null_without_signal(data, self.figures)
+        scalars = {one.key: float(result.get(one.key, math.nan)) for one in self.figures}
+        return scalars | {key: value for key, value in result.items() if key not in scalars}

@@ -224,9 +224,9 @@ class ImageReference:
         if self.body is None:
             return sums
         inside = self.body & self.roi
-        found, true = (float(a[inside].sum(dtype=np.float64)) for a in (volume, self.truth))
+        result, true = (float(a[inside].sum(dtype=np.float64)) for a in (volume, self.truth))
         bone = float(inside.sum())
-        mean_rel = found / true if true else math.nan
+        mean_rel = result / true if true else math.nan
         return replace(sums, bone=bone, pure=1.0, pure_value=self.mu_reference * mean_rel)
 
     def _require_shape(self, name: str, array: NDArray[Any]) -> None:

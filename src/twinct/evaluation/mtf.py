@@ -88,8 +88,8 @@ def edge_mtf(
     step = voxel_mm / BINS_PER_VOXEL
     half = int(reach / step)
     bins = np.rint(offset / step).astype(np.intp) + half
-    kept = (bins >= 0) & (bins <= 2 * half)
-    bins, values, offset = bins[kept], values[kept], offset[kept]
+    central = (bins >= 0) & (bins <= 2 * half)
+    bins, values, offset = bins[central], values[central], offset[central]
     count = np.bincount(bins, minlength=2 * half + 1)
     if half < 2 * BINS_PER_VOXEL or np.count_nonzero(count) < 0.6 * len(count):
         raise InputError(

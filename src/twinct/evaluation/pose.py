@@ -82,12 +82,12 @@ def tool_speeds(executed: PosePairs, simulated_s: Floats) -> dict[str, dict[str,
         executed: poses of at least two views.
         simulated_s: time of each view, (views,).
     """
-    seconds, found = np.diff(simulated_s), {}
+    seconds, by_side = np.diff(simulated_s), {}
     for side in ("source", "detector"):
         places = np.array([pose.position for pose in getattr(executed, side)])
         speeds = np.linalg.norm(np.diff(places, axis=0), axis=1) / seconds
-        found[side] = {"mean": float(speeds.mean()), "max": float(speeds.max())}
-    return found
+        by_side[side] = {"mean": float(speeds.mean()), "max": float(speeds.max())}
+    return by_side
 
 
 def _arm_errors(wanted: Sequence[Pose], actual: Sequence[Pose]) -> ArmErrors:

@@ -79,9 +79,9 @@ class Chain:
     @property
     def hinges(self) -> Floats:
         """1 for each hinge, 0 for each rail, (joints,)."""
-        found = np.ones(len(self))
-        found[list(self.rails)] = 0.0
-        return found
+        flags = np.ones(len(self))
+        flags[list(self.rails)] = 0.0
+        return flags
 
     def moves(self, joints: Floats) -> Floats:
         """Return the twist of each joint in its own frame, (..., joints, 6), mm and rad.
@@ -119,7 +119,7 @@ class Chain:
 
     def _walk(self, joints: Floats, misfit: Misfit | None, keep: bool = False) -> list[Floats]:
         here: Floats = np.eye(4)
-        found: list[Floats] = []
+        transforms: list[Floats] = []
         links = None
         if misfit is not None:
             here = self.base @ exp_matrices(misfit.base) @ np.linalg.inv(self.base)
@@ -130,11 +130,11 @@ class Chain:
                 here = here @ links[..., joint, :, :]
             moved = _slid if joint in self.rails else _turned
             here = moved(here, joints[..., joint])
-            found += [here] if keep else []
+            transforms += [here] if keep else []
         here = here @ self._steps[-1]
         if misfit is not None:
             here = here @ exp_matrices(misfit.tool)
-        return [*found, here]
+        return [*transforms, here]
 
     def gravity_torques(self, joints: Floats) -> Floats:
         """Return the torque of gravity about each joint's axis, N m; along a rail, its force, N.
@@ -161,21 +161,21 @@ class Chain:
 def _turned(frames: Floats, angles: Floats) -> Floats:
     """Rotate frames about their own z axes; frames and angles broadcast."""
     shape = np.broadcast_shapes(frames.shape[:-2], angles.shape)
-    found = np.empty((*shape, 4, 4))
-    found[...] = frames
+    transforms = np.empty((*shape, 4, 4))
+    transforms[...] = frames
     cosine, sine = np.cos(angles)[..., None], np.sin(angles)[..., None]
     x, y = frames[..., :, 0], frames[..., :, 1]
-    found[..., :, 0], found[..., :, 1] = cosine * x + sine * y, cosine * y - sine * x
-    return found
+    transforms[..., :, 0], transforms[..., :, 1] = cosine * x + sine * y, cosine * y - sine * x
+    return transforms
 
 
 def _slid(frames: Floats, ways: Floats) -> Floats:
     """Move frames along their own z axes, by m; frames and ways broadcast."""
     shape = np.broadcast_shapes(frames.shape[:-2], ways.shape)
-    found = np.empty((*shape, 4, 4))
-    found[...] = frames
-    found[..., :3, 3] += MM_PER_M * ways[..., None] * frames[..., :3, 2]
-    return found
+    transforms = np.empty((*shape, 4, 4))
+    transforms[...] = frames
+    transforms[..., :3, 3] += MM_PER_M * ways[..., None] * frames[..., :3, 2]
+    return transforms
 
 
 def _homogeneous(points: Floats) -> Floats:

@@ -88,9 +88,9 @@ class VolumeGrid:
         """Return numbers and edges of the voxels, the centre, and angles about x, y and z."""
         edges = self.voxel[:1] if (self.voxel == self.voxel[0]).all() else self.voxel
         position, angles = self.world_from_grid.to_euler()
-        told = f"{_joined(' x ', self.shape_xyz)} voxels of {_joined(' x ', edges)} mm about"
+        size = f"{_joined(' x ', self.shape_xyz)} voxels of {_joined(' x ', edges)} mm about"
         turned = f", turned by ({_joined(', ', angles)}) deg" if angles.any() else ""
-        return f"{told} ({_joined(', ', position)}) mm{turned}"
+        return f"{size} ({_joined(', ', position)}) mm{turned}"
 
     def __repr__(self) -> str:
         """Return an expression that evaluates to an equal grid."""

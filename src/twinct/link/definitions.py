@@ -130,14 +130,14 @@ class Member(NamedTuple):
 @cache
 def members(name: str) -> tuple[Member, ...]:
     """Return the fields of a message such as ``geometry_msgs/Pose``."""
-    found = []
-    for told in _FIELDS[name].split(", "):
-        kind, field = told.split()
+    fields = []
+    for definition in _FIELDS[name].split(", "):
+        kind, field = definition.split()
         kind, bracket, size = kind.partition("[")
         if kind[0].isupper():
             kind = f"{name.partition('/')[0]}/{kind}"
-        found.append(Member(kind, bracket + size, field))
-    return tuple(found)
+        fields.append(Member(kind, bracket + size, field))
+    return tuple(fields)
 
 
 @cache
@@ -176,9 +176,9 @@ def _text(name: str) -> str:
 
 def with_parts(name: str) -> list[str]:
     """Return a message type and all nested types, each once."""
-    found = [name]
-    for outer in found:
+    names = [name]
+    for outer in names:
         for member in members(outer):
-            if member.nested and member.kind not in found:
-                found.append(member.kind)
-    return found
+            if member.nested and member.kind not in names:
+                names.append(member.kind)
+    return names

@@ -297,8 +297,8 @@ class Drive:
         """Tell controllers that have not ended to stop, and wait for their answers."""
         busy = [p for p in self._parts if p.accepted and not (p.result and p.result.done())]
         with suppress(ControllerError):
-            asked = [part.answer.result().cancel_goal_async() for part in busy]
-            self._wait(lambda: all(a.done() for a in asked), self._settings.patience_s)
+            cancelled = [part.answer.result().cancel_goal_async() for part in busy]
+            self._wait(lambda: all(a.done() for a in cancelled), self._settings.patience_s)
 
 
 def names_of(courses: Sequence[Course], model: Sequence[str]) -> Mapping[str, str]:

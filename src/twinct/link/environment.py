@@ -256,17 +256,17 @@ def _abandoned(path: Path) -> str | None:
 
 def _open_elsewhere(folder: Path) -> frozenset[str]:
     """Return the names of files of a folder that other processes have open or mapped."""
-    found: set[str] = set()
+    results: set[str] = set()
     for process in Path("/proc").glob("[0-9]*"):
         if process.name == str(os.getpid()):
             continue
         with suppress(OSError):  # it ended, or is another user's
-            found.update(re.findall(rf"{folder}/(\S+)", (process / "maps").read_text()))
+            results.update(re.findall(rf"{folder}/(\S+)", (process / "maps").read_text()))
             for descriptor in (process / "fd").iterdir():
                 target = Path(os.readlink(descriptor))
                 if target.parent == folder:
-                    found.add(target.name)
-    return frozenset(found)
+                    results.add(target.name)
+    return frozenset(results)
 
 
 def _remove_segment(folder: Path, name: str) -> None:

@@ -116,7 +116,7 @@ def limits_of(description: str, where: str) -> dict[str, Limit]:
     Raises:
         InputError: the description is no XML, or a limit is no number.
     """
-    found = {}
+    limits = {}
     try:
         for joint in ElementTree.fromstring(description).iter("joint"):
             limit = joint.find("limit")
@@ -125,10 +125,10 @@ def limits_of(description: str, where: str) -> dict[str, Limit]:
             bounds = (-np.inf, np.inf)
             if joint.get("type") != "continuous" and "upper" in limit.attrib:
                 bounds = _bound(limit.get("lower", "0")), _bound(limit.attrib["upper"])
-            found[joint.attrib["name"]] = Limit(*bounds, _bound(limit.get("velocity", "inf")))
+            limits[joint.attrib["name"]] = Limit(*bounds, _bound(limit.get("velocity", "inf")))
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(f"{where}: not a robot description: {error}") from None
-    return found
+    return limits
 
 
 def _bound(text: str) -> float:

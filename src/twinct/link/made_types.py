@@ -214,9 +214,9 @@ def _about(name: str) -> list[int]:
 
 def _finder(supports: dict[str, ctypes.Structure]) -> int:
     """Return a function that returns the type support for a language."""
-    found = {name.encode(): ctypes.addressof(support) for name, support in supports.items()}
+    addresses = {name.encode(): ctypes.addressof(support) for name, support in supports.items()}
     _kept.extend(supports.values())
-    return _kept_at(_find(lambda _, language: found.get(language)))
+    return _kept_at(_find(lambda _, language: addresses.get(language)))
 
 
 def _language(name: str) -> int:

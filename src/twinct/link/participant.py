@@ -262,13 +262,13 @@ class Station:
 
     def drain(self, quiet_s: float) -> None:
         """Handle pending and new callbacks, until none has come for ``quiet_s`` seconds."""
-        found = True
-        while found:  # silence counts only if a final look finds nothing
-            found = False
+        busy = True
+        while busy:  # silence counts only if a final look finds nothing
+            busy = False
             try:
                 while True:
                     handler, *_ = self._executor.wait_for_ready_callbacks(timeout_sec=quiet_s)
-                    found = True
+                    busy = True
                     handler()
                     handler.result()  # raises the callback's exception
             except (TimeoutException, ShutdownException):

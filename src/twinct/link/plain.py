@@ -47,9 +47,9 @@ def _quat(numbers: Sequence[float]) -> Message:
     return dict(zip("xyzw", numbers[3:], strict=True))
 
 
-def targets(stamp: Stamp, asked: Sequence[PosePairs]) -> Message:
+def targets(stamp: Stamp, commanded: Sequence[PosePairs]) -> Message:
     """Return source and detector of one view, or all."""
-    return poses(stamp, asked)
+    return poses(stamp, commanded)
 
 
 def reached(stamp: Stamp, got: Reached) -> Message:

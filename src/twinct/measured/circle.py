@@ -131,7 +131,7 @@ class Circle(Section):
 
     def _notes(self, angles: Floats, panel: Panel) -> list[str]:
         span = math.degrees(float(np.ptp(angles)))
-        told = [
+        notes = [
             f"circle: source to axis {self.sod_mm:g} mm, to panel {self.sdd_mm:g} mm, pitch "
             f"{panel.pitch_u:g} x {panel.pitch_v:g} mm, angles {math.degrees(angles[0]):g} to "
             f"{math.degrees(angles[-1]):g} deg ({span:.4g} deg), {self.rotates} {self.direction}",
@@ -142,8 +142,8 @@ class Circle(Section):
             for name in type(self).model_fields
             if name.startswith(("axis_", "panel_"))
         }
-        told += [f"{name}: {value}" for name, value in others.items() if np.any(value)]
-        return told
+        notes += [f"{name}: {value}" for name, value in others.items() if np.any(value)]
+        return notes
 
 
 def _leaning(roll_deg: float, tilt_deg: float) -> Rotation:

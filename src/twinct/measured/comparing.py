@@ -36,20 +36,20 @@ def compare_measured(
     Raises:
         InputError: a folder without a volume, a simulated run, or fewer than two volumes.
     """
-    found: list[tuple[Folder, MeasuredVolume]] = []
+    volumes: list[tuple[Folder, MeasuredVolume]] = []
     for path in map(Path, folders):
-        found += _volumes(path)
-    places = [one.path.resolve() for _, one in found]
+        volumes += _volumes(path)
+    places = [one.path.resolve() for _, one in volumes]
     if len(set(places)) < len(places):
         raise InputError("a volume is given twice; each is compared once")
-    if len(found) < 2:
-        raise InputError(f"{counted(len(found), 'volume')}: at least two are needed")
-    scans = [folder.path.resolve() for folder, _ in found]
+    if len(volumes) < 2:
+        raise InputError(f"{counted(len(volumes), 'volume')}: at least two are needed")
+    scans = [folder.path.resolve() for folder, _ in volumes]
     common = Path(os.path.commonpath([scan.parent for scan in scans]))
     planes: dict[str, Plane] = {}
     compared: list[Compared] = []
-    with audience_of(observers) as audience, audience.stage("slices", len(found)) as step:
-        for (folder, one), scan in zip(found, scans, strict=True):
+    with audience_of(observers) as audience, audience.stage("slices", len(volumes)) as step:
+        for (folder, one), scan in zip(volumes, scans, strict=True):
             label = one.name if len(set(scans)) == 1 else f"{scan.relative_to(common)}:{one.name}"
             compared.append(_compared(folder, one, label, planes))
             step()
@@ -72,10 +72,10 @@ def _volumes(path: Path) -> list[tuple[Folder, MeasuredVolume]]:
     if folder.path is not path and (path / JUDGEMENT).is_file():
         check_files(path)
         return [(folder, MeasuredVolume.read(path))]
-    kept = measured_volumes(folder.reconstructions) if folder.path is path else {}
-    if not kept:
+    volumes = measured_volumes(folder.reconstructions) if folder.path is path else {}
+    if not volumes:
         raise InputError(f"{path} holds no volume yet; 'twinct reconstruct' makes one")
-    return [(folder, one) for one in kept.values()]
+    return [(folder, one) for one in volumes.values()]
 
 
 def _compared(

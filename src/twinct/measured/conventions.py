@@ -139,27 +139,27 @@ class Ranking:
         show(partial(_draw, best), (10.4, 3.3 * -(-len(best) // 4)), path)
 
 
-def try_conventions(told: Measured, observers: Observers = ()) -> Ranking:
+def try_conventions(description: Measured, observers: Observers = ()) -> Ranking:
     """Reconstruct a measured scan coarsely with each candidate of its conventions, and rank them.
 
     Args:
-        told: description of the scan.
+        description: description of the scan.
         observers: notified of the candidates.
 
     Raises:
         InputError: images or geometry cannot be read, or there are too few views.
     """
-    orders = list(_orders(told))
-    found: list[Tried] = []
+    orders = list(_orders(description))
+    tried: list[Tried] = []
     with audience_of(observers) as audience:
         with audience.stage("conventions", sum(len(order.candidates) for order in orders)) as step:
             for order in orders:
                 stored = order.read()
                 for candidate in order.candidates:
-                    found.append(_tried(told, candidate, order, stored))
+                    tried.append(_tried(description, candidate, order, stored))
                     step()
-    found.sort(key=lambda one: one.residual_rel)
-    return Ranking(tuple(_classes(found)))
+    tried.sort(key=lambda one: one.residual_rel)
+    return Ranking(tuple(_classes(tried)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,22 +211,24 @@ def _orders(told: Measured) -> Iterator[_Order]:
             return
 
 
-def _classes(found: list[Tried]) -> Iterator[tuple[Tried, ...]]:
+def _classes(tried: list[Tried]) -> Iterator[tuple[Tried, ...]]:
     """Yield candidates with the residual of the first of their class, the simplest first."""
-    while found:
-        limit = found[0].residual_rel * (1 + SAME)
-        alike = [one for one in found if one.residual_rel <= limit]
+    while tried:
+        limit = tried[0].residual_rel * (1 + SAME)
+        alike = [one for one in tried if one.residual_rel <= limit]
         yield tuple(sorted(alike, key=lambda one: sum(one.candidate)))
-        found = found[len(alike) :]
+        tried = tried[len(alike) :]
 
 
-def _candidates(told: Measured, shape: tuple[int, int], exchange: Candidate) -> Iterator[Candidate]:
+def _candidates(
+    description: Measured, shape: tuple[int, int], exchange: Candidate
+) -> Iterator[Candidate]:
     """Yield all combinations that the description leaves open, with an exchange of axes."""
-    geometry, both = told.geometry, (False, True)
+    geometry, both = description.geometry, (False, True)
     circle = isinstance(geometry, Circle)
     offsets = circle and bool(np.any([*geometry.panel_offset_mm, geometry.axis_offset_mm]))
     other_shape = circle or shape[0] == shape[1]
-    cropped = any(told.images.crop.model_dump().values())
+    cropped = any(description.images.crop.model_dump().values())
     yield from itertools.starmap(
         Candidate,
         itertools.product(
@@ -240,9 +242,9 @@ def _candidates(told: Measured, shape: tuple[int, int], exchange: Candidate) -> 
     )
 
 
-def changed(told: Measured, candidate: Candidate) -> Measured:
+def changed(description: Measured, candidate: Candidate) -> Measured:
     """Return a description with the conventions of a candidate, except for reversed views."""
-    images, geometry = told.images, told.geometry
+    images, geometry = description.images, description.geometry
     if candidate.transposed:
         images = images.model_copy(update={"transpose": not images.transpose})
     if candidate.views_rows or candidate.views_columns:
@@ -263,19 +265,19 @@ def changed(told: Measured, candidate: Candidate) -> Measured:
         at_axis = scale[0] * (geometry.sod_mm / geometry.sdd_mm if candidate.offset_px else 1.0)
         keys["axis_offset_mm"] = sign * at_axis * geometry.axis_offset_mm
         geometry = geometry.model_copy(update=keys)
-    return told.model_copy(update={"images": images, "geometry": geometry})
+    return description.model_copy(update={"images": images, "geometry": geometry})
 
 
 def _tried(
-    told: Measured, candidate: Candidate, order: _Order, stored: list[NDArray[np.float32]]
+    description: Measured, candidate: Candidate, order: _Order, stored: list[NDArray[np.float32]]
 ) -> Tried:
     """Reconstruct a candidate from every other view, and predict the others."""
-    measured, shape = changed(told, candidate), order.images.stack.shape
+    measured, shape = changed(description, candidate), order.images.stack.shape
     by = max(1, -(-max(shape) // MOST_PIXELS))
     section = measured.images.model_copy(update={"bin": by})
     stated = measured.views(order.facts(turned_shape(section, shape)))
     chosen = stated.geometry[order.views]
-    if candidate.reversed_order and not isinstance(told.geometry, Circle):
+    if candidate.reversed_order and not isinstance(description.geometry, Circle):
         chosen = chosen[::-1]
     flips = stated.flip_rows != candidate.rows, stated.flip_columns != candidate.columns
     placement = Placement(section, Views(chosen, *flips))

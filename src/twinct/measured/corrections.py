@@ -163,20 +163,20 @@ def corrections(section: Images) -> Corrections:
         _check_air(section.air, stack)
     if section.bad_pixels.path is not None:
         bad |= read_image(Path(section.bad_pixels.path), "bad pixels", stack.shape) != 0
-    found = Corrections(section, stack, dark, flat, bad)
-    _check_values(found)
+    result = Corrections(section, stack, dark, flat, bad)
+    _check_values(result)
     if section.bad_pixels.find:
-        bad |= unlike(_mean_image(found), bad)
+        bad |= unlike(_mean_image(result), bad)
     if bad.all():
         raise InputError("images.bad_pixels: no pixel is good")
-    return found if section.rings is None else replace(found, gains=_gains(found, section.rings))
+    return result if section.rings is None else replace(result, gains=_gains(result, section.rings))
 
 
-def _gains(found: Corrections, rings: Rings) -> Floats:
+def _gains(corrected: Corrections, rings: Rings) -> Floats:
     mean = MeanView()
-    for view in range(0, found.stack.count, found.section.every):
-        mean.add(found.transmission(view)[0])
-    return mean.gains(found.section, rings)
+    for view in range(0, corrected.stack.count, corrected.section.every):
+        mean.add(corrected.transmission(view)[0])
+    return mean.gains(corrected.section, rings)
 
 
 def _check_air(air: Air, stack: Stack) -> None:
@@ -190,9 +190,9 @@ def _check_air(air: Air, stack: Stack) -> None:
             )
 
 
-def _check_values(found: Corrections) -> None:
+def _check_values(corrected: Corrections) -> None:
     """Raise if the numbers cannot be what the description states."""
-    values, stack = found.section.values, found.stack
+    values, stack = corrected.section.values, corrected.stack
     few = np.unique(np.linspace(0, stack.count - 1, 5).round().astype(int))
     highest = float(np.median([_bright(stack.image(int(v))) for v in few]))
     if values in LIMITS and highest > LIMITS[values][0]:
@@ -208,9 +208,11 @@ def _check_values(found: Corrections) -> None:
                 f"{stack.where}: images.values: transmissions, but {share:.0%} of the pixels are 0 "
                 f"or below; at most {OPAQUE:.0%} are allowed: are they line integrals?"
             )
-    field = "images.flats" if found.flat is not None else "images.white"
-    if values == "intensities" and (found.flat is not None or found.section.white is not None):
-        lit = float(np.median([_bright(found._uncorrected(int(v))) for v in few]))
+    field = "images.flats" if corrected.flat is not None else "images.white"
+    if values == "intensities" and (
+        corrected.flat is not None or corrected.section.white is not None
+    ):
+        lit = float(np.median([_bright(corrected._uncorrected(int(v))) for v in few]))
         if not 0.05 < lit < LIMITS["transmissions"][0]:
             raise InputError(
                 f"{stack.where}: divided by {field}, numbers reach {lit:.4g}; the brightest parts "
@@ -228,7 +230,7 @@ def _fields(
     sections: tuple[FieldImages, ...], key: str, like: Stack, *, bright: bool = False
 ) -> Fields | None:
     """Return the mean image of each section, by the views at which they were taken."""
-    found: list[tuple[float, Floats]] = []
+    fields: list[tuple[float, Floats]] = []
     for index, section in enumerate(sections):
         stack = open_stack(section, f"{key}.{index}")
         if stack.shape != like.shape:
@@ -246,13 +248,13 @@ def _fields(
             raise InputError(
                 f"{key}.{index}.view: {at:g} is none of the views 0 to {like.count - 1}"
             )
-        found.append((at, mean / stack.count))
-    if not found:
+        fields.append((at, mean / stack.count))
+    if not fields:
         return None
-    found.sort(key=lambda one: one[0])
-    if len({at for at, _ in found}) < len(found):
+    fields.sort(key=lambda one: one[0])
+    if len({at for at, _ in fields}) < len(fields):
         raise InputError(f"{key}: two of them have the same view")
-    return Fields(tuple(at for at, _ in found), tuple(image for _, image in found))
+    return Fields(tuple(at for at, _ in fields), tuple(image for _, image in fields))
 
 
 def _refuse_saturated(stack: Stack, key: str) -> None:
@@ -271,13 +273,13 @@ def _refuse_saturated(stack: Stack, key: str) -> None:
             )
 
 
-def _mean_image(found: Corrections) -> Floats:
+def _mean_image(corrected: Corrections) -> Floats:
     """Return the image in which bad pixels are found: flat, else the mean of some views."""
-    if found.flat is not None:
-        return found.flat.images[0]
-    count = found.stack.count
+    if corrected.flat is not None:
+        return corrected.flat.images[0]
+    count = corrected.stack.count
     few = np.unique(np.linspace(0, count - 1, min(count, MOST_FOR_MEAN)).round().astype(int))
-    return np.mean([found._uncorrected(int(view)) for view in few], axis=0)
+    return np.mean([corrected._uncorrected(int(view)) for view in few], axis=0)
 
 
 def unlike(image: Floats, known: Bools) -> Bools:

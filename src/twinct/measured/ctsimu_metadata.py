@@ -40,13 +40,20 @@ def read_metadata(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
         InputError: a needed entry is missing, or the fields cannot be used.
     """
     try:
-        told = data["output"]["projections"]
-        filename, scenario = told["filename"], data["acquisition_geometry"]["path_to_CTSimU_JSON"]
+        projections = data["output"]["projections"]
+        filename, scenario = (
+            projections["filename"],
+            data["acquisition_geometry"]["path_to_CTSimU_JSON"],
+        )
         if not (isinstance(filename, str) and filename):
             raise KeyError("output.projections.filename")
         if not (isinstance(scenario, str) and scenario):
             raise KeyError("acquisition_geometry.path_to_CTSimU_JSON")
-        images = {**_files(path, filename, told), "values": "intensities", **_fields(path, told)}
+        images = {
+            **_files(path, filename, projections),
+            "values": "intensities",
+            **_fields(path, projections),
+        }
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{path}: CTSimU metadata without {error}: state images and geometry in a YAML file "
@@ -60,12 +67,12 @@ def read_metadata(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _files(path: Path, filename: str, told: Mapping[str, Any]) -> dict[str, Any]:
+def _files(path: Path, filename: str, projections: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of files; %04d in their name becomes a pattern that digits match."""
-    found: dict[str, Any] = {"path": str(path.parent / _NUMBER.sub("[0-9]*", filename))}
+    results: dict[str, Any] = {"path": str(path.parent / _NUMBER.sub("[0-9]*", filename))}
     if Path(filename).suffix.lower() not in _RAW:
-        return found
-    kind, header = told["datatype"], told.get("headersize") or {}
+        return results
+    kind, header = projections["datatype"], projections.get("headersize") or {}
     if kind not in _TYPES:
         raise InputError(
             f"{path}: output.projections.datatype: {kind}; known are {', '.join(_TYPES)}"
@@ -75,24 +82,24 @@ def _files(path: Path, filename: str, told: Mapping[str, Any]) -> dict[str, Any]
             f"{path}: output.projections.headersize.image: {header['image']}: a header before each "
             "image in one file is not read"
         )
-    sizes = told["dimensions"]
+    sizes = projections["dimensions"]
     return {
-        **found,
-        "dtype": (">" if told.get("byteorder") == "big" else "<") + _TYPES[kind],
+        **results,
+        "dtype": (">" if projections.get("byteorder") == "big" else "<") + _TYPES[kind],
         "rows": int(sizes["y"]["value"]),
         "columns": int(sizes["x"]["value"]),
         "header_bytes": int(header.get("file") or 0),
     }
 
 
-def _fields(path: Path, told: Mapping[str, Any]) -> dict[str, Any]:
+def _fields(path: Path, projections: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of dark and flat fields and of bad pixels."""
     dark, flat, bad = (
-        told.get(name) or {} for name in ("dark_field", "flat_field", "bad_pixel_map")
+        projections.get(name) or {} for name in ("dark_field", "flat_field", "bad_pixel_map")
     )
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     if bad.get("filename"):
-        found["bad_pixels"] = {"path": str(path.parent / bad["filename"])}
+        results["bad_pixels"] = {"path": str(path.parent / bad["filename"])}
     if not flat.get("projections_corrected"):
         if dark.get("projections_corrected") and flat.get("filename"):
             raise InputError(
@@ -100,13 +107,13 @@ def _fields(path: Path, told: Mapping[str, Any]) -> dict[str, Any]:
                 "which of these hold the dark signal is not stated; describe them in a YAML file"
             )
         if dark.get("filename") and not dark.get("projections_corrected"):
-            found["darks"] = [_files(path, dark["filename"], told)]
+            results["darks"] = [_files(path, dark["filename"], projections)]
         if flat.get("filename"):
-            return {**found, "flats": [_files(path, flat["filename"], told)]}
-    white = told.get("max_intensity")
+            return {**results, "flats": [_files(path, flat["filename"], projections)]}
+    white = projections.get("max_intensity")
     if not (isinstance(white, (int, float)) and white > 0):
         raise InputError(
             f"{path}: output.projections.max_intensity: {white}: it must be the intensity without "
             "object, where there are no flat images"
         )
-    return {**found, "white": float(white)}
+    return {**results, "white": float(white)}

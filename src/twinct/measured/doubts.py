@@ -69,9 +69,9 @@ class Doubts:
         count = len(self._views)
         if count == 1:
             return ("one view: no volume can be made from it",)
-        found = _doubts_of_angles(self.told.geometry, self.images.stack.count)
+        result = _doubts_of_angles(self.told.geometry, self.images.stack.count)
         if self.told.images.values == "line_integrals" and self._like_transmissions > count / 2:
-            found.append(
+            result.append(
                 "images.values: line_integrals, but most views have many pixels near 1 and hardly "
                 "any near 0: are they transmissions, which are 1 in air?"
             )
@@ -79,7 +79,7 @@ class Doubts:
         here = _change(np.array(self._views))
         if changes and here > UNSTEADY and here > STEADIER * min(changes.values()):
             name = min(changes, key=lambda one: changes[one])
-            found.append(
+            result.append(
                 f"line integrals change by {here:.0%} (RMS) from view to view, but by "
                 f"{changes[name]:.1%} from {name} to {name}: are views and {name}s exchanged? "
                 + (
@@ -88,7 +88,7 @@ class Doubts:
                     else "Are the files sinograms?"
                 )
             )
-        return tuple(found)
+        return tuple(result)
 
     def _other_axes(self) -> list[tuple[str, NDArray[np.float64]]]:
         """Return the sums along each axis that may be that of the views, by their counts."""

@@ -140,7 +140,7 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
     epoch_ns = min([heard.images_ns[0], *(stamps[0] for stamps, _ in heard.joints.values())])
     names = _names(heard, choice, scenario)
     joints = tuple(names.values())
-    track, told = track_of(heard.joints, names, joints, epoch_ns)
+    track, notes = track_of(heard.joints, names, joints, epoch_ns)
     images_s = (np.array(heard.images_ns, np.int64) - epoch_ns) / 1e9
     latency_s = choice.latency_ms / 1000
     if choice.estimate_latency:
@@ -148,12 +148,12 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         few = good[:: max(1, len(good) // MOST_FOR_LATENCY)]
         pixels = list(_pixels(paths, choice, fields, set(few.tolist()), scenario.detector.panel))
         latency_s = _latency_s(scenario, track, images_s, few, pixels, latency_s)
-    kept, lost = _usable(track, images_s, latency_s)
+    used, lost = _usable(track, images_s, latency_s)
     lag_ms = _lag_ms(heard, track, epoch_ns)
-    time_s = images_s[kept] - latency_s
+    time_s = images_s[used] - latency_s
     position, speed, _ = track.at(time_s)
     poses, panel = poses_of_joints(scenario, position), scenario.detector.panel
-    images = _pixels(paths, choice, fields, set(kept.tolist()), panel)
+    images = _pixels(paths, choice, fields, set(used.tolist()), panel)
     with storage_errors(out), ExitStack() as stack:
         out.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
@@ -164,7 +164,7 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         _write(draft, scenario, joints, poses, (position, speed, time_s), images)
         folder.write_scenario(scenario)
         draft.rename(folder.scan)
-    return Driven(scenario, 1000 * latency_s, lag_ms, (*told, *lost), len(kept))
+    return Driven(scenario, 1000 * latency_s, lag_ms, (*notes, *lost), len(used))
 
 
 def _usable(
@@ -177,21 +177,21 @@ def _usable(
     """
     forward = np.concatenate([[True], images_s[1:] > np.maximum.accumulate(images_s)[:-1]])
     _, _, there = track.at(images_s - latency_s)
-    told = []
+    notes = []
     for good, why in (
         (forward, "have stamps that run backwards"),
         (there, "have no joint states about their time"),
     ):
         if lost := np.flatnonzero(~good).tolist():
-            told.append(f"images {', '.join(map(str, lost[:10]))} {why}: left out")
-    kept = np.flatnonzero(forward & there)
-    if not len(kept):
+            notes.append(f"images {', '.join(map(str, lost[:10]))} {why}: left out")
+    used = np.flatnonzero(forward & there)
+    if not len(used):
         after_s = images_s[0] - track.groups[0].time_s[0]
         raise InputError(
             "no image has joint states about its time: are both stamped by one clock? The first of "
             f"{len(images_s)} comes {after_s:.3f} s after the first joint state"
         )
-    return kept, tuple(told)
+    return used, tuple(notes)
 
 
 def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
@@ -217,8 +217,8 @@ def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
                     heard.hear_joints(record)
             elif record.topic == choice.image:
                 heard.images_ns.append(record.stamp_ns)
-    for what, found in ((joint_states, heard.joints), ((choice.image,), heard.images_ns)):
-        if not found:
+    for what, heard_topics in ((joint_states, heard.joints), ((choice.image,), heard.images_ns)):
+        if not heard_topics:
             raise InputError(
                 f"{', '.join(map(str, paths))}: nothing on {', '.join(what)}; topics found: "
                 f"{', '.join(sorted(heard.topics)) or 'none'} (--arms.image, --arms.joint-states)"
@@ -269,12 +269,12 @@ def _names(heard: _Heard, choice: ArmsRecording, scenario: Scenario) -> dict[str
             )
         return noted
     prefixes = {"source_": choice.source_prefix, "detector_": choice.detector_prefix}
-    found = {}
+    names = {}
     for name in own:
         side = next(side for side in prefixes if name.startswith(side))
         driver = (prefixes[side] or side) + name.removeprefix(side)
-        found[driver] = name
-    return found
+        names[driver] = name
+    return names
 
 
 def _lag_ms(heard: _Heard, track: JointTrack, epoch_ns: int) -> float | None:

@@ -85,15 +85,15 @@ def import_measured(
         ScanExistsError: the folder holds a scan.
         StorageError: the folder cannot be written.
     """
-    told = source if isinstance(source, Measured) else read_description(source)
+    description = source if isinstance(source, Measured) else read_description(source)
     folder = Folder(Path(out))
     folder.refuse_others()
     folder.refuse_if_taken(resumes=False)
-    images = corrections(told.images)
-    placement, views = _placed(told, images)
-    geometry = placement.geometry[:: told.images.every]
-    _check_views(told, placement.geometry, geometry)
-    scenario = _scenario(told, folder, geometry, bad=bool(images.bad.any()))
+    images = corrections(description.images)
+    placement, views = _placed(description, images)
+    geometry = placement.geometry[:: description.images.every]
+    _check_views(description, placement.geometry, geometry)
+    scenario = _scenario(description, folder, geometry, bad=bool(images.bad.any()))
     if not views_needed(geometry, coarse(scenario.reconstruction.volume_grid)):
         raise InputError(
             "grid: no view sees its voxels; leave grid out, and it holds what they see"
@@ -116,7 +116,7 @@ def import_measured(
         draft = draft_of(folder.scan)
         shutil.rmtree(draft, ignore_errors=True)  # of a killed process
         stack.callback(shutil.rmtree, draft, ignore_errors=True)
-        doubts = Doubts(told, images)
+        doubts = Doubts(description, images)
         scales = _write_views(draft, scenario, placement, doubts, geometry, audience)
         folder.write_scenario(scenario)
         show(partial(_draw, ScanStore(draft).read()), (10.4, 7.0), folder.imported)
@@ -138,20 +138,22 @@ def _remove_empty(path: Path) -> None:
         path.rmdir()
 
 
-def _placed(told: Measured, images: Corrections) -> tuple[Placement, tuple[str, ...]]:
+def _placed(description: Measured, images: Corrections) -> tuple[Placement, tuple[str, ...]]:
     """Return the way of the images to the panel, and what was read of the geometry."""
-    section, stack = told.images, images.stack
+    section, stack = description.images, images.stack
     rows, columns = turned_shape(section, stack.shape)
     as_stored = not (section.transpose or section.turn_deg)
     stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
-    views = told.views(ImageFacts(stack.count, rows, columns, *stated))
+    views = description.views(ImageFacts(stack.count, rows, columns, *stated))
     return Placement(section, views), views.notes
 
 
-def _check_views(told: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
+def _check_views(description: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
     """Raise if there is nothing to reconstruct from, or a correction needs other views."""
     if len(used) == 1 < len(stored):
-        raise InputError(f"images.every: {told.images.every} leaves one of {len(stored)} views")
+        raise InputError(
+            f"images.every: {description.images.every} leaves one of {len(stored)} views"
+        )
     poses = np.concatenate([used.source, used.detector, used.u, used.v], axis=1)
     if len(used) > 1 and (poses == poses[0]).all():
         raise InputError(f"geometry: all {len(used)} views have the same pose")
@@ -163,17 +165,19 @@ def _check_views(told: Measured, stored: ScanGeometry, used: ScanGeometry) -> No
         )
     beams = used.detector - used.source
     one_way = np.linalg.norm((beams / np.linalg.norm(beams, axis=1, keepdims=True)).mean(axis=0))
-    if told.images.rings is not None and one_way > ONE_WAY:
+    if description.images.rings is not None and one_way > ONE_WAY:
         raise InputError(
             "images.rings: the views must cover a turn, but they look one way: the mean of their "
             f"directions is {one_way:.2f} long; 0 is a turn, at most {ONE_WAY:g} is allowed"
         )
 
 
-def _scenario(told: Measured, folder: Folder, geometry: ScanGeometry, *, bad: bool) -> Scenario:
-    if taken := [key for key in _RESERVED if key in told.scenario]:
+def _scenario(
+    description: Measured, folder: Folder, geometry: ScanGeometry, *, bad: bool
+) -> Scenario:
+    if taken := [key for key in _RESERVED if key in description.scenario]:
         raise InputError(f"scenario.{taken[0]}: the import states this section itself")
-    panel, further = geometry.panel, dict(told.scenario)
+    panel, further = geometry.panel, dict(description.scenario)
     detector = {
         **dict(further.pop("detector", {})),
         "columns": panel.columns,
@@ -184,13 +188,13 @@ def _scenario(told: Measured, folder: Folder, geometry: ScanGeometry, *, bad: bo
     if bad:
         detector["bad_pixels"] = {"kind": "file", "path": str(inputs / MAP)}
     reconstruction = {"algorithm": "fast", **dict(further.pop("reconstruction", {}))}
-    if told.grid is not None:
-        reconstruction["grid"] = told.grid.model_dump(mode="json")
+    if description.grid is not None:
+        reconstruction["grid"] = description.grid.model_dump(mode="json")
     reconstruction.setdefault("grid", grid_of(geometry))
     return parse_scenario(
         {
-            "name": told.name,
-            "description": f"{told.description} {NO_TRUTH}".strip(),
+            "name": description.name,
+            "description": f"{description.description} {NO_TRUTH}".strip(),
             "cell": {"kind": "gantry"},
             "trajectory": {"kind": "file", "path": str(inputs / "views.csv")},
             "detector": detector,
@@ -230,7 +234,7 @@ def _write_views(
 
 def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[float]) -> list[str]:
     section, stack, panel = images.section, images.stack, geometry.panel
-    told = [
+    notes = [
         f"{stack.where}: {stack.count} images of {stack.shape[0]} x {stack.shape[1]} pixels (rows "
         f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}"
     ]
@@ -244,21 +248,21 @@ def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[f
         *([f"every {section.every}th view"] if section.every > 1 else []),
     ]
     if changes:
-        told.append(
+        notes.append(
             f"images {', '.join(changes)}: {len(geometry)} views of {panel.rows} x {panel.columns}"
         )
     if images.bad.any():
-        told.append(f"bad pixels: {int(images.bad.sum())} of {images.bad.size}, filled")
+        notes.append(f"bad pixels: {int(images.bad.sum())} of {images.bad.size}, filled")
     if images.gains is not None and section.rings is not None:
         off = images.gains - 1
-        told.append(
+        notes.append(
             f"rings: gains of pixels corrected by {100 * np.sqrt(np.mean(off**2)):.2g} % (RMS), at "
             f"most {100 * np.abs(off).max():.2g} %, from the mean of {len(geometry)} views and a "
             f"median of {section.rings.width} pixels along the rows (Boin and Haibel 2006)"
         )
     if section.air is not None:
-        told.append(f"air: {min(scales):.4g} to {max(scales):.4g}, scaled to 1 in each view")
-    return told
+        notes.append(f"air: {min(scales):.4g} to {max(scales):.4g}, scaled to 1 in each view")
+    return notes
 
 
 def _notes_of_grid(scenario: Scenario) -> list[str]:

@@ -62,8 +62,8 @@ class Readings:
             since = self.time_s[first:last] - t
             degree = min(DEGREE, len(since) - 1)
             powers = np.vander(since / WINDOW_S, degree + 1, increasing=True)
-            found, *_ = np.linalg.lstsq(powers, self.position[first:last], rcond=None)
-            position[i], speed[i], there[i] = found[0], found[1] / WINDOW_S, True
+            coefficients, *_ = np.linalg.lstsq(powers, self.position[first:last], rcond=None)
+            position[i], speed[i], there[i] = coefficients[0], coefficients[1] / WINDOW_S, True
         return position, speed, there
 
 
@@ -136,20 +136,20 @@ def track_of(
     Raises:
         InputError: no driver reported a joint.
     """
-    groups, told, found = [], [], set()
+    groups, notes, named = [], [], set()
     for stated_names, (stamps, rows) in heard.items():
         columns = [i for i, name in enumerate(stated_names) if names.get(name) in joints]
         own = tuple(names[stated_names[i]] for i in columns)
-        if not own or found & set(own):
+        if not own or named & set(own):
             continue
-        found |= set(own)
+        named |= set(own)
         time_ns = np.array(stamps, dtype=np.int64)
         newest = np.maximum.accumulate(time_ns)
         good = np.concatenate([[True], time_ns[1:] > newest[:-1]])
         if not good.all():
             first = int(np.argmin(good))
             back_ms = (newest[first - 1] - time_ns[first]) / 1e6
-            told.append(
+            notes.append(
                 f"stamps of {stated_names[0]} and others run backwards: {int((~good).sum())} of "
                 f"{len(good)} readings are left out, the first is {back_ms:.3f} ms before the one "
                 "it follows"
@@ -158,10 +158,10 @@ def track_of(
         if not np.isfinite(position).all():
             raise InputError(f"a position of {', '.join(stated_names)} is not finite")
         groups.append(Readings(own, (time_ns[good] - epoch_ns) / 1e9, position[good]))
-    if missing := [name for name in joints if name not in found]:
+    if missing := [name for name in joints if name not in named]:
         there = sorted({name for group in heard for name in group})
         raise InputError(
             f"no joint state contains {', '.join(missing)}; they contain {', '.join(there)}: "
             "name the prefixes of the drivers (--arms.source-prefix, --arms.detector-prefix)"
         )
-    return JointTrack(joints, tuple(groups)), tuple(told)
+    return JointTrack(joints, tuple(groups)), tuple(notes)

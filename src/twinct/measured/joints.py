@@ -56,8 +56,8 @@ class Joints(Section):
         except (InputError, ValueError) as error:
             raise InputError(f"{where}: {error}") from None
         arms = "calibrated" if scenario.uncertainty.calibration else "nominal"
-        told = f"{len(table)} views of {table.shape[1]} joints in {self.unit}, {arms} arms of "
-        return Views(geometry, notes=(f"{told}{self.scenario.name}, mm in its world",))
+        size = f"{len(table)} views of {table.shape[1]} joints in {self.unit}, {arms} arms of "
+        return Views(geometry, notes=(f"{size}{self.scenario.name}, mm in its world",))
 
     def _check_unit(self, where: str, largest: float) -> None:
         if self.unit == "rad" and largest > 2 * math.tau:

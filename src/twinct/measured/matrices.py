@@ -49,17 +49,17 @@ class Matrices(Section):
             InputError: the matrices do not fit the images, lack full rank, or have other pitches.
         """
         where = f"{self.path}: matrices"
-        found = read_numbers(self.path, self.array, where)
-        if found.size % 12 or found.shape[-1] not in (4, 12):
-            raise InputError(f"{where}: shape {found.shape}; expected (views, 3, 4)")
-        matrices = found.reshape(-1, 3, 4)
+        numbers = read_numbers(self.path, self.array, where)
+        if numbers.size % 12 or numbers.shape[-1] not in (4, 12):
+            raise InputError(f"{where}: shape {numbers.shape}; expected (views, 3, 4)")
+        matrices = numbers.reshape(-1, 3, 4)
         facts.require(where, len(matrices))
         panel = facts.panel(self.pitch_mm)
         to_world = np.diag([_TO_MM[self.world]] * 3 + [1.0])
         matrices = matrices @ np.linalg.inv(to_world)
         views = views_of_matrices(where, self._to_pixels(panel) @ matrices, panel)
-        told = f"{len(matrices)} projection matrices to {self.to} from the {self.origin}"
-        return Views(views.geometry, views.flip_rows, notes=(told, *views.notes))
+        note = f"{len(matrices)} projection matrices to {self.to} from the {self.origin}"
+        return Views(views.geometry, views.flip_rows, notes=(note, *views.notes))
 
     def _to_pixels(self, panel: Panel) -> Floats:
         """Return the matrix from the stated coordinates to pixels from the first pixel's centre."""
@@ -103,11 +103,11 @@ def views_of_matrices(where: str, matrices: Floats, panel: Panel) -> Views:
             f"{panel.pitch_v:.4g} mm"
         )
     geometry, flipped = views_of(where, source, detector, u, v, panel)
-    told = (
+    notes = (
         f"source to panel {geometry.sdd.min():.6g} to {geometry.sdd.max():.6g} mm, from the pitch "
         f"of {panel.pitch_u:g} x {panel.pitch_v:g} mm",
     )
-    return Views(geometry, flip_rows=flipped, notes=told)
+    return Views(geometry, flip_rows=flipped, notes=notes)
 
 
 def _check_rank(where: str, square: Floats) -> None:
@@ -157,5 +157,5 @@ class Poses(Section):
             u, v = axes[:, :, 0], axes[:, :, 1]
         panel = facts.panel(self.pitch_mm)
         geometry, flipped = views_of(where, places[:, :3], places[:, 3:], u, v, panel)
-        told = f"{len(table)} poses of {table.shape[1]} numbers, in {self.unit}"
-        return Views(geometry, flip_rows=flipped, notes=(told,))
+        note = f"{len(table)} poses of {table.shape[1]} numbers, in {self.unit}"
+        return Views(geometry, flip_rows=flipped, notes=(note,))

@@ -125,17 +125,17 @@ def read_xtekct(path: Path, ignore: tuple[str, ...] = ()) -> dict[str, float]:
 
 def _unknown(section: Mapping[str, str], ignore: tuple[str, ...]) -> list[str]:
     """Return a sentence for each key that may matter and is not read."""
-    found: list[str] = []
+    unknown: list[str] = []
     for key, text in section.items():
         if key in _USED or key in ignore or _is_zero(text):
             continue
         if key in _MATTER or not key.startswith(tuple(_WITHOUT_EFFECT)):
             if key in _MATTER or _is_number(text):
-                found.append(
+                unknown.append(
                     f"{shortened(key, 80)} is {quoted(text)}, and may matter, but is not read: "
                     "state the geometry as kind: circle, or name the key in geometry.ignore"
                 )
-    return found
+    return unknown
 
 
 def _is_number(text: str) -> bool:

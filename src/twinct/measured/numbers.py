@@ -33,17 +33,17 @@ def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
     """
     suffix = path.suffix.lower()
     if suffix == ".npy":
-        found: NDArray[Any] = read_npy(path, where)
+        numbers: NDArray[Any] = read_npy(path, where)
     elif suffix == ".npz":
-        found = named_array(read_npz(path, where, MOST_BYTES), array, where)
+        numbers = named_array(read_npz(path, where, MOST_BYTES), array, where)
     else:
-        found = _table(read_text(path, where, MOST_TEXT), where)
-    if found.dtype.kind not in "fiu":
-        raise InputError(f"{where} holds {found.dtype}, not numbers")
-    found = found.astype(np.float64)
-    if not np.isfinite(found).all():
+        numbers = _table(read_text(path, where, MOST_TEXT), where)
+    if numbers.dtype.kind not in "fiu":
+        raise InputError(f"{where} holds {numbers.dtype}, not numbers")
+    numbers = numbers.astype(np.float64)
+    if not np.isfinite(numbers).all():
         raise InputError(f"{where} holds a number that is not finite")
-    return found
+    return numbers
 
 
 def named_array(arrays: dict[str, NDArray[Any]], name: str, where: str) -> NDArray[Any]:
@@ -55,8 +55,8 @@ def named_array(arrays: dict[str, NDArray[Any]], name: str, where: str) -> NDArr
     if not name and len(arrays) == 1:
         return next(iter(arrays.values()))
     if name not in arrays:
-        asked = f"no array {quoted(name)}" if name else "array: name one"
-        raise InputError(f"{where}: {asked}; it holds {', '.join(sorted(arrays))}")
+        problem = f"no array {quoted(name)}" if name else "array: name one"
+        raise InputError(f"{where}: {problem}; it holds {', '.join(sorted(arrays))}")
     return arrays[name]
 
 

@@ -82,17 +82,17 @@ class Prediction:
     @property
     def notes(self) -> tuple[str, ...]:
         """Sentences on what is left."""
-        found = self.residuals
+        total = self.residuals
         left = ", ".join(
             f"{100 * rest:.2f} % after {cause}"
-            for cause, rest in zip(CAUSES, found.left_rel, strict=True)
+            for cause, rest in zip(CAUSES, total.left_rel, strict=True)
         )
-        shifts = np.abs([one.shift_px for one in found.views])
+        shifts = np.abs([one.shift_px for one in total.views])
         across, down = np.median(shifts, axis=0)
-        worst = sorted(found.views, key=lambda one: -one.rms_rel)[:3]
+        worst = sorted(total.views, key=lambda one: -one.rms_rel)[:3]
         return (
             self.in_words,
-            f"{counted(len(found.views), 'view')} predicted: residual {100 * found.rms_rel:.2f} %, "
+            f"{counted(len(total.views), 'view')} predicted: residual {100 * total.rms_rel:.2f} %, "
             f"of which may be explained: {left}",
             f"shadows are off by {across:.3f} px along columns and {down:.3f} px along rows "
             f"(medians, largest {shifts.max():.3f} px); worst views: "
@@ -153,8 +153,8 @@ def predict(
         stack.enter_context(keeping(lambda: _kept(checkpoints)))
         made = _predicted(scan, which, material or "water", checkpoints, target, audience)
         remove_folder(checkpoints)
-        if is_measured_scan(folder.path) and (kept := measured_volumes(folder.reconstructions)):
-            write_page(load_scan(folder.path), folder, kept)
+        if is_measured_scan(folder.path) and (volumes := measured_volumes(folder.reconstructions)):
+            write_page(load_scan(folder.path), folder, volumes)
     return made
 
 
@@ -181,8 +181,8 @@ def _predicted(
     measured = scan.line_integrals()[chosen]
     predicted = _rendered(scan.scenario, specimen, views[chosen], audience)
     with audience.stage("residuals", 1) as step:
-        found = residuals_of(chosen, measured, predicted, counts)
-        made = Prediction(target.name, words, which, found, target)
+        residuals = residuals_of(chosen, measured, predicted, counts)
+        made = Prediction(target.name, words, which, residuals, target)
         _write(made, measured, predicted, views.panel.pitch_u)
         step()
     return made
@@ -192,19 +192,19 @@ def _scenario(
     folder: Folder, overrides: Iterable[str], mesh: str | Path | None, material: str | None
 ) -> Scenario:
     """Return the scan's scenario with the changes of a prediction."""
-    told = tuple(overrides)
-    for one in told:
+    changes = tuple(overrides)
+    for one in changes:
         if one.partition("=")[0].partition(".")[0] not in SECTIONS:
             known = ", ".join(SECTIONS)
             raise InputError(f"--set {one}: a prediction changes only keys of {known}")
-    scenario = folder.scenario_of_run(told, planned=ScanStore(folder.scan).plan is not None)
+    scenario = folder.scenario_of_run(changes, planned=ScanStore(folder.scan).plan is not None)
     parts = scenario.specimen.model_dump(mode="json")["parts"]
     if mesh is not None:
         if why := no_file(Path(mesh)):
             raise InputError(f"--mesh {mesh} {why}")
         shape = {"kind": "mesh", "path": str(Path(mesh).absolute())}
         parts = [{"name": Path(mesh).stem, "shape": shape, "material": material or "water"}]
-    elif not any(one.startswith("specimen.parts") for one in told):
+    elif not any(one.startswith("specimen.parts") for one in changes):
         parts = []
     keys = {"detector.noise": None, "detector.readout": None, "detector.bad_pixels": None}
     keys |= {"detector.lag": 0.0, "detector.keep": [], "specimen.parts": parts}
@@ -296,23 +296,23 @@ def _write(made: Prediction, measured: Singles, predicted: Singles, pitch: float
     from tifffile import imwrite
 
     draft = made.path.with_name(f".{made.path.name}.partial")
-    found = made.residuals
+    residuals = made.residuals
     with passing_folder(draft):
         draft.mkdir(parents=True)
-        told: dict[str, Any] = {
+        data: dict[str, Any] = {
             "format": FORMAT,
             "name": made.name,
             "in_words": made.in_words,
             "geometry": made.geometry,
-            "residual_rel": found.rms_rel,
-            "left_rel": dict(zip(CAUSES, found.left_rel, strict=True)),
-            "curve": found.curve.tolist(),
-            "views": [asdict(one) for one in found.views],
+            "residual_rel": residuals.rms_rel,
+            "left_rel": dict(zip(CAUSES, residuals.left_rel, strict=True)),
+            "curve": residuals.curve.tolist(),
+            "views": [asdict(one) for one in residuals.views],
         }
-        write_json(draft / "prediction.json", plain(told))
-        write_text(draft / "views.csv", _table(found))
+        write_json(draft / "prediction.json", plain(data))
+        write_text(draft / "views.csv", _table(residuals))
         facts = {"unit": "mm", "values": "line integrals, measured minus predicted"}
-        numbers = [one.view for one in found.views]
+        numbers = [one.view for one in residuals.views]
         imwrite(
             draft / "residuals.tif",
             measured - predicted,
@@ -321,16 +321,16 @@ def _write(made: Prediction, measured: Singles, predicted: Singles, pitch: float
             resolutionunit="CENTIMETER",
             metadata={**facts, "views": numbers},
         )
-        show_prediction(draft / "prediction.png", measured, predicted, found)
+        show_prediction(draft / "prediction.png", measured, predicted, residuals)
         draft.rename(made.path)
 
 
-def _table(found: Residuals) -> str:
+def _table(residuals: Residuals) -> str:
     head = "view,rms,rms_rel,mean,shift_column_px,shift_row_px," + ",".join(
         f"left_after_{cause}" for cause in CAUSES
     )
     rows = (
         [one.view, one.rms, one.rms_rel, one.mean, *one.shift_px, *one.left_rel]
-        for one in found.views
+        for one in residuals.views
     )
     return "\n".join([head, *(",".join(f"{value:.6g}" for value in row) for row in rows)]) + "\n"

@@ -153,8 +153,8 @@ def _fitted(
     """Return the factors of terms that fit an image best where it counts, and their sum."""
     basis = np.stack(list(terms))
     factors, *_ = np.linalg.lstsq(basis[:, counts].T.astype(float), image[counts], rcond=None)
-    found = np.asarray(factors, np.float64)
-    return found, np.tensordot(found.astype(np.float32), basis.astype(np.float32), axes=1)
+    gains = np.asarray(factors, np.float64)
+    return gains, np.tensordot(gains.astype(np.float32), basis.astype(np.float32), axes=1)
 
 
 def _common_curve(predicted: Singles, left: Singles, counts: Bools) -> Floats:

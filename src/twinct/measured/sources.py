@@ -59,22 +59,22 @@ def _exported(folder: Path) -> dict[str, Any]:
             f"{folder}: images without geometry: it has no export.json, only {', '.join(there)}: "
             "state images and geometry in a YAML file (docs/measured.md)"
         )
-    told = _read_json(facts)
+    facts_read = _read_json(facts)
     try:
-        grid = told["volume"]
+        grid = facts_read["volume"]
         voxels, edges = grid["shape_z_y_x"][::-1], grid["voxel_x_y_z_mm"]
-        transmission = str(told["values"]).startswith("transmission")
-        name = str(told.get("scan", folder.name))
+        transmission = str(facts_read["values"]).startswith("transmission")
+        name = str(facts_read.get("scan", folder.name))
     except (KeyError, TypeError) as error:
         raise InputError(f"{facts}: not from twinct export: {error!r} is missing") from None
     values = "transmissions" if transmission else "line_integrals"
-    found = {
+    results = {
         "name": name,
         "description": f"Imported from {folder.name}.",
         "grid": {"voxels": voxels, "voxel_mm": edges},
     }
     if not no_file(folder / "openct.json"):
-        return {**_openct(folder / "openct.json"), **found}
+        return {**_openct(folder / "openct.json"), **results}
     if not no_file(folder / "geometry.xml"):
         images, geometry = "projections.mha", {"kind": "rtk", "path": str(folder / "geometry.xml")}
     else:
@@ -85,15 +85,15 @@ def _exported(folder: Path) -> dict[str, Any]:
             raise InputError(f"{file}: of no known toolkit; it holds {', '.join(sorted(arrays))}")
         images, geometry = "projections.npy", {"kind": kinds[0], "path": str(file)}
     return {
-        **found,
+        **results,
         "images": {"path": str(folder / images), "values": values},
         "geometry": geometry,
     }
 
 
 def _openct(path: Path) -> dict[str, Any]:
-    told = read_openct(path)
-    files: list[Path] = told["files"]
+    description = read_openct(path)
+    files: list[Path] = description["files"]
     if not files:
         raise InputError(f"{path}: it names no image")
     folder, suffix = files[0].parent, files[0].suffix
@@ -103,11 +103,11 @@ def _openct(path: Path) -> dict[str, Any]:
             f"{path}: names {len(files)} images in the order {files[0].name} to {files[-1].name}; "
             f"{folder} holds {len(there)} files {suffix}"
         )
-    panel = told["panel"]
+    panel = description["panel"]
     raw = {"dtype": "<f4", "rows": panel.rows, "columns": panel.columns}
     images: dict[str, Any] = {
         "path": str(folder / f"*{suffix}"),
-        "values": "transmissions" if told["transmission"] else "line_integrals",
+        "values": "transmissions" if description["transmission"] else "line_integrals",
         **(raw if suffix == ".raw" else {}),
     }
     return {

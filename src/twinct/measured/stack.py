@@ -98,16 +98,16 @@ def open_stack(section: Files, key: str) -> Stack:
 
 def _files(path: Path, key: str) -> list[Path]:
     if "*" in path.name:
-        found = [f for f in path.parent.glob(path.name) if f.is_file()]
+        files = [f for f in path.parent.glob(path.name) if f.is_file()]
     elif path.is_dir():
-        found = [f for f in path.iterdir() if f.is_file() and not f.name.startswith(".")]
+        files = [f for f in path.iterdir() if f.is_file() and not f.name.startswith(".")]
     elif why := no_file(path):
         raise InputError(f"{key}.path: {path} {why}")
     else:
         return [path]
-    if not found:
+    if not files:
         raise InputError(f"{key}.path: {path}: no file is there")
-    return sorted(found, key=_natural)
+    return sorted(files, key=_natural)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:
@@ -121,8 +121,8 @@ def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:
     first = stacks[0]
     for file, stack in zip(files, stacks, strict=True):
         if (stack.shape, stack.dtype) != (first.shape, first.dtype):
-            told = (f"{s.shape[0]} x {s.shape[1]} of {s.dtype}" for s in (stack, first))
-            raise InputError(f"{file}: images of {next(told)}, but {files[0]} has {next(told)}")
+            sizes = (f"{s.shape[0]} x {s.shape[1]} of {s.dtype}" for s in (stack, first))
+            raise InputError(f"{file}: images of {next(sizes)}, but {files[0]} has {next(sizes)}")
     places = [(stack, index) for stack in stacks for index in range(stack.count)]
     where = str(files[0]) if len(files) == 1 else f"{files[0].parent} ({len(files)} files)"
 
@@ -149,8 +149,8 @@ def _of_array(array: Any, section: Files, where: str, **stated: Any) -> Stack:
     def image(index: int) -> Image:
         at: list[Any] = [slice(None)] * 3
         at[view] = index
-        found = np.asarray(array[tuple(at)])
-        return found if row < column else found.T
+        images = np.asarray(array[tuple(at)])
+        return images if row < column else images.T
 
     size = shape[row], shape[column]
     return Stack(where, shape[view], size, dtype, image, exchangeable=True, **stated)
@@ -231,10 +231,10 @@ def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
     size = rows * columns * dtype.itemsize
     stacks: list[Stack] = []
     for file in files:
-        found = file_bytes(file, str(file)) - section.header_bytes
-        if found <= 0 or found % size:
+        octets = file_bytes(file, str(file)) - section.header_bytes
+        if octets <= 0 or octets % size:
             raise InputError(
-                f"{file}: {found} bytes after the header are not a whole number of images of "
+                f"{file}: {octets} bytes after the header are not a whole number of images of "
                 f"{rows} x {columns} pixels of {dtype}, {size} bytes each"
             )
 
@@ -243,7 +243,7 @@ def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
             flat = np.fromfile(file, dtype, rows * columns, offset=start)
             return flat.reshape(rows, columns)
 
-        stacks.append(Stack(str(file), found // size, (rows, columns), dtype, image))
+        stacks.append(Stack(str(file), octets // size, (rows, columns), dtype, image))
     return _joined(files, stacks)
 
 
@@ -279,36 +279,39 @@ def _dicom(files: Sequence[Path]) -> Stack:
     """Return the images of DICOM files: one or several frames each, by their instance numbers."""
     import pydicom
 
-    found: list[tuple[int, Path, tuple[tuple[int, int], int, np.dtype[Any]]]] = []
+    images: list[tuple[int, Path, tuple[tuple[int, int], int, np.dtype[Any]]]] = []
     for file in files:
         with library_errors(str(file)):
-            told: Any = pydicom.dcmread(file, stop_before_pixels=True)
-            shape, frames = (int(told.Rows), int(told.Columns)), int(told.get("NumberOfFrames", 1))
-            dtype = np.dtype(
-                f"{'i' if told.get('PixelRepresentation', 0) else 'u'}"
-                f"{int(told.get('BitsAllocated', 16)) // 8}"
+            header: Any = pydicom.dcmread(file, stop_before_pixels=True)
+            shape, frames = (
+                (int(header.Rows), int(header.Columns)),
+                int(header.get("NumberOfFrames", 1)),
             )
-            if told.get("SamplesPerPixel", 1) != 1 or "ModalityLUTSequence" in told:
+            dtype = np.dtype(
+                f"{'i' if header.get('PixelRepresentation', 0) else 'u'}"
+                f"{int(header.get('BitsAllocated', 16)) // 8}"
+            )
+            if header.get("SamplesPerPixel", 1) != 1 or "ModalityLUTSequence" in header:
                 raise InputError(
                     f"{file}: an image in colours, or with a modality LUT, is not read"
                 )
             if not 0 < frames <= MOST_FRAMES:
                 raise InputError(f"{file}: states {frames} frames; expected 1 to {MOST_FRAMES}")
-            found.append((int(told.get("InstanceNumber", 0) or 0), file, (shape, frames, dtype)))
-    if len({number for number, _, _ in found}) == len(found):
-        found.sort(key=lambda one: one[0])
+            images.append((int(header.get("InstanceNumber", 0) or 0), file, (shape, frames, dtype)))
+    if len({number for number, _, _ in images}) == len(images):
+        images.sort(key=lambda one: one[0])
     stacks: list[Stack] = []
-    for _, file, (shape, frames, dtype) in found:
+    for _, file, (shape, frames, dtype) in images:
 
         def image(index: int, file: Path = file, frames: int = frames) -> Image:
             with library_errors(str(file)):
-                told: Any = pydicom.dcmread(file)
-                pixels = told.pixel_array[index] if frames > 1 else told.pixel_array
+                header: Any = pydicom.dcmread(file)
+                pixels = header.pixel_array[index] if frames > 1 else header.pixel_array
                 slope, intercept = (
-                    float(told.get(f"Rescale{name}", default))
+                    float(header.get(f"Rescale{name}", default))
                     for name, default in (("Slope", 1), ("Intercept", 0))
                 )
             return pixels if (slope, intercept) == (1, 0) else pixels * slope + intercept
 
         stacks.append(Stack(str(file), frames, shape, dtype, image))
-    return _joined([file for _, file, _ in found], stacks)
+    return _joined([file for _, file, _ in images], stacks)

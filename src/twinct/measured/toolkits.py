@@ -36,12 +36,12 @@ def _arrays(path: Path, names: tuple[str, ...]) -> Arrays:
         InputError: one of these names is missing, or a number is not finite.
     """
     where = f"{path}: geometry"
-    found = read_npz(path, where, MOST_BYTES)
-    if missing := [name for name in names if name not in found]:
+    content = read_npz(path, where, MOST_BYTES)
+    if missing := [name for name in names if name not in content]:
         raise InputError(
-            f"{where}: no array {', '.join(missing)}; it holds {', '.join(sorted(found))}"
+            f"{where}: no array {', '.join(missing)}; it holds {', '.join(sorted(content))}"
         )
-    arrays = {name: found[name].astype(np.float64) for name in names}
+    arrays = {name: content[name].astype(np.float64) for name in names}
     for name, array in arrays.items():
         if not np.isfinite(array).all():
             raise InputError(f"{where}: {name} holds a number that is not finite")
@@ -54,9 +54,9 @@ def _made(path: Path, facts: ImageFacts, panel: Panel, *vectors: NDArray[Any]) -
     source, detector, u, v = vectors
     facts.require(where, len(source), panel)
     geometry, flipped = views_of(where, source, detector, u, v, panel)
-    told = f"{path.name}: {len(geometry)} views, panel {panel.rows} x {panel.columns} pixels of "
-    told += f"{panel.pitch_u:g} x {panel.pitch_v:g} mm, mm in the frame of the file"
-    return Views(geometry, flip_rows=flipped, notes=(told,))
+    note = f"{path.name}: {len(geometry)} views, panel {panel.rows} x {panel.columns} pixels of "
+    note += f"{panel.pitch_u:g} x {panel.pitch_v:g} mm, mm in the frame of the file"
+    return Views(geometry, flip_rows=flipped, notes=(note,))
 
 
 class _Numbers(Section):
@@ -76,13 +76,13 @@ class _Numbers(Section):
         """Return the panel and S, D, u and v of all views, (views, 3)."""
         raise NotImplementedError
 
-    def _counts(self, found: Arrays, name: str) -> tuple[int, int]:
+    def _counts(self, result: Arrays, name: str) -> tuple[int, int]:
         """Return the two numbers of pixels in an array.
 
         Raises:
             InputError: they are no whole numbers above 0.
         """
-        numbers = found[name]
+        numbers = result[name]
         if numbers.shape != (2,) or (numbers < 1).any() or (numbers % 1).any():
             raise InputError(
                 f"{self.path}: {name} is {quoted(numbers.tolist())}; expected two numbers of pixels"
@@ -96,13 +96,13 @@ class Astra(_Numbers):
     kind: Literal["astra"]
 
     def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
-        found = _arrays(self.path, ("vectors", "detector"))
-        if found["vectors"].ndim != 2 or found["vectors"].shape[1] != 12:
+        arrays = _arrays(self.path, ("vectors", "detector"))
+        if arrays["vectors"].ndim != 2 or arrays["vectors"].shape[1] != 12:
             raise InputError(
-                f"{self.path}: vectors: shape {found['vectors'].shape}; expected (views, 12)"
+                f"{self.path}: vectors: shape {arrays['vectors'].shape}; expected (views, 12)"
             )
-        source, detector, u, v = np.split(found["vectors"], 4, axis=1)
-        rows, columns = self._counts(found, "detector")
+        source, detector, u, v = np.split(arrays["vectors"], 4, axis=1)
+        rows, columns = self._counts(arrays, "detector")
         pitches = [np.linalg.norm(axis, axis=1) for axis in (u, v)]
         for pitch in pitches:
             if (off := np.abs(pitch - pitch[0])).max() > UNEQUAL * pitch[0]:
@@ -121,10 +121,10 @@ class Leap(_Numbers):
 
     def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         names = "sourcePositions", "moduleCenters", "colVectors", "rowVectors"
-        found = _arrays(self.path, (*names, "detector", "pixel"))
-        rows, columns = self._counts(found, "detector")
-        height, width = found["pixel"].tolist()
-        source, detector, u, v = (found[name] for name in names)
+        arrays = _arrays(self.path, (*names, "detector", "pixel"))
+        rows, columns = self._counts(arrays, "detector")
+        height, width = arrays["pixel"].tolist()
+        source, detector, u, v = (arrays[name] for name in names)
         return Panel(rows, columns, width, height), source, detector, u, v
 
 
@@ -136,10 +136,10 @@ class Cil(_Numbers):
     def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         names = "source_position_set", "detector_position_set"
         names += "detector_direction_x_set", "detector_direction_y_set"
-        found = _arrays(self.path, (*names, "num_pixels", "pixel_size"))
-        columns, rows = self._counts(found, "num_pixels")
-        source, detector, u, v = (found[name] for name in names)
-        return Panel(rows, columns, *found["pixel_size"].tolist()), source, detector, u, v
+        arrays = _arrays(self.path, (*names, "num_pixels", "pixel_size"))
+        columns, rows = self._counts(arrays, "num_pixels")
+        source, detector, u, v = (arrays[name] for name in names)
+        return Panel(rows, columns, *arrays["pixel_size"].tolist()), source, detector, u, v
 
 
 class Tigre(_Numbers):
@@ -149,25 +149,25 @@ class Tigre(_Numbers):
 
     def _panel_and_vectors(self) -> tuple[Panel, Floats, Floats, Floats, Floats]:
         names = "angles", "DSO", "DSD", "offOrigin", "offDetector", "rotDetector"
-        found = _arrays(self.path, (*names, "nDetector", "dDetector"))
-        if found["rotDetector"][..., 1:].any():
+        arrays = _arrays(self.path, (*names, "nDetector", "dDetector"))
+        if arrays["rotDetector"][..., 1:].any():
             raise InputError(
                 f"{self.path}: rotDetector: pitch or roll is not 0; only a yaw is read"
             )
-        angles = np.atleast_2d(found["angles"])
+        angles = np.atleast_2d(arrays["angles"])
         views = len(angles)
         turn = Rotation.from_euler("ZYZ", angles)
-        dso, dsd = (np.broadcast_to(found[name], (views,)) for name in ("DSO", "DSD"))
-        origin = np.broadcast_to(found["offOrigin"], (views, 3))[:, ::-1]
-        up, right = np.broadcast_to(found["offDetector"], (views, 2)).T
-        yaw = np.broadcast_to(found["rotDetector"], (views, 3))[:, 0]
+        dso, dsd = (np.broadcast_to(arrays[name], (views,)) for name in ("DSO", "DSD"))
+        origin = np.broadcast_to(arrays["offOrigin"], (views, 3))[:, ::-1]
+        up, right = np.broadcast_to(arrays["offDetector"], (views, 2)).T
+        yaw = np.broadcast_to(arrays["rotDetector"], (views, 3))[:, 0]
         nothing = np.zeros(views)
         source = turn.apply(np.stack([dso, nothing, nothing], axis=1)) - origin
         detector = source + turn.apply(np.stack([-dsd, right, up], axis=1))
         u = turn.apply(np.stack([nothing, np.cos(yaw), np.sin(yaw)], axis=1))
         v = turn.apply(np.stack([nothing, -np.sin(yaw), np.cos(yaw)], axis=1))
-        rows, columns = self._counts(found, "nDetector")
-        pitch_v, pitch_u = found["dDetector"].tolist()
+        rows, columns = self._counts(arrays, "nDetector")
+        pitch_v, pitch_u = arrays["dDetector"].tolist()
         return Panel(rows, columns, pitch_u, pitch_v), source, detector, u, v
 
 
@@ -193,14 +193,14 @@ class Rtk(Section):
         if pitch is None:
             raise InputError("geometry.pitch_mm: the images do not state it, nor does RTK's XML")
         panel = facts.panel(pitch)
-        found = _rtk_numbers(self.path)
-        turns = -np.stack([found[n] for n in ("InPlaneAngle", "OutOfPlaneAngle", "GantryAngle")])
+        numbers = _rtk_numbers(self.path)
+        turns = -np.stack([numbers[n] for n in ("InPlaneAngle", "OutOfPlaneAngle", "GantryAngle")])
         axes = Rotation.from_euler("ZXY", turns.T, degrees=True).as_matrix()  # rows u, v, n
-        sod, sdd = (found[f"SourceTo{end}Distance"] for end in ("Isocenter", "Detector"))
+        sod, sdd = (numbers[f"SourceTo{end}Distance"] for end in ("Isocenter", "Detector"))
         first = self.first_pixel_mm or facts.first_pixel or panel.first_pixel_mm
         beside = np.array(first) - panel.first_pixel_mm
-        source = np.stack([found["SourceOffsetX"], found["SourceOffsetY"], sod], axis=1)
-        right, up = (found[f"ProjectionOffset{axis}"] for axis in "XY")
+        source = np.stack([numbers["SourceOffsetX"], numbers["SourceOffsetY"], sod], axis=1)
+        right, up = (numbers[f"ProjectionOffset{axis}"] for axis in "XY")
         detector = np.stack([right + beside[0], up + beside[1], sod - sdd], axis=1)
         points = (np.einsum("vij,vi->vj", axes, at) for at in (source, detector))
         return _made(self.path, facts, panel, *points, axes[:, 0], axes[:, 1])
@@ -232,15 +232,15 @@ def _rtk_numbers(path: Path) -> dict[str, Floats]:
     shared = {child.tag: child.text or "" for child in root if child.tag != "Projection"}
     rows: list[dict[str, float]] = []
     for view, projection in enumerate(projections):
-        told = shared | {child.tag: child.text or "" for child in projection}
+        values = shared | {child.tag: child.text or "" for child in projection}
         known = (*_RTK_NEEDED, *_RTK_FREE, *_RTK_OTHERS)
-        if missing := [name for name in _RTK_NEEDED if name not in told]:
+        if missing := [name for name in _RTK_NEEDED if name not in values]:
             raise InputError(f"{path}: projection {view} has no {', '.join(missing)}")
-        if other := [n for n in told if n not in known and told[n].strip() not in ("", "0")]:
+        if other := [n for n in values if n not in known and values[n].strip() not in ("", "0")]:
             raise InputError(f"{path}: projection {view}: {', '.join(other)} is not supported")
         row = dict.fromkeys(_RTK_FREE, 0.0)
         try:
-            row |= {k: number(told[k]) for k in (*_RTK_NEEDED, *_RTK_FREE) if k in told}
+            row |= {k: number(values[k]) for k in (*_RTK_NEEDED, *_RTK_FREE) if k in values}
         except ValueError as error:
             raise InputError(f"{path}: projection {view}: {error}") from None
         rows.append(row)
@@ -259,9 +259,9 @@ class OpenCt(Section):
         Raises:
             InputError: the file does not hold them, or they do not fit the images.
         """
-        told = read_openct(self.path)
+        description = read_openct(self.path)
         where = f"{self.path}: projections.matrices"
-        matrices, panel = told["matrices"], told["panel"]
+        matrices, panel = description["matrices"], description["panel"]
         facts.require(where, len(matrices), panel)
         to_pixels = np.linalg.inv(panel.mm_from_pixel)
         return views_of_matrices(where, to_pixels @ matrices, panel)
@@ -315,5 +315,5 @@ class Ctsimu(Section):
 
         geometry: ScanGeometry = load_ctsimu(self.path).geometry(believed=True)
         facts.require(f"{self.path}", len(geometry), geometry.panel)
-        told = f"{self.path.name}: {len(geometry)} views of a CTSimU scenario, as known, mm"
-        return Views(geometry, flip_rows=True, notes=(told,))
+        note = f"{self.path.name}: {len(geometry)} views of a CTSimU scenario, as known, mm"
+        return Views(geometry, flip_rows=True, notes=(note,))

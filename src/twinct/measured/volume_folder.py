@@ -104,9 +104,9 @@ class MeasuredVolume:
     def write_figures(self, folder: Path | None = None) -> None:
         """Write everything but the voxels, into the folder of the volume."""
         folder = folder or self.path
-        told = {"format": FORMAT, **asdict(self), "files": {VOLUME: file_digest(folder / VOLUME)}}
-        del told["path"]
-        write_json(folder / JUDGEMENT, plain(told))
+        data = {"format": FORMAT, **asdict(self), "files": {VOLUME: file_digest(folder / VOLUME)}}
+        del data["path"]
+        write_json(folder / JUDGEMENT, plain(data))
 
     @classmethod
     def read(cls, path: Path) -> MeasuredVolume:
@@ -115,16 +115,16 @@ class MeasuredVolume:
         Raises:
             InputError: the folder holds no such volume, or is damaged.
         """
-        told = read_json(path / JUDGEMENT)
+        data = read_json(path / JUDGEMENT)
         try:
-            if told.pop("format") != FORMAT:
+            if data.pop("format") != FORMAT:
                 raise ValueError("another format")
-            judged = told.pop("judgement")
+            judged = data.pop("judgement")
             numbers: dict[str, Any] = {k: np.nan if v is None else v for k, v in judged.items()}
             numbers["residual_by_view"] = tuple(judged["residual_by_view"])
-            told["residuals"] = tuple(told["residuals"])
+            data["residuals"] = tuple(data["residuals"])
             known = {one.name for one in fields(cls)} - {"path", "judgement"}
-            named = {key: value for key, value in told.items() if key in known}
+            named = {key: value for key, value in data.items() if key in known}
             return cls(**named, judgement=Judgement(**numbers), path=path)
         except (TypeError, KeyError, ValueError) as error:
             raise InputError(f"{path / JUDGEMENT}: not a measured volume: {error}") from None
@@ -191,36 +191,36 @@ def report_measured(path: str | Path, observers: Observers = ()) -> dict[str, Me
         InputError: there is no measured scan or no volume in the folder, or one is damaged.
     """
     folder = Folder(Path(path))
-    scan, kept = load_scan(folder.path), measured_volumes(folder.reconstructions)
-    if not kept:
+    scan, volumes = load_scan(folder.path), measured_volumes(folder.reconstructions)
+    if not volumes:
         raise InputError(f"{folder.path} holds no volume yet; 'twinct reconstruct' makes one")
     with (
         sole_owner(folder.lock),
         storage_errors(folder.path),
         audience_of(observers) as audience,
-        audience.stage("judge", len(kept)) as step,
+        audience.stage("judge", len(volumes)) as step,
     ):
         integrals = scan.line_integrals()
-        for name, one in kept.items():
+        for name, one in volumes.items():
             check_files(one.path)
             judged = judge_volume(
                 one.volume, scan.geometry(one.geometry), integrals, scan.bad_pixels
             )
             before = one.judgement
             of_halves = {key: getattr(before, key) for key in ("noise_per_mm", "consistency_rel")}
-            kept[name] = replace(one, judgement=replace(judged, **of_halves))
-            kept[name].write_figures()
+            volumes[name] = replace(one, judgement=replace(judged, **of_halves))
+            volumes[name].write_figures()
             step()
-        write_page(scan, folder, kept)
-    return kept
+        write_page(scan, folder, volumes)
+    return volumes
 
 
 def measured_volumes(folder: Path) -> dict[str, MeasuredVolume]:
     """Return the reconstructions in a folder by name; an absent folder has none."""
     if no_file(folder, folder=True):
         return {}
-    found = sorted(p for p in folder.iterdir() if (p / JUDGEMENT).is_file() and p.name[0] != ".")
-    return {path.name: MeasuredVolume.read(path) for path in found}
+    paths = sorted(p for p in folder.iterdir() if (p / JUDGEMENT).is_file() and p.name[0] != ".")
+    return {path.name: MeasuredVolume.read(path) for path in paths}
 
 
 def is_measured_scan(path: Path) -> bool:
@@ -268,7 +268,7 @@ def _half(scan: Scan, which: str, first: int, audience: Audience) -> Volume:
     return reconstruct(part, geometry=scan.geometry(which)[first::2], observers=audience)
 
 
-def write_page(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -> None:
+def write_page(scan: Scan, folder: Folder, volumes: Mapping[str, MeasuredVolume]) -> None:
     """Write ``report.html`` and ``metrics.json`` of all volumes of a measured scan."""
     columns = [
         MeasuredColumn(
@@ -284,7 +284,7 @@ def write_page(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -
             seconds=one.seconds,
             volume=one.volume,
         )
-        for one in kept.values()
+        for one in volumes.values()
     ]
     views = np.unique(np.linspace(0, len(scan) - 1, 4).round().astype(int))
     shown = [(int(view), scan.transmission[view]) for view in views]
@@ -298,27 +298,30 @@ def write_page(scan: Scan, folder: Folder, kept: Mapping[str, MeasuredVolume]) -
         columns,
         _predictions(folder.predictions),
     )
-    told = {
+    reconstructions = {
         one.name: {
             "in_words": one.in_words,
             "geometry": one.geometry,
             "seconds": one.seconds,
             "judgement": asdict(one.judgement),
         }
-        for one in kept.values()
+        for one in volumes.values()
     }
-    write_json(folder.metrics, plain({"views": len(scan), "truth": None, "reconstructions": told}))
+    write_json(
+        folder.metrics,
+        plain({"views": len(scan), "truth": None, "reconstructions": reconstructions}),
+    )
 
 
 def _predictions(folder: Path) -> list[tuple[str, Picture]]:
     """Return the predictions in a folder: in words, with their pictures."""
-    found = []
+    pictures = []
     for path in sorted(folder.glob("[!.]*/prediction.json")):
-        told = read_json(path)
+        data = read_json(path)
         words = (
-            f"{path.parent.name}: {told['in_words']}; residual {100 * told['residual_rel']:.2f} %"
+            f"{path.parent.name}: {data['in_words']}; residual {100 * data['residual_rel']:.2f} %"
         )
         picture = path.with_name("prediction.png")
         if not no_file(picture):
-            found.append((words, Picture(picture.read_bytes(), "image/png")))
-    return found
+            pictures.append((words, Picture(picture.read_bytes(), "image/png")))
+    return pictures

@@ -69,16 +69,16 @@ def noise_in_air(
     """
     if photons is not None:
         return KnownNoise(photons**-0.5, "photons")
-    found = air_noise(p, mask)
-    return None if found is None else KnownNoise(np.full(len(p), found), "air")
+    noise = air_noise(p, mask)
+    return None if noise is None else KnownNoise(np.full(len(p), noise), "air")
 
 
 def known_noise(
     p: NDArray[Any], mask: Mask | None, photons: NDArray[np.float64] | None
 ) -> KnownNoise | None:
     """Return what ``noise_in_air`` does; None also if air shows no noise."""
-    found = noise_in_air(p, mask, photons)
-    return found if photons is not None or (found and found.in_air[0] >= LEAST) else None
+    noise = noise_in_air(p, mask, photons)
+    return noise if photons is not None or (noise and noise.in_air[0] >= LEAST) else None
 
 
 def air_noise(p: NDArray[Any], mask: Mask | None) -> float | None:

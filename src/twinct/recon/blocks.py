@@ -28,9 +28,9 @@ class Blocks:
         """Numbers of filled blocks below each corner of blocks, (z + 1, y + 1, x + 1); or empty."""
         if not self.filled.size:
             return np.zeros((0, 0, 0), np.int32)
-        found = np.zeros([n + 1 for n in self.filled.shape], np.int32)
-        found[1:, 1:, 1:] = self.filled.cumsum(0, np.int32).cumsum(1).cumsum(2)
-        return found
+        table = np.zeros([n + 1 for n in self.filled.shape], np.int32)
+        table[1:, 1:, 1:] = self.filled.cumsum(0, np.int32).cumsum(1).cumsum(2)
+        return table
 
     @property
     def share(self) -> float:

@@ -82,18 +82,18 @@ def inverse(displacement: Displacement, points: Floats) -> Floats:
     Raises:
         InputError: it does not converge.
     """
-    found = points - displacement(points)
+    points_before = points - displacement(points)
     left, rest = np.arange(len(points)), np.zeros((0, 3))
     slopes = np.zeros((0, 3, 3))
     for step in range(MOST_STEPS):
-        rest = found[left] + displacement(found[left]) - points[left]
+        rest = points_before[left] + displacement(points_before[left]) - points[left]
         moving = ~(np.abs(rest).max(axis=1) < PRECISION_MM)
         left, rest = left[moving], rest[moving]
         if not len(left):
-            return found
+            return points_before
         fresh = step % STEPS_A_SLOPE == 0
-        slopes = jacobians(displacement, found[left]) if fresh else slopes[moving]
-        found[left] -= np.linalg.solve(slopes, rest[:, :, None])[:, :, 0]
+        slopes = jacobians(displacement, points_before[left]) if fresh else slopes[moving]
+        points_before[left] -= np.linalg.solve(slopes, rest[:, :, None])[:, :, 0]
     worst = int(np.abs(rest).max(axis=1).argmax())
     raise InputError(
         f"the displacement has no inverse near {_in_words(points[left[worst]])} mm: after "

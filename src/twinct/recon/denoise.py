@@ -80,15 +80,15 @@ def noise(x: Singles) -> float | None:
 
     # numpy releases the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
-        found = np.array(list(pool.map(judged, starts))).swapaxes(0, 1)
-    mean, variance = found[:2]
+        spreads = np.array(list(pool.map(judged, starts))).swapaxes(0, 1)
+    mean, variance = spreads[:2]
     if not np.ptp(mean) > 0:
         return None
     from skimage import filters as skimage_filters
 
     filters: Any = skimage_filters  # it comes without types
     threshold = filters.threshold_otsu(mean.ravel())
-    for least in (found[3], found[2]):
+    for least in (spreads[3], spreads[2]):
         inner = variance[least > threshold]
         if inner.size >= FEWEST_BLOCKS:
             return math.sqrt(max(float(np.percentile(inner, 25)), 0.0))

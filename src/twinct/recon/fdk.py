@@ -133,11 +133,11 @@ def _checked_circle(
             f"the mask leaves no pixel of view {view}; fdk needs pixels of every view"
         )
     try:
-        found = circular(geometry)
+        circle = circular(geometry)
     except InputError as error:
         raise InputError([*checks.problems, *error.problems]) from None
     checks.done()
-    return found
+    return circle
 
 
 def _weights(

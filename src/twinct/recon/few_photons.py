@@ -53,8 +53,8 @@ def integrals_of_photons(transmission: ArrayLike, photons: ArrayLike) -> Singles
     numbers = checks.photons(photons)
     checks.done()
     assert numbers is not None
-    found = np.empty_like(images)
-    for image, number, out in zip(images, numbers, found, strict=True):
+    integrals = np.empty_like(images)
+    for image, number, out in zip(images, numbers, integrals, strict=True):
         counts = image * number
         counts[counts <= EMPTY] = 0.0
         starved = scipy.ndimage.uniform_filter(counts, 3) < STARVED
@@ -62,7 +62,7 @@ def integrals_of_photons(transmission: ArrayLike, photons: ArrayLike) -> Singles
         if starved.any():
             counts, rays = _added_up(counts, starved, number)
         out[:] = -np.log((counts + 0.5) / rays)
-    return found
+    return integrals
 
 
 def _added_up(

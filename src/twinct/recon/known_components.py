@@ -243,8 +243,8 @@ def without_implants(
         behind = beam(volume)
     expected = A(volume) if surroundings is None else A(volume) + surroundings
     fit.go_on(behind, expected, coarse=False)
-    found = tuple(one.fitted() for one in fit.sought)
-    return WithoutImplants(fit.taken_out(behind, expected), volume, found)
+    fitted = tuple(one.fitted() for one in fit.sought)
+    return WithoutImplants(fit.taken_out(behind, expected), volume, fitted)
 
 
 def implant_bytes(voxels: int, pixels: int) -> int:
@@ -415,8 +415,8 @@ class _Fit:
         jacobian *= trust[..., None]
         rest = scipy.ndimage.gaussian_filter(rest, blur)
         jacobian = scipy.ndimage.gaussian_filter(jacobian, (blur, blur, 0))
-        told = np.abs(jacobian[..., :3]).sum(axis=-1) > 1e-4
-        return rest[told], jacobian[told]
+        sensitive = np.abs(jacobian[..., :3]).sum(axis=-1) > 1e-4
+        return rest[sensitive], jacobian[sensitive]
 
     def _behind(
         self, behind: Behind, view: int, box: Box

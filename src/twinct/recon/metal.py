@@ -163,9 +163,9 @@ def without_metal(
     ).array
     least = math.sqrt(bone * metal) if threshold is None else threshold
     voxels = np.flatnonzero(first >= np.float32(least))
-    found = voxels, least, float(first.max())
+    result = voxels, least, float(first.max())
     if not voxels.size:
-        return WithoutMetal(p, *found, *_NO_EXCESS)
+        return WithoutMetal(p, *result, *_NO_EXCESS)
     prior = _classified(first, tissue, bone)
     prior.flat[voxels] = tissue
     del first
@@ -177,9 +177,9 @@ def without_metal(
         raise InputError(
             f"every ray of {len(lost)} of {len(A)} views ({few}) passes through metal, so "
             f"nothing is left to replace it with: {voxels.size} of {solid.size} voxels attenuate "
-            f"by at least the threshold of {least:.3g} per mm, the densest by {found[-1]:.3g}"
+            f"by at least the threshold of {least:.3g} per mm, the densest by {result[-1]:.3g}"
         )
-    done = WithoutMetal(replaced, *found, *_NO_EXCESS)
+    done = WithoutMetal(replaced, *result, *_NO_EXCESS)
     if fit is False:
         return done
 
@@ -191,7 +191,7 @@ def without_metal(
 
 
 def _fitted(
-    found: WithoutMetal,
+    without: WithoutMetal,
     A: Projector,
     there: NDArray[np.bool_],
     integrals: MetalIntegrals,
@@ -206,7 +206,7 @@ def _fitted(
     density = float(excess[inner].mean() + tissue) / metal if inner.any() else None
     parts = scipy.ndimage.label(there)[0]
     thin = there & ~np.isin(parts, parts[surrounded])
-    done = replace(found, near=near, excess=excess, density_rel=density, thin=int(thin.sum()))
+    done = replace(without, near=near, excess=excess, density_rel=density, thin=int(thin.sum()))
     if done.as_named:
         np.minimum(excess, np.float32(metal - tissue), out=excess)
     return done

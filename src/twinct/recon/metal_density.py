@@ -81,8 +81,8 @@ def fitted_excess(
         (len(rays), voxels), forward, rmatvec=back, dtype=np.float32
     )
     damp = DAMPING * float(column)
-    found = scipy.sparse.linalg.lsqr(fit, rays, damp=damp, iter_lim=ITERATIONS)[0]
-    return np.flatnonzero(near), np.maximum(found, 0).astype(np.float32)
+    excess = scipy.sparse.linalg.lsqr(fit, rays, damp=damp, iter_lim=ITERATIONS)[0]
+    return np.flatnonzero(near), np.maximum(excess, 0).astype(np.float32)
 
 
 def _part(grid: VolumeGrid, box: tuple[slice, ...]) -> VolumeGrid:

@@ -115,13 +115,13 @@ def _steps(angles: Floats) -> tuple[Floats, bool]:
 
 
 def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
-    found: list[str] = []
+    problems: list[str] = []
 
     def bound(values: Floats, limit: float, unit: str, what: str) -> None:
         """Report the worst value if it exceeds the limit; ``what`` has a place for its view."""
         worst = int(np.abs(values).argmax())
         if not abs(values[worst]) <= limit:
-            found.append(
+            problems.append(
                 f"{what.format(worst)} is {abs(values[worst]):.3g} {unit}; "
                 f"at most {limit:.3g} {unit} is allowed"
             )
@@ -146,4 +146,4 @@ def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
         f"the deviation of the step after view {{}} from the mean step of {gaps.mean():.3g} deg"
     )
     bound(gaps - gaps.mean(), UNEVEN * abs(float(gaps.mean())), "deg", uneven)
-    return found
+    return problems

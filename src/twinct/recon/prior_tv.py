@@ -181,17 +181,17 @@ def prior_tv(
     checks.problems += prior_problems(prior, A.grid, start or Pose.identity())
     checks.done()
     require_memory(PRIOR_TV, A)
-    radius, told = regularisation, dict[str, Any]()
+    radius, extras = regularisation, dict[str, Any]()
     if radius is None:
         radius, source = _strength(A, p, known_photons, pixels)
-        told["regularisation"] = {"strength": radius, "from": source}
+        extras["regularisation"] = {"strength": radius, "from": source}
         if source and given is None:
             given = np.exp(-np.clip(p, 0.0, DARKEST))
     pose = registered(A, p, prior, start=start, mask=pixels)
     known, inside = _in_place(prior, pose, A.grid)
     before = KnownBefore(known, _seams(inside), share)
     del inside
-    found = minimised(
+    result = minimised(
         A,
         p,
         start_volume(A, known if x0 is None else x0, nonnegative),
@@ -204,7 +204,7 @@ def prior_tv(
         mask=pixels,
         callback=callback,
     )
-    return Volume(found.array, found.grid, {"world_from_prior": pose} | told)
+    return Volume(result.array, result.grid, {"world_from_prior": pose} | extras)
 
 
 def _strength(
@@ -297,13 +297,13 @@ def _solve(problem: Problem, settings: PriorTv) -> Volume:
     position, rotation = pose.to_euler()
     middle = volume.grid.world_from_grid.position
     there = prior.start.apply(pose.inverse().apply(middle))
-    told = {
+    prior_facts = {
         "position_mm": position.tolist(),
         "rotation_deg": rotation.tolist(),
         "moved_mm": float(np.linalg.norm(middle - there)),
         "turned_deg": pose.angle_deg(prior.start),
     }
-    return replace(volume, extras={**volume.extras, "prior": told})
+    return replace(volume, extras={**volume.extras, "prior": prior_facts})
 
 
 def _check(settings: PriorTv, views: ScanGeometry, grid: VolumeGrid) -> None:

@@ -68,11 +68,11 @@ class Comparison:
     def notes(self) -> list[str]:
         """Reasons why some figures cannot be compared."""
         first, *others = self.compared
-        found: list[str] = []
+        sentences: list[str] = []
         for one in others:
             both = f"{one.label} and {first.label}"
             if one.truth != first.truth:
-                found.append(
+                sentences.append(
                     f"{both} show different specimens: each is judged against its own truth, and "
                     "the image figures are not compared."
                 )
@@ -80,18 +80,18 @@ class Comparison:
                 first.reference,
                 f"{first.mu_reference:.6g}",
             ):
-                found.append(
+                sentences.append(
                     f"{both} are relative to different attenuations, {one.mu_reference:.4g} and "
                     f"{first.mu_reference:.4g} per mm of {one.reference} and {first.reference}: "
                     "compare shares, not attenuations."
                 )
             grids = (each.scenario.reconstruction.volume_grid for each in (one, first))
             if len({repr(grid) for grid in grids}) > 1:
-                found.append(f"{both} have different grids: each is judged in its own voxels.")
+                sentences.append(f"{both} have different grids: each is judged in its own voxels.")
             versions = [str(each.metrics.get("twinct_version")) for each in (one, first)]
             if versions[0] != versions[1]:
-                found.append(f"{both} were made by twinct {' and '.join(versions)}.")
-        return found + reasons({one.label: one.image for one in self.compared})
+                sentences.append(f"{both} were made by twinct {' and '.join(versions)}.")
+        return sentences + reasons({one.label: one.image for one in self.compared})
 
     def write(self, path: Path) -> None:
         """Write the page, completely or not at all.
@@ -149,13 +149,13 @@ def _keys_of(scenario: Scenario) -> dict[str, Any]:
 
 def flat(data: Mapping[str, Any], key: str = "") -> dict[str, Any]:
     """Flatten nested keys to dotted ones. Lists of sections get indices; other lists stay lists."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, value in data.items():
         inner = f"{key}{name}"
         if isinstance(value, list) and value and all(isinstance(v, dict) for v in value):
             value = {str(index): item for index, item in enumerate(value)}
-        found |= flat(value, f"{inner}.") if isinstance(value, dict) else {inner: value}
-    return found
+        entries |= flat(value, f"{inner}.") if isinstance(value, dict) else {inner: value}
+    return entries
 
 
 class Row(NamedTuple):
@@ -257,10 +257,10 @@ def _pictures(compared: Sequence[Compared]) -> list[tuple[str, str]]:
     every = [s for one in compared for s in one.slices.values() if s is not None]
     looks = windows(every, first.mu_reference)
     truth = f"truth of {first.label}" if len({one.truth for one in compared}) > 1 else "truth"
-    found: list[tuple[str, str]] = []
+    pictures: list[tuple[str, str]] = []
     for name, section in first.slices.items():
         assert section is not None
         columns = {one.label: one.slices[name] for one in compared}
         picture = side_by_side(columns, truth, looks)
-        found.append((f"{name}, {section.position}", picture.data_uri))
-    return found
+        pictures.append((f"{name}, {section.position}", picture.data_uri))
+    return pictures

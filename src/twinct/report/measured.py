@@ -23,21 +23,21 @@ Columns = Mapping[str, Mapping[str, Any]]
 
 def nested(data: Mapping[str, Any], dotted: str) -> Any:
     """Return the value at a dotted name; None if there is none, as in figures of older versions."""
-    found: Any = data
+    value: Any = data
     for name in dotted.split("."):
-        found = found.get(name) if isinstance(found, Mapping) else None
-    return found
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return value
 
 
 def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Figure, list[Any]]]:
     """Return place and display of each measurement, with a value or None for each volume."""
     rows: list[tuple[str, Figure, list[Any]]] = []
     for kind in figure_kinds().values():
-        of = (told.get(kind.name) or () for told in columns.values())
+        of = (figures.get(kind.name) or () for figures in columns.values())
         for name in dict.fromkeys(chain.from_iterable(of)):
             for one in kind.figures:
                 key = f"{kind.name}.{name}.{one.key}"
-                values = [nested(told, key) for told in columns.values()]
+                values = [nested(figures, key) for figures in columns.values()]
                 where = name.replace("_against_", " against ")
                 rows.append((where, one.relative_to(reference), values))
     return rows
@@ -45,21 +45,21 @@ def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Figure, l
 
 def reasons(columns: Columns) -> list[str]:
     """Return sentences that say why figures have no value."""
-    found: list[str] = []
-    for name, told in columns.items():
-        signal = told.get("signal_rel")
+    sentences: list[str] = []
+    for name, figures in columns.items():
+        signal = figures.get("signal_rel")
         if signal is None:
-            found.append(
+            sentences.append(
                 f"{name}: its signal is unknown, as an earlier version of twinct judged it, or its "
                 "region holds no object."
             )
         elif not has_signal(signal):
-            found.append(
+            sentences.append(
                 f"{name}: the volume has no signal ({100 * signal:.1f} % of the truth's contrast; "
                 f"at least {100 * LEAST_SIGNAL:g} % counts), so figures that would reward an empty "
                 "volume have no value."
             )
-    return found
+    return sentences
 
 
 def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None:
@@ -70,8 +70,8 @@ def depth_picture(columns: Columns, edges_mm: Sequence[float]) -> Picture | None
 
     lines = {
         name: [100 * value if value is not None else np.nan for value in by_depth.values()]
-        for name, told in columns.items()
-        if (by_depth := told.get("rmse_rel_by_depth"))
+        for name, figures in columns.items()
+        if (by_depth := figures.get("rmse_rel_by_depth"))
     }
     if not lines:
         return None
@@ -107,8 +107,8 @@ def curves_picture(columns: Columns, kind: str, key: str, label: str) -> Picture
 
     lines = {
         f"{place}, {name}" if len(columns) > 1 else place: (curve["frequency_per_mm"], curve[key])
-        for name, told in columns.items()
-        for place, curve in (told.get(kind) or {}).items()
+        for name, figures in columns.items()
+        for place, curve in (figures.get(kind) or {}).items()
         if curve.get(key)
     }
     if not lines:

@@ -29,31 +29,31 @@ class MeasuredComparison(Comparison):
     def notes(self) -> list[str]:
         """Reasons why some figures cannot be compared."""
         first, *others = self.compared
-        found: list[str] = []
+        sentences: list[str] = []
         for one in others:
             both = f"{one.label} and {first.label}"
             if one.truth != first.truth:
-                found.append(
+                sentences.append(
                     f"{both} are volumes of different images: their residuals have no common scale."
                 )
             grids = (each.scenario.reconstruction.volume_grid for each in (one, first))
             if len({repr(grid) for grid in grids}) > 1:
-                found.append(f"{both} have different grids: each is judged in its own voxels.")
-        return found
+                sentences.append(f"{both} have different grids: each is judged in its own voxels.")
+        return sentences
 
     def tables(self) -> dict[str, list[Row]]:
         """Return the rows of figures that need no truth, and of the seconds."""
         alike = [one.truth == self.compared[0].truth for one in self.compared]
         rows = [
             row_of(
-                told.title,
-                told.unit,
+                figure.title,
+                figure.unit,
                 [one.image.get(key) for one in self.compared],
-                partial(fixed, digits=told.digits, factor=told.factor),
-                told.meaning,
+                partial(fixed, digits=figure.digits, factor=figure.factor),
+                figure.meaning,
                 alike,
             )
-            for key, told in FIGURES.items()
+            for key, figure in FIGURES.items()
         ]
         seconds = [row for row in time_rows(self.compared) if row.title == "reconstruction"]
         return {"What can be judged": rows, "Time": seconds}

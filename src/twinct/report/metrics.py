@@ -95,14 +95,16 @@ def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, A
 
     Skip curves, and keys that only one of them has.
     """
-    found: dict[str, Any] = {}
+    differences: dict[str, Any] = {}
     for name in one.keys() & other.keys():
         a, b = one[name], other[name]
         if isinstance(a, Mapping) and isinstance(b, Mapping):
-            found[name] = _difference(a, b)
+            differences[name] = _difference(a, b)
         elif isinstance(a, float) and isinstance(b, float):
-            found[name] = a - b
-    return {name: found[name] for name in one if name in found and found[name] != {}}
+            differences[name] = a - b
+    return {
+        name: differences[name] for name in one if name in differences and differences[name] != {}
+    }
 
 
 def plain(value: Any) -> Any:

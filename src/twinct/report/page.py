@@ -96,7 +96,8 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         reference=report.reference,
         image_columns=[*columns, *beside],
         image_rows=[
-            (one, [nested(told, one.key) for told in (columns | beside).values()]) for one in shown
+            (one, [nested(figures, one.key) for figures in (columns | beside).values()])
+            for one in shown
         ],
         lead=[(one, nested(metrics["image"], one.key)) for one in shown if one.key in LEAD],
         reasons=reasons(columns),
@@ -117,7 +118,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
 def _implants(metrics: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
     """Return the known implants that were located, each with the name of its reconstruction."""
     of_all = {"main reconstruction": metrics} | dict(metrics.get("reconstructions", {}))
-    return [(name, one) for name, told in of_all.items() for one in told.get("implants", ())]
+    return [(name, one) for name, results in of_all.items() for one in results.get("implants", ())]
 
 
 def stage_title(name: str) -> str:
@@ -135,11 +136,11 @@ def _columns(report: ReportData) -> dict[str, Any]:
 
 def _beside(report: ReportData) -> dict[str, Any]:
     """Return further columns: the cost of the poses' errors, and the figures of an empty volume."""
-    found = {
+    results = {
         "believed − executed": report.metrics.get("believed_minus_executed"),
         "empty volume": report.metrics["image"].get("zero"),
     }
-    return {title: told for title, told in found.items() if told}
+    return {title: figures for title, figures in results.items() if figures}
 
 
 def draw_pictures(report: ReportData) -> Pictures:

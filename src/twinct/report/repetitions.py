@@ -99,13 +99,13 @@ class Combination:
 
 def combinations(trials: Iterable[StudyTrial], labels: Sequence[str]) -> list[Combination]:
     """Group trials by their values on the axes, in the order of the first trials."""
-    found: dict[tuple[str, ...], list[StudyTrial]] = {}
+    groups: dict[tuple[str, ...], list[StudyTrial]] = {}
     for one in sorted(trials, key=lambda one: one.trial):
         keys = tuple(json.dumps(one.axes.get(label), sort_keys=True) for label in labels)
-        found.setdefault(keys, []).append(one)
+        groups.setdefault(keys, []).append(one)
     return [
         Combination(tuple(same[0].axes.get(label) for label in labels), keys, tuple(same))
-        for keys, same in found.items()
+        for keys, same in groups.items()
     ]
 
 
@@ -149,9 +149,9 @@ def numeric(values: Iterable[Any]) -> bool:
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 
 
-def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
+def trend(combinations: Sequence[Combination], axis: int, figure: str) -> Trend:
     """Return a figure over one axis, given by its place among all axes."""
-    having = [one for one in found if one.values_of(figure)]
+    having = [one for one in combinations if one.values_of(figure)]
     on_axis = [one for one in having if one.values[axis] is not None]
     by_value: dict[str, list[Combination]] = {}
     for one in on_axis:
@@ -182,13 +182,13 @@ def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
         lines = [((), [(c[0].values[axis], _average(c, figure)) for c in by_value.values()])]
     elif not many:
         for same in by_others.values():
-            told = tuple(same[0].values[place] for place in others)
-            lines.append((told, [(c.values[axis], c.mean(figure)) for c in same]))
+            points = tuple(same[0].values[place] for place in others)
+            lines.append((points, [(c.values[axis], c.mean(figure)) for c in same]))
     cloud: list[tuple[Any, float]] = []
     if many or averaged:
         every = -(-len(on_axis) // MOST_DOTS)
-        told = [(c.values[axis], c.values_of(figure).values()) for c in on_axis[::every]]
-        cloud = [(x, sum(value for _, value in of) / len(of)) for x, of in told]
+        points = [(c.values[axis], c.values_of(figure).values()) for c in on_axis[::every]]
+        cloud = [(x, sum(value for _, value in of) / len(of)) for x, of in points]
     return Trend(
         values=values,
         lines=lines,
@@ -202,12 +202,12 @@ def trend(found: Sequence[Combination], axis: int, figure: str) -> Trend:
     )
 
 
-def _average(found: Sequence[Combination], figure: str) -> Mean:
+def _average(combinations: Sequence[Combination], figure: str) -> Mean:
     """Average over combinations, then over their common seeds.
 
     Differences between combinations are no uncertainty; only the averages of the seeds show it.
     """
-    by_seed = [one.values_of(figure) for one in found]
+    by_seed = [one.values_of(figure) for one in combinations]
     seeds = set(by_seed[0]).intersection(*by_seed[1:])
     if seeds:
         return mean_of(

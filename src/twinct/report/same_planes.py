@@ -52,7 +52,7 @@ def planes_through(
     low, high = (
         np.clip(f(axis=0), centre - half, centre + half) for f in (corners.min, corners.max)
     )
-    found: dict[str, Plane] = {}
+    planes: dict[str, Plane] = {}
     for name, normal in PLANES.items():
         axis = 2 - normal
         # The middle voxel, or the upper one of two.
@@ -61,8 +61,8 @@ def planes_through(
         layer = layer_of(plane, grid)
         if layer is None or not hit(layer):
             plane = plane._replace(place_mm=float((low[axis] + high[axis]) / 2))
-        found[name] = plane
-    return found
+        planes[name] = plane
+    return planes
 
 
 def layer_of(plane: Plane, grid: VolumeGrid) -> VolumeGrid | None:

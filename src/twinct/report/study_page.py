@@ -125,23 +125,23 @@ def write_study(path: Path, study: StudyData) -> None:
 
 def render_study(study: StudyData) -> str:
     """Return the page as HTML text: images inline, no script, no external resources."""
-    found = study.combinations
+    combinations = study.combinations
     words = {name: figure_words(name, study.reference) for name in study.figures}
     done = [one for one in study.trials if one.done]
     failures = _failures(study.trials)
-    ranking = _best(study, found)
+    ranking = _best(study, combinations)
     place = {id(of): place for place, (_, of) in enumerate(ranking)}
-    chosen = found
-    if len(found) > MOST_ROWS and ranking:
-        chosen = sorted(found, key=lambda one: place.get(id(one), len(found)))
+    chosen = combinations
+    if len(combinations) > MOST_ROWS and ranking:
+        chosen = sorted(combinations, key=lambda one: place.get(id(one), len(combinations)))
     return rendered(
         "study.html",
         study=study,
         varied=[_varied(axis, study.trials) for axis in study.axes],
         done=len(done),
         failed=len(study.trials) - len(done),
-        combinations=found,
-        repetitions=max((len(one.trials) for one in found), default=0),
+        combinations=combinations,
+        repetitions=max((len(one.trials) for one in combinations), default=0),
         ranked=bool(ranking),
         words=words,
         missing=[
@@ -149,7 +149,7 @@ def render_study(study: StudyData) -> str:
             for name, shown in words.items()
             if not any(one.done and one.figures.get(name) is not None for one in study.trials)
         ],
-        trends=[(words[name], _pictures(study, found, name, words[name])) for name in words],
+        trends=[(words[name], _pictures(study, combinations, name, words[name])) for name in words],
         columns=_digits(chosen[:MOST_ROWS], words),
         rows=[_row(study, one) for one in chosen[:MOST_ROWS]],
         linked=any(one.report for one in study.trials),
@@ -161,7 +161,9 @@ def render_study(study: StudyData) -> str:
     )
 
 
-def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTrial, Combination]]:
+def _best(
+    study: StudyData, combinations: Iterable[Combination]
+) -> list[tuple[StudyTrial, Combination]]:
     """Return the best repetition of each combination, the best combination first."""
     if not study.figures:
         return []
@@ -170,12 +172,12 @@ def _best(study: StudyData, found: Iterable[Combination]) -> list[tuple[StudyTri
     if not best:
         return []
     worse = BADNESS[best]
-    ranked = [(one.mean(first).mean, one) for one in found]
+    ranked = [(one.mean(first).mean, one) for one in combinations]
     ranked = sorted(
         ((worse(mean), one) for mean, one in ranked if mean is not None), key=lambda pair: pair[0]
     )
     return [
-        (min(one.values_of(first).values(), key=lambda told: worse(told[1]))[0], one)
+        (min(one.values_of(first).values(), key=lambda result: worse(result[1]))[0], one)
         for _, one in ranked
     ]
 
@@ -203,12 +205,12 @@ class _Trend(NamedTuple):
 
 
 def _pictures(
-    study: StudyData, found: Sequence[Combination], name: str, words: Figure
+    study: StudyData, combinations: Sequence[Combination], name: str, words: Figure
 ) -> list[_Trend]:
     """Draw a figure over each axis that has at least two values."""
     pictures: list[_Trend] = []
     for index, axis in enumerate(study.axes):
-        shown = trend(found, index, name)
+        shown = trend(combinations, index, name)
         if len(shown.values) < 2:
             continue
         others, along = (
@@ -233,12 +235,12 @@ def _pictures(
 
 
 def _digits(
-    found: Sequence[Combination], words: Mapping[str, Figure]
+    combinations: Sequence[Combination], words: Mapping[str, Figure]
 ) -> list[tuple[str, Figure, int]]:
     """Return the figures with the digits that show two places of a typical interval."""
     columns: list[tuple[str, Figure, int]] = []
     for name, shown in words.items():
-        halves = [half for one in found if (half := one.mean(name).half)]
+        halves = [half for one in combinations if (half := one.mean(name).half)]
         digits = shown.digits
         if halves:
             places = 1 - math.floor(math.log10(shown.factor * float(np.median(halves))))

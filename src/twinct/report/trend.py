@@ -69,7 +69,7 @@ def trend_picture(
 
         if shown.cloud:
             _draw_dots(axes, placed(shown.cloud), [factor * mean for _, mean in shown.cloud])
-        for index, (told, line) in enumerate(shown.lines):
+        for index, (keys, line) in enumerate(shown.lines):
             y, half = (
                 factor * np.array([np.nan if v is None else v for v in column], dtype=np.float64)
                 for column in zip(*[mean[:2] for _, mean in line], strict=True)
@@ -77,7 +77,7 @@ def trend_picture(
             style: dict[str, Any] = {"color": _COLOURS[index], "marker": _MARKERS[index], "ms": 4}
             style |= {"ls": "-" if numbers and shown.joined else "none", "lw": 1.1}
             style |= {"capsize": 2.5, "elinewidth": 1}
-            style["label"] = textwrap.shorten(", ".join(map(in_words, told)), 44, placeholder=" …")
+            style["label"] = textwrap.shorten(", ".join(map(in_words, keys)), 44, placeholder=" …")
             bars = axes.errorbar(placed(line), y, half, **style)
             # Bars at the same value stand side by side, whatever the scale of the axis.
             shift = (index - (many - 1) / 2) * (3 if numbers else 8) / 72

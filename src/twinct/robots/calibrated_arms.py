@@ -212,9 +212,9 @@ def require_same_arms(
 
 def _change(data: Mapping[str, Any], joints: int) -> Change:
     shapes = {"links": (joints, 6), "tool": (6,), "compliance": (joints,), "gear": (joints, 2)}
-    found = Change(**{name: np.array(data[name], float) for name in shapes})
+    change = Change(**{name: np.array(data[name], float) for name in shapes})
     for name, shape in shapes.items():
-        array = getattr(found, name)
+        array = getattr(change, name)
         if array.shape != shape or not np.isfinite(array).all():
             raise ValueError(f"{name}: {shape} finite numbers are needed")
-    return found
+    return change

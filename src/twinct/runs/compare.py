@@ -38,13 +38,13 @@ def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Compari
         InputError: folders without a finished run or listed twice, each with its name; or fewer
             than two folders.
     """
-    found = _entries([Path(folder) for folder in folders])
-    labels = _labels(found)
+    entries = _entries([Path(folder) for folder in folders])
+    labels = _labels(entries)
     specimens: dict[str, BuiltSpecimen] = {}
     planes: dict[str, Plane] = {}
     compared: list[Compared] = []
-    with audience_of(observers) as audience, audience.stage("slices", len(found)) as step:
-        for entry, label in zip(found, labels, strict=True):
+    with audience_of(observers) as audience, audience.stage("slices", len(entries)) as step:
+        for entry, label in zip(entries, labels, strict=True):
             bodies = specimen_digest(entry.scenario)
             if bodies not in specimens:
                 specimens[bodies] = SimulationBuilder(entry.scenario).specimen
@@ -78,40 +78,46 @@ def _entries(paths: Sequence[Path]) -> list[_Entry]:
     Raises:
         InputError: one sentence for each folder that cannot be compared.
     """
-    found: dict[Path, _Entry] = {}
+    entries: dict[Path, _Entry] = {}
     problems: list[str] = []
     for path in paths:
         try:
-            if path.resolve() in found:
+            if path.resolve() in entries:
                 raise InputError(f"{path}: given twice; each folder is compared once")
-            found[path.resolve()] = _entry(path)
+            entries[path.resolve()] = _entry(path)
         except InputError as error:
             problems += error.problems
     if len(paths) < 2:
         problems += [f"{counted(len(paths), 'folder')}: at least two are needed{_advice(paths)}"]
     if problems:
         raise InputError(problems)
-    return list(found.values())
+    return list(entries.values())
 
 
 def _advice(paths: Sequence[Path]) -> str:
-    beside = sorted(str(kept) for path in paths for kept in path.glob("reconstructions/[!.]*"))
+    beside = sorted(
+        str(path_beside) for path in paths for path_beside in path.glob("reconstructions/[!.]*")
+    )
     return f"; its reconstructions are {', '.join(beside)}" if beside else ""
 
 
 def _entry(path: Path) -> _Entry:
-    kept = None
+    reconstruction = None
     folder = path.resolve()
     if folder.parent.name == "reconstructions":
         check_files(path)
-        kept, folder = Reconstruction.read(path), folder.parents[1]
-    run = finished_run(Folder(folder if kept else path))
+        reconstruction, folder = Reconstruction.read(path), folder.parents[1]
+    run = finished_run(Folder(folder if reconstruction else path))
     run = Run(run.scenario, run.paths)  # drops the volume that finished_run has read
     _ = run.figures  # reports unreadable figures now
-    if kept is None:
+    if reconstruction is None:
         return _Entry(path, run, run.scenario)
-    section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
-    return _Entry(path, run, run.scenario.model_copy(update={"reconstruction": section}), kept)
+    section = SECTIONS[str(reconstruction.settings["algorithm"])].model_validate(
+        dict(reconstruction.settings)
+    )
+    return _Entry(
+        path, run, run.scenario.model_copy(update={"reconstruction": section}), reconstruction
+    )
 
 
 def _labels(entries: Sequence[_Entry]) -> list[str]:
@@ -131,7 +137,7 @@ def _compared(
     """Cut a volume along the planes; choose the planes if there are none yet."""
     from twinct.xray.build import effective_energy_kev
 
-    scenario, run, kept = entry.scenario, entry.run, entry.reconstruction
+    scenario, run, reconstruction = entry.scenario, entry.run, entry.reconstruction
     energy = effective_energy_kev(scenario.source, scenario.detector)
     scan, grid = run.scan, scenario.reconstruction.volume_grid
     stands = scan.stands
@@ -160,11 +166,13 @@ def _compared(
         path=str(entry.path),
         scenario=scenario,
         metrics=metrics,
-        image=plain(kept.figures.as_dict()) if kept else metrics["image"],
-        in_words=kept.description
-        if kept
+        image=plain(reconstruction.figures.as_dict()) if reconstruction else metrics["image"],
+        in_words=reconstruction.description
+        if reconstruction
         else with_results(scenario.reconstruction.in_words, metrics),
-        seconds={"reconstruction": kept.seconds} if kept else metrics["seconds"],
+        seconds={"reconstruction": reconstruction.seconds}
+        if reconstruction
+        else metrics["seconds"],
         slices=slices,
         mu_reference=specimen.reference_mu(energy),
         reference=specimen.reference_name,

@@ -24,8 +24,8 @@ class Figures(dict[str, Any]):
     @property
     def image_by_geometry(self) -> dict[str, ImageFigures]:
         """Figures of the volume from each geometry; empty for one geometry."""
-        told = self.get("image_by_geometry", {})
-        return {name: _image_figures(values) for name, values in told.items()}
+        figures = self.get("image_by_geometry", {})
+        return {name: _image_figures(values) for name, values in figures.items()}
 
     @property
     def pose_error(self) -> dict[str, dict[str, dict[str, float]]]:

@@ -140,10 +140,12 @@ class Folder:
         """Return True if a run was judged with the section ``evaluation`` of a scenario."""
         if not self.scenario.is_file():
             return True
-        told = read_file(self.scenario, "scenario").value
-        told = cast("dict[str, Any]", told).get("evaluation") if isinstance(told, dict) else None
-        asked = scenario.evaluation
-        return told == (asked and asked.model_dump(mode="json"))
+        stored = read_file(self.scenario, "scenario").value
+        stored = (
+            cast("dict[str, Any]", stored).get("evaluation") if isinstance(stored, dict) else None
+        )
+        requested = scenario.evaluation
+        return stored == (requested and requested.model_dump(mode="json"))
 
     def volume_digest(self, scenario: Scenario) -> str:
         """Return the digest of all inputs of the volume, derived geometries included."""

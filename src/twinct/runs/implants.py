@@ -75,10 +75,10 @@ class WithoutImplants:
         from twinct.specimen.voxels import volume_fractions
 
         array = np.array(volume.array)
-        for one, found in zip(self.known, self.fitted, strict=True):
+        for one, fitted in zip(self.known, self.fitted, strict=True):
             body, mu = one.implant.body, one.material.mu_per_mm(self.energy_kev)
             share = volume_fractions(
-                body.vertices, body.faces, volume.grid, found.world_from_implant
+                body.vertices, body.faces, volume.grid, fitted.world_from_implant
             )
             inside = np.flatnonzero(share)
             array.flat[inside] += share.flat[inside] * (mu - array.flat[inside])
@@ -92,15 +92,15 @@ class WithoutImplants:
         rotations about the implant's own axes.
         """
         specimen_from_world = self.world_from_specimen.inverse()
-        told: list[dict[str, Any]] = []
-        for one, found in zip(self.known, self.fitted, strict=True):
-            pose, believed = found.world_from_implant, one.implant.world_from_implant
+        entries: list[dict[str, Any]] = []
+        for one, fitted in zip(self.known, self.fitted, strict=True):
+            pose, believed = fitted.world_from_implant, one.implant.world_from_implant
             of_specimen = specimen_from_world @ pose
             position, rotation = of_specimen.to_euler()
             turn = of_specimen.rotation  # the covariance is in the implant's axes
-            along = np.diag(turn @ found.covariance[:3, :3] @ turn.T)
-            about = np.diag(found.covariance)[3:]
-            told.append(
+            along = np.diag(turn @ fitted.covariance[:3, :3] @ turn.T)
+            about = np.diag(fitted.covariance)[3:]
+            entries.append(
                 {
                     "name": one.name,
                     "position_mm": position.tolist(),
@@ -109,11 +109,11 @@ class WithoutImplants:
                     "turned_deg": pose.angle_deg(believed),
                     "position_sigma_mm": np.sqrt(along).tolist(),
                     "rotation_sigma_deg": np.degrees(np.sqrt(about)).tolist(),
-                    "density_rel": found.density,
-                    "slack_mm": float(np.sqrt(np.square(found.slack).sum(axis=1).mean())),
+                    "density_rel": fitted.density,
+                    "slack_mm": float(np.sqrt(np.square(fitted.slack).sum(axis=1).mean())),
                 }
             )
-        return told
+        return entries
 
 
 def without_implants_of(
@@ -209,14 +209,18 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[ImplantMo
     parts = {part.label: part for part in scenario.specimen.parts}
     problems: list[str] = []
     known: list[ImplantModels] = []
-    for i, told in enumerate(section.implants):
+    for i, implant in enumerate(section.implants):
         key = f"{_KEY}.implants.{i}"
-        if told.part and told.part not in parts and None in (told.shape, told.position_mm):
+        if (
+            implant.part
+            and implant.part not in parts
+            and None in (implant.shape, implant.position_mm)
+        ):
             problems.append(
-                f"{key}.part: no part is called {quoted(told.part)}; choose from {[*parts]}"
+                f"{key}.part: no part is called {quoted(implant.part)}; choose from {[*parts]}"
             )
             continue
-        part: Part = told.described_by(parts.get(told.part))
+        part: Part = implant.described_by(parts.get(implant.part))
         name = part.name or f"implant {i}"
         try:
             substance = material(part.material, f"{key}.material")
@@ -258,8 +262,8 @@ def check_implants(scenario: Scenario, section: KnownImplants, views: ScanGeomet
             )
     A = Projector(views, scenario.reconstruction.volume_grid)
     names = [one.name for one in known]
-    found = outside(A, [one.implant for one in known], names)
-    if problems := problems + [f"{_KEY}: {problem}" for problem in found]:
+    too_far = outside(A, [one.implant for one in known], names)
+    if problems := problems + [f"{_KEY}: {problem}" for problem in too_far]:
         raise InputError(problems)
 
 

@@ -139,14 +139,14 @@ def materials_of(section: BeamHardening) -> list[Material]:
     from twinct.specimen.materials import material
 
     names = ("material",) if section.kind == "one_material" else ("base", "dense")
-    found: list[Material] = []
+    materials: list[Material] = []
     problems: list[str] = []
     for name in names:
         if (described := getattr(section, name)) is not None:
             try:
-                found.append(material(described, f"{_KEY}.{name}"))
+                materials.append(material(described, f"{_KEY}.{name}"))
             except InputError as error:
                 problems += error.problems
     if problems:
         raise InputError(problems)
-    return found
+    return materials

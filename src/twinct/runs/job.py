@@ -268,13 +268,15 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
 
 def _judge_others(run: Run, builder: SimulationBuilder, audience: Audience) -> None:
     """Judge the further reconstructions of a run, too."""
-    for kept in stored_reconstructions(run.paths.reconstructions).values():
-        section = SECTIONS[str(kept.settings["algorithm"])].model_validate(dict(kept.settings))
+    for reconstruction in stored_reconstructions(run.paths.reconstructions).values():
+        section = SECTIONS[str(reconstruction.settings["algorithm"])].model_validate(
+            dict(reconstruction.settings)
+        )
         scenario = run.scenario.model_copy(update={"reconstruction": section})
         scan = replace(run.scan, scenario=scenario)
         of_it = replace(builder, scenario=scenario, given_specimen=builder.specimen)
         truth = truth_of(scan, of_it, audience, file=run.paths.truth)
-        kept.write_figures(judge(scan, kept.volume, truth, builder.specimen))
+        reconstruction.write_figures(judge(scan, reconstruction.volume, truth, builder.specimen))
 
 
 def _prepare(
@@ -394,5 +396,5 @@ def _note_of_0_1(store: ScanStore, folder: Folder) -> str | None:
     """Return the note of a run of version 0.1, with its older digest; None for later versions."""
     if store.digest_0_1 is None:
         return None
-    told = read_file(folder.scenario, "scenario").value
-    return f"twinct {volume_digest(store.digest_0_1, told['reconstruction'])[:32]}"
+    scenario = read_file(folder.scenario, "scenario").value
+    return f"twinct {volume_digest(store.digest_0_1, scenario['reconstruction'])[:32]}"

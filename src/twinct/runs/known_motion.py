@@ -146,13 +146,13 @@ def deformations(
     state = Breath(known.phase)
     held = believed.deformation(state, world_from_specimen)
     rests = believed.displacement.rests(state)
-    found: dict[Breath, Deformation | Between] = {}
+    results: dict[Breath, Deformation | Between] = {}
     states = [believed.at(float(t) - known.delay_s) for t in times_s]
     for state in states:
-        if state not in found:
+        if state not in results:
             now = believed.deformation(state, world_from_specimen)
-            found[state] = now if rests else Between(now, held)
-    return [found[state] for state in states]
+            results[state] = now if rests else Between(now, held)
+    return [results[state] for state in states]
 
 
 def moving_voxels(
@@ -164,12 +164,12 @@ def moving_voxels(
     nodes = step * np.indices(counts).reshape(3, -1)[::-1].T
     points = nodes @ grid.affine[:3, :3].T + grid.affine[:3, 3]
     ways = motion.displacements_mm(world_from_specimen.inverse().apply(points)).reshape(counts)
-    found = np.empty(grid.shape, np.bool_)
+    moving = np.empty(grid.shape, np.bool_)
     rows = np.indices(grid.shape[1:]) / step
     for k in range(grid.shape[0]):
         at = np.stack([np.full(grid.shape[1:], k / step), *rows])
-        found[k] = scipy.ndimage.map_coordinates(ways, at, order=1) >= MOVING_MM
-    return found
+        moving[k] = scipy.ndimage.map_coordinates(ways, at, order=1) >= MOVING_MM
+    return moving
 
 
 def moving_figures(

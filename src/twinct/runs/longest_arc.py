@@ -49,15 +49,15 @@ def _longest(builder: SimulationBuilder, lost: set[int], most_views: int | None)
     section = builder.scenario.trajectory
     if section.kind != "circle" or not isinstance(section, OrbitSettings):
         return None
-    count, kept = section.views, section.model_dump(mode="json", exclude={"kind", "views"})
-    if any(isinstance(kept[key], list) for key in ("sod_mm", "sdd_mm")):
+    count, keys = section.views, section.model_dump(mode="json", exclude={"kind", "views"})
+    if any(isinstance(keys[key], list) for key in ("sod_mm", "sdd_mm")):
         return None  # distances that change along the circle
     stretches = _stretches(lost, count)
     for _ in range(TRIES):
         stretch = max(stretches, key=len, default=range(0))
         if len(stretch) < SHORTEST:
             return None
-        arc = _arc(kept, stretch, count)
+        arc = _arc(keys, stretch, count)
         passed = np.arange(len(stretch))
         if most_views is not None and len(stretch) > most_views:
             passed = np.linspace(0, len(stretch) - 1, most_views).astype(int)
@@ -84,11 +84,11 @@ def _longest(builder: SimulationBuilder, lost: set[int], most_views: int | None)
 _TOLD = ("views", "longitude_range_deg", "centre_longitude_deg")
 
 
-def _arc(kept: dict[str, Any], stretch: range, count: int) -> dict[str, Any]:
+def _arc(keys: dict[str, Any], stretch: range, count: int) -> dict[str, Any]:
     """Return the section of an arc through some neighbouring views of a circle."""
     step = 360 / count
-    middle = kept["centre_longitude_deg"] + step * (stretch[0] + stretch[-1]) / 2
-    return kept | {
+    middle = keys["centre_longitude_deg"] + step * (stretch[0] + stretch[-1]) / 2
+    return keys | {
         "kind": "arc",
         "views": len(stretch),
         "longitude_range_deg": round(step * (len(stretch) - 1), 6),

@@ -135,13 +135,15 @@ def _attenuations(scenario: Scenario, section: Nmar) -> dict[str, float]:
     from twinct.xray.build import effective_energy_kev
 
     energy = effective_energy_kev(scenario.source, scenario.detector)
-    found: dict[str, float] = {}
+    attenuations: dict[str, float] = {}
     problems: list[str] = []
     for name in ("tissue", "bone", "metal"):
         try:
-            found[name] = material(getattr(section, name), f"{_KEY}.{name}").mu_per_mm(energy)
+            attenuations[name] = material(getattr(section, name), f"{_KEY}.{name}").mu_per_mm(
+                energy
+            )
         except InputError as error:
             problems += error.problems
     if problems:
         raise InputError(problems)
-    return found
+    return attenuations

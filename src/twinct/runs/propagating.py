@@ -86,9 +86,9 @@ def visible_points(builder: SimulationBuilder) -> Floats:
     return np.concatenate([[isocentre], places[seen]])
 
 
-def propagation_data(found: Propagation, builder: SimulationBuilder) -> dict[str, Any]:
+def propagation_data(propagation: Propagation, builder: SimulationBuilder) -> dict[str, Any]:
     """Return propagated errors as plain data: distributions, causes and covariances."""
-    scenario, errors, analytic = builder.scenario, found.errors, found.analytic
+    scenario, errors, analytic = builder.scenario, propagation.errors, propagation.analytic
     draws, views = errors.shape[:2]
     shown = sorted({k * (views - 1) // (COMPARED_VIEWS - 1) for k in range(COMPARED_VIEWS)})
     some = errors[:, shown].reshape(draws, -1)
@@ -99,13 +99,16 @@ def propagation_data(found: Propagation, builder: SimulationBuilder) -> dict[str
             "seed": scenario.seed,
             "arms_seed": scenario.arms_seed,
             "frame": FRAME,
-            "points_mm": found.points,
-            "summary": summary(found),
-            "terms": found.shares(),
+            "points_mm": propagation.points,
+            "summary": summary(propagation),
+            "terms": propagation.shares(),
             "views": [
                 {
                     "view": view,
-                    **{name: _spread(values[:, view]) for name, values in figures(found).items()},
+                    **{
+                        name: _spread(values[:, view])
+                        for name, values in figures(propagation).items()
+                    },
                     "mean": errors[:, view].mean(axis=0),
                     "covariance": analytic.covariances[view],
                     "covariance_drawn": np.cov(errors[:, view].T),
@@ -121,9 +124,9 @@ def propagation_data(found: Propagation, builder: SimulationBuilder) -> dict[str
     )
 
 
-def figures(found: Propagation) -> dict[str, Floats]:
+def figures(propagation: Propagation) -> dict[str, Floats]:
     """Return the figures that describe the errors of each draw and view, (draws, views)."""
-    errors, pixels = found.errors, found.pixels.astype(float)
+    errors, pixels = propagation.errors, propagation.pixels.astype(float)
     parts = {
         "source_mm": np.linalg.norm(errors[..., :3], axis=-1),
         "source_deg": np.degrees(np.linalg.norm(errors[..., 3:6], axis=-1)),
@@ -136,9 +139,9 @@ def figures(found: Propagation) -> dict[str, Floats]:
     return parts
 
 
-def summary(found: Propagation) -> dict[str, dict[str, float]]:
+def summary(propagation: Propagation) -> dict[str, dict[str, float]]:
     """Return the distribution of each figure over all draws and views."""
-    return {name: _spread(values.ravel()) for name, values in figures(found).items()}
+    return {name: _spread(values.ravel()) for name, values in figures(propagation).items()}
 
 
 def _spread(values: Floats) -> dict[str, float]:

@@ -87,14 +87,14 @@ def derive_geometry(
         audience.stage(f"geometry {name}", 1) as step,
     ):
         scan = Run(scenario, folder).scan
-        found = reported(scenario, scan.joints, scan.executed, scan.commanded, name)
-        if name in scan.derived and scan.derived[name].digest != found.digest:
+        poses = reported(scenario, scan.joints, scan.executed, scan.commanded, name)
+        if name in scan.derived and scan.derived[name].digest != poses.digest:
             raise ScanExistsError(
                 f"{folder.geometries / name}.json holds another geometry; choose another --as"
             )
-        found.write(folder.geometries)
+        poses.write(folder.geometries)
         step()
-    return found
+    return poses
 
 
 def reconstruct_run(
@@ -135,11 +135,11 @@ def reconstruct_run(
         stack.enter_context(sole_owner(folder.lock))
         scan = Run(_with_geometry(scenario, which), folder).scan
         scan.poses(which)
-        kept = stored_reconstructions(folder.reconstructions)
+        stored = stored_reconstructions(folder.reconstructions)
         of_geometry = scan.derived[which].digest if which in scan.derived else ""
         digest = stage_digests(scan.scenario)["volume"] + of_geometry
         digest = hashlib.sha256(digest.encode()).hexdigest()
-        if there := next((r for r in kept.values() if r.digest == digest), None):
+        if there := next((r for r in stored.values() if r.digest == digest), None):
             if name not in (None, there.name):
                 raise ScanExistsError(f"{there.path} already holds this reconstruction; omit --as")
             audience.say(f"{there.path} already holds this reconstruction")
@@ -160,8 +160,8 @@ def reconstruct_run(
 
 def _is_reported(folder: Folder, there: Reconstruction) -> bool:
     """Return True if the run's figures, which are written last, name a reconstruction."""
-    told = read_metrics(folder.metrics).get("reconstructions", {}).get(there.name, {})
-    return told.get("digest") == there.digest
+    reported = read_metrics(folder.metrics).get("reconstructions", {}).get(there.name, {})
+    return reported.get("digest") == there.digest
 
 
 def timed_volume(
@@ -191,7 +191,7 @@ def _made(
     truth = truth_of(scan, builder, audience, file=folder.truth)
     grid = scenario.reconstruction.volume_grid
     name, digest, of_geometry = called
-    found = Reconstruction(
+    reconstruction = Reconstruction(
         name=name,
         digest=digest,
         geometry=which,
@@ -205,7 +205,7 @@ def _made(
         path=folder.reconstructions / name,
         results=algorithm_results(volume.extras),
     )
-    return found, volume
+    return reconstruction, volume
 
 
 def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:

@@ -91,13 +91,13 @@ class Reconstruction:
                 for name in _ARRAYS
             }
             np.savez_compressed(draft / "sections.npz", **arrays)
-            kept = {"format": FORMAT, **_plain(self)}
-            kept["slices"] = {
+            data = {"format": FORMAT, **_plain(self)}
+            data["slices"] = {
                 plane: (section.extent_mm, section.axes, section.position)
                 for plane, section in self.slices.items()
             }
-            kept["files"] = {name: file_digest(draft / name) for name in _FILES}
-            write_json(draft / "reconstruction.json", kept)
+            data["files"] = {name: file_digest(draft / name) for name in _FILES}
+            write_json(draft / "reconstruction.json", data)
             draft.rename(self.path)
 
     def write_figures(self, figures: ImageFigures) -> None:
@@ -166,17 +166,17 @@ def check_files(path: Path) -> None:
             raise InputError(f"{path / name} differs from the file written for {path.name}")
 
 
-def free_name(asked: str | None, base: str, folder: Path, what: str = "reconstruction") -> str:
+def free_name(requested: str | None, base: str, folder: Path, what: str = "reconstruction") -> str:
     """Return the name of a new result in a folder: as requested, or the base, numbered if taken.
 
     Raises:
         InputError: the name is no name of a file.
         ScanExistsError: the requested name is taken.
     """
-    if asked is not None:
-        if (there := folder / checked_name(asked)).exists():
+    if requested is not None:
+        if (there := folder / checked_name(requested)).exists():
             raise ScanExistsError(f"{there} is another {what}; choose another --as")
-        return asked
+        return requested
     names = itertools.chain([base], (f"{base}-{number}" for number in itertools.count(2)))
     return next(name for name in names if not (folder / name).exists())
 
@@ -205,15 +205,15 @@ def stored_reconstructions(folder: Path) -> dict[str, Reconstruction]:
     return {path.name: Reconstruction.read(path) for path in paths}
 
 
-def _plain(kept: Reconstruction) -> dict[str, Any]:
+def _plain(reconstruction: Reconstruction) -> dict[str, Any]:
     data = {
-        name: getattr(kept, name)
-        for name in (one.name for one in dataclasses.fields(kept))
+        name: getattr(reconstruction, name)
+        for name in (one.name for one in dataclasses.fields(reconstruction))
         if name not in ("slices", "path", "figures", "results")
     }
     return data | {
-        "residuals": list(kept.residuals),
-        "settings": dict(kept.settings),
-        "found": plain(kept.results),
-        "figures": plain(kept.figures.as_dict()),
+        "residuals": list(reconstruction.residuals),
+        "settings": dict(reconstruction.settings),
+        "found": plain(reconstruction.results),
+        "figures": plain(reconstruction.figures.as_dict()),
     }

@@ -97,31 +97,33 @@ class Places:
         """Return a sentence for each entry that cannot be measured, beginning with its key."""
         if unknown := self._unknown_parts():
             return unknown
-        found: dict[str, str] = {}
+        problems_by_key: dict[str, str] = {}
         for i, region in enumerate(self.section.regions):
             # A shell is covered if its part is: see below.
             of_part = isinstance(region.shape, scenario.Shell | scenario.WholePart)
             if not (of_part or len(self.region(region.name))):
-                found[f"regions.{i}"] = f"{quoted(region.name)} covers no voxel of the grid"
+                problems_by_key[f"regions.{i}"] = (
+                    f"{quoted(region.name)} covers no voxel of the grid"
+                )
         for key, name, target in self.section.references():
             if target == "part" and not len(self.part(name)):
-                found[key] = f"{quoted(name)} covers no voxel of the grid"
+                problems_by_key[key] = f"{quoted(name)} covers no voxel of the grid"
         for kind in figure_kinds().values():
             for i, one in enumerate(self.section.entries(kind.name)):
                 problems = kind.check(self, one)
-                found |= {f"{kind.name}.{i}.{key}": why for key, why in problems.items()}
-        return [f"evaluation.{key}: {why}" for key, why in found.items()]
+                problems_by_key |= {f"{kind.name}.{i}.{key}": why for key, why in problems.items()}
+        return [f"evaluation.{key}: {why}" for key, why in problems_by_key.items()]
 
     def _unknown_parts(self) -> list[str]:
         """Return a sentence for each name that no part and no label has."""
-        found: list[str] = []
+        problems: list[str] = []
         for key, name, target in self.section.references():
             if target == "part":
                 try:
                     self.specimen.named(name, f"evaluation.{key}")
                 except SpecimenError as error:
-                    found += error.problems
-        return found
+                    problems += error.problems
+        return problems
 
     def figures(
         self,

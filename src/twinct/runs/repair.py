@@ -49,11 +49,11 @@ def mend_frame(path: Path, builder: SimulationBuilder, error: DamagedError) -> N
         fresh = read_frame_manifest(draft) or {}
         broken = [damage.file for damage in error.damages]
         if FRAME_FILE in broken:  # then only the root's digest identifies the scan
-            kept, vouched = {ROOT: root_digest(path)}, [ROOT]
+            digests, vouched = {ROOT: root_digest(path)}, [ROOT]
             broken = [FRAME_FILE, *(damage.file for damage in compared(path, fresh))]
         else:
-            kept, vouched = read_frame_manifest(path) or {}, broken
-        if others := [file for file in vouched if fresh.get(file) != kept[file]]:
+            digests, vouched = read_frame_manifest(path) or {}, broken
+        if others := [file for file in vouched if fresh.get(file) != digests[file]]:
             raise DamagedError(
                 [
                     *error.problems,

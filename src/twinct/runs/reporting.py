@@ -148,15 +148,15 @@ def write_results(
         reconstruction_digest=folder.volume_digest(scenario),
         residuals=results.residuals,
         reconstructions={
-            kept.name: {
-                "in_words": kept.in_words,
-                "geometry": kept.geometry,
-                "digest": kept.digest,
-                "image": kept.figures.as_dict(),
-                "seconds": kept.seconds,
-                **kept.results,
+            other.name: {
+                "in_words": other.in_words,
+                "geometry": other.geometry,
+                "digest": other.digest,
+                "image": other.figures.as_dict(),
+                "seconds": other.seconds,
+                **other.results,
             }
-            for kept in others.values()
+            for other in others.values()
         },
         geometries=_geometries(scan),
         reference_material=builder.specimen.reference_name,
@@ -171,8 +171,8 @@ def figures_of(scan: Scan, image: Mapping[str, ImageFigures]) -> dict[str, Any]:
     nothing = {stage: 0.0 for stage in STAGES}
     whole = build_metrics(**_of_scan(scan), image=image, seconds=nothing, scenario_digest="")
     others = "seconds", "real_time_factor", "scenario_digest", "twinct_version"
-    found = {name: value for name, value in whole.items() if name not in others}
-    return found | {"geometries": plain(_geometries(scan))}
+    figures = {name: value for name, value in whole.items() if name not in others}
+    return figures | {"geometries": plain(_geometries(scan))}
 
 
 def _of_scan(scan: Scan) -> dict[str, Any]:
@@ -193,13 +193,13 @@ def _of_scan(scan: Scan) -> dict[str, Any]:
 def _geometries(scan: Scan) -> dict[str, Any]:
     """Return origin, digest and errors of the believed and each derived geometry."""
     return {
-        found.name: {
-            "made_by": dict(found.made_by),
-            "digest": found.digest,
-            "pose_error": pose_errors(scan.executed, found.poses).summary(),
-            "reprojection_px": _reprojection(scan, found.poses),
+        poses.name: {
+            "made_by": dict(poses.made_by),
+            "digest": poses.digest,
+            "pose_error": pose_errors(scan.executed, poses.poses).summary(),
+            "reprojection_px": _reprojection(scan, poses.poses),
         }
-        for found in {"believed": scan.reported, **scan.derived}.values()
+        for poses in {"believed": scan.reported, **scan.derived}.values()
     }
 
 
@@ -212,7 +212,7 @@ def _reprojection(scan: Scan, taken: PosePairs) -> dict[str, float]:
     return {name: float(of(off)) for name, of in (("mean", np.mean), ("max", np.max))}
 
 
-def _others(kept: Iterable[Reconstruction]) -> list[Another]:
+def _others(reconstructions: Iterable[Reconstruction]) -> list[Another]:
     return [
         Another(
             one.name,
@@ -221,7 +221,7 @@ def _others(kept: Iterable[Reconstruction]) -> list[Another]:
             one.residuals,
             one.slices,
         )
-        for one in kept
+        for one in reconstructions
     ]
 
 

@@ -149,9 +149,9 @@ def truth_of(
     views = hashlib.sha256()
     for array in (executed.source, executed.detector, executed.u, executed.v):
         views.update(np.ascontiguousarray(array).data)
-    told = [note, views.hexdigest(), repr(executed.panel), specimen.reference_mu(energy)]
-    told += [specimen.reference] if specimen.greys else []
-    return once("truth", json.dumps(told), make)
+    inputs = [note, views.hexdigest(), repr(executed.panel), specimen.reference_mu(energy)]
+    inputs += [specimen.reference] if specimen.greys else []
+    return once("truth", json.dumps(inputs), make)
 
 
 def held_bytes(grid: VolumeGrid) -> int:
@@ -195,8 +195,8 @@ def _digest(
         [*pose.position.tolist(), *pose.quat.tolist()]
         for pose in (world_from_specimen, grid.world_from_grid)
     ]
-    told = [VERSION, specimen.digest, mu, poses, grid.shape, grid.voxel.tolist()]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    inputs = [VERSION, specimen.digest, mu, poses, grid.shape, grid.voxel.tolist()]
+    return hashlib.sha256(json.dumps(inputs).encode()).hexdigest()
 
 
 def _stored(path: Path, note: str, grid: VolumeGrid) -> Volume | None:
@@ -204,9 +204,9 @@ def _stored(path: Path, note: str, grid: VolumeGrid) -> Volume | None:
     if not path.is_file():
         return None
     try:
-        found = Volume.read(path)
-        found.require_grid(grid)
+        volume = Volume.read(path)
+        volume.require_grid(grid)
     except InputError as error:
         log.warning("%s; it is made again", error)
         return None
-    return found if found.extras["note"] == note else None
+    return volume if volume.extras["note"] == note else None

@@ -74,17 +74,17 @@ def export_volume(
     out = _free_path(folder, volume, to, out)
     scenario = folder.scenario_of_run(planned=True)
     with audience_of(observers) as audience, audience.stage("export", 1) as step:
-        found = Volume.read(file)
-        require_space(out.parent, found.array.nbytes, "the export needs")
+        exported = Volume.read(file)
+        require_space(out.parent, exported.array.nbytes, "the export needs")
         if values == "attenuation" or (values is None and to != "dicom" and not water):
             water = None
         elif water:
-            _check_water(water, found, audience)
+            _check_water(water, exported, audience)
         else:
-            water = _water_of(folder, scenario, found, needed=values == "hounsfield")
+            water = _water_of(folder, scenario, exported, needed=values == "hounsfield")
         if water:
-            found = found.in_hu(water.water_per_mm, water.air_per_mm)
-        told = VolumeFacts(
+            exported = exported.in_hu(water.water_per_mm, water.air_per_mm)
+        facts = VolumeFacts(
             note=f"twinct, {scenario.name}, {volume}, {water.in_words if water else '1/mm'}",
             unit="HU" if water else "1/mm",
             scan=scenario.name,
@@ -92,7 +92,7 @@ def export_volume(
             kvp=_kvp(scenario),
         )
         out.parent.mkdir(parents=True, exist_ok=True)
-        found.write(out, to=to, facts=told)
+        exported.write(out, to=to, facts=facts)
         step()
         audience.say(f"values: {water.in_words if water else 'attenuation, 1/mm, no HU'}")
     return out
@@ -100,14 +100,14 @@ def export_volume(
 
 def _check_water(water: Water, volume: Volume, audience: Audience) -> None:
     """Check that the attenuation of water may be in 1/mm, the unit of a volume."""
-    told = f"--water {water.water_per_mm:g}"
+    flag = f"--water {water.water_per_mm:g}"
     if water.water_per_mm > MOST_WATER_PER_MM:
         raise InputError(
-            f"{told}: must be at most {MOST_WATER_PER_MM:g}, as it is in 1/mm; {told[8:]}/m are "
+            f"{flag}: must be at most {MOST_WATER_PER_MM:g}, as it is in 1/mm; {flag[8:]}/m are "
             f"{water.water_per_mm / 1000:g}/mm"
         )
     if water.water_per_mm > (most := float(volume.array.max())):
-        audience.say(f"{told}: no voxel attenuates as much ({most:.4g}/mm at most)", warning=True)
+        audience.say(f"{flag}: no voxel attenuates as much ({most:.4g}/mm at most)", warning=True)
 
 
 def _free_path(folder: Folder, volume: str, to: str, out: str | Path | None) -> Path:
@@ -162,16 +162,16 @@ def _water_of(folder: Folder, scenario: Scenario, volume: Volume, *, needed: boo
             )
         return None
     energy = effective_energy_kev(scenario.source, scenario.detector)
-    found = {"water": material("water").mu_per_mm(energy), "air": 0.0}
+    attenuations = {"water": material("water").mu_per_mm(energy), "air": 0.0}
     stated = scenario.evaluation.entries("hounsfield") if scenario.evaluation else ()
-    regions = {name: getattr(one, name) for one in stated[:1] for name in found}
+    regions = {name: getattr(one, name) for one in stated[:1] for name in attenuations}
     if any(regions.values()):
         stands = load_scan(folder.path).stands
         places = Places(scenario, SimulationBuilder(scenario).specimen, stands, volume.grid)
         for name, region in regions.items():
             if region:
-                found[name] = float(places.region(region).of(volume.array).mean())
-    return Water(found["water"], found["air"])
+                attenuations[name] = float(places.region(region).of(volume.array).mean())
+    return Water(attenuations["water"], attenuations["air"])
 
 
 def _kvp(scenario: Scenario) -> float | None:

@@ -167,8 +167,8 @@ def _reconstruct(
         scan, poses, pixels = gated_scan(scan, poses, pixels, views)
     grid = section.volume_grid
     folder = checkpoints if algorithm.resumes else None
-    kept = _Checkpoints(folder, f"{which}-{_digest(scan, poses, pixels)[:16]}" if folder else "")
-    done, x0, residuals = kept.newest(grid)
+    saved = _Checkpoints(folder, f"{which}-{_digest(scan, poses, pixels)[:16]}" if folder else "")
+    done, x0, residuals = saved.newest(grid)
     watch = watch or (lambda number, residual: None)
     for number, residual in enumerate(residuals, start=1):
         watch(number, residual)
@@ -193,7 +193,7 @@ def _reconstruct(
             audience.tell(IterationDone(algorithm.name, which, *course))
 
     stage = audience.stage(name, iterations * updates, done * updates)
-    with keeping(lambda: kept.in_words(iterations)), stage as tick:
+    with keeping(lambda: saved.in_words(iterations)), stage as tick:
         problem = Problem(
             projector=A,
             line_integrals=integrals,
@@ -204,7 +204,7 @@ def _reconstruct(
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
-            callback=(follower := _Follower(tick, kept, on_iteration, done, residuals)),
+            callback=(follower := _Follower(tick, saved, on_iteration, done, residuals)),
         )
         volume = _counted(algorithm.solve(problem, section), section, done)
         follower.finish((iterations - done) * updates)
@@ -315,10 +315,10 @@ def _grid_alone(
                 callback=lambda _: tick(),
             )
 
-    found = alone("surroundings")
+    integrals_alone = alone("surroundings")
     if algorithm.expects is None:
-        return found
-    return alone("surroundings again", algorithm.expects(A, found, pixels, section))
+        return integrals_alone
+    return alone("surroundings again", algorithm.expects(A, integrals_alone, pixels, section))
 
 
 def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:

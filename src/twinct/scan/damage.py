@@ -46,18 +46,18 @@ def view_damage(path: Path) -> list[Damage]:
     Without a manifest, only missing and truncated files are detected.
     """
     taken, sizes = views_taken(path), None if (path / FOLDER).is_dir() else _sizes(path)
-    found: list[Damage] = []
+    damages: list[Damage] = []
     for view in range(max(taken, default=-1) + 1):
         if view not in taken:
-            found.append(Damage(status_file(view), "missing", view))
+            damages.append(Damage(status_file(view), "missing", view))
             continue
         status = status_file(view)
         if gone := lost(path, status, view):
-            found.append(gone)
+            damages.append(gone)
         elif (path / status).read_bytes() != ACQUIRED:
-            found.append(Damage(status, "changed", view))
-        found += _by_row(path, view) if sizes is None else _by_size(path, view, sizes)
-    return found
+            damages.append(Damage(status, "changed", view))
+        damages += _by_row(path, view) if sizes is None else _by_size(path, view, sizes)
+    return damages
 
 
 def unknown_files(path: Path) -> list[str]:
@@ -89,14 +89,14 @@ def unknown_files(path: Path) -> list[str]:
     return sorted(file for file in files if file not in known and not expected(file))
 
 
-def clear_paths(path: Path, found: Iterable[Damage]) -> None:
+def clear_paths(path: Path, damages: Iterable[Damage]) -> None:
     """Remove links and other irregular files from paths that will be rewritten.
 
     Raises:
         DamagedError: a folder occupies a file's place, or a file a folder's. Nothing is changed,
             because somebody may need it.
     """
-    places = [path / damage.file for damage in found]
+    places = [path / damage.file for damage in damages]
     obstacles = {place: "a folder" for place in places if place.is_dir()}
     for folder in {parent for place in places for parent in place.relative_to(path).parents}:
         if os.path.lexists(path / folder) and not (path / folder).is_dir():
@@ -104,7 +104,7 @@ def clear_paths(path: Path, found: Iterable[Damage]) -> None:
     if obstacles:
         way = "stands in the way: move it"
         problems = sorted(f"{there}: {what} {way}" for there, what in obstacles.items())
-        raise DamagedError(problems, found)
+        raise DamagedError(problems, damages)
     for place in places:
         if place.is_symlink() or not place.is_file():
             place.unlink(missing_ok=True)
@@ -128,7 +128,7 @@ def _by_row(path: Path, view: int) -> list[Damage]:
 
 def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
     """Return dimensions and bytes (None if compressed) of a view's chunk, by array."""
-    found: dict[str, tuple[int, int | None]] = {}
+    sizes: dict[str, tuple[int, int | None]] = {}
     for file in path.rglob("zarr.json"):
         try:
             data = read_json(file)
@@ -139,22 +139,22 @@ def _sizes(path: Path) -> dict[str, tuple[int, int | None]]:
                     raise ValueError
                 size = math.prod(shape) * np.dtype(data["data_type"]).itemsize
                 name = str(file.parent.relative_to(path))
-                found[name] = len(shape), size if plain else None
+                sizes[name] = len(shape), size if plain else None
         except (OSError, ValueError, TypeError, LookupError, AttributeError):
             continue  # opening the store reports the error
-    found.pop("status", None)
-    return found
+    sizes.pop("status", None)
+    return sizes
 
 
 def _by_size(path: Path, view: int, sizes: dict[str, tuple[int, int | None]]) -> list[Damage]:
-    found: list[Damage] = []
+    damages: list[Damage] = []
     for name, (dimensions, size) in sizes.items():
         file = path / (chunk := f"{name}/{chunk_name(view, dimensions)}")
         if gone := lost(path, chunk, view):
-            found.append(gone)
+            damages.append(gone)
         elif size is not None and file.stat().st_size != size:
-            found.append(Damage(chunk, "changed", view))
-    return found
+            damages.append(Damage(chunk, "changed", view))
+    return damages
 
 
 def root_digest(path: Path) -> str:

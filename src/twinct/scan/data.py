@@ -111,8 +111,8 @@ class Scan:
             InputError: a geometry does not; it is named.
         """
         own = {"views": len(self), "executed": poses_digest(self.executed)} if self.derived else {}
-        for name, found in self.derived.items():
-            its = {"views": len(found.poses), "executed": found.made_by.get("executed")}
+        for name, poses in self.derived.items():
+            its = {"views": len(poses.poses), "executed": poses.made_by.get("executed")}
             if its["views"] != own["views"] or its["executed"] not in (None, own["executed"]):
                 raise InputError(
                     f"geometry {quoted(name)} was derived from another scan: it has "

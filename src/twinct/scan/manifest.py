@@ -54,10 +54,10 @@ class Damage:
         return f"{place}: {self.what}{since}"
 
 
-def damaged(path: Path, *found: Damage) -> DamagedError:
+def damaged(path: Path, *damages: Damage) -> DamagedError:
     """Return the error that reports damage in a store."""
-    lines = [f"{path}: {damage}" for damage in found]
-    return DamagedError([*lines[:-1], f"{lines[-1]}; {ADVICE}"], found)
+    lines = [f"{path}: {damage}" for damage in damages]
+    return DamagedError([*lines[:-1], f"{lines[-1]}; {ADVICE}"], damages)
 
 
 def lost(path: Path, file: str, view: int | None) -> Damage | None:
@@ -171,10 +171,10 @@ def _read_sealed(path: Path, file: str, view: int | None) -> dict[str, str]:
 
 def compared(path: Path, digests: Mapping[str, str], view: int | None = None) -> list[Damage]:
     """Compare files with their digests, and return the damage."""
-    found: list[Damage] = []
+    damages: list[Damage] = []
     for file, digest in digests.items():
         if gone := lost(path, file, view):
-            found.append(gone)
+            damages.append(gone)
         elif digest_of((path / file).read_bytes()) != digest:
-            found.append(Damage(file, "changed", view))
-    return found
+            damages.append(Damage(file, "changed", view))
+    return damages

@@ -105,10 +105,10 @@ def check_arrays(path: Path, group: Any) -> None:
     import zarr
 
     with readable(path, "the metadata of an array"):
-        found = {name: group[name] for name in _ARRAYS if name in group}
-    if groups := [name for name, array in found.items() if not isinstance(array, zarr.Array)]:
+        arrays = {name: group[name] for name in _ARRAYS if name in group}
+    if groups := [name for name, array in arrays.items() if not isinstance(array, zarr.Array)]:
         raise InputError(f"{path}/{groups[0]}: found a group, expected an array")
-    status, image = found.get("status"), found.get("transmission")
+    status, image = arrays.get("status"), arrays.get("transmission")
     if status is None or image is None or len(status.shape) != 1 or len(image.shape) != 3:
         raise InputError(
             f"{path}: statuses (views) or images (views, rows, columns) are missing, or have the "
@@ -117,41 +117,41 @@ def check_arrays(path: Path, group: Any) -> None:
     views, joints = status.shape[0], len(group.attrs["joint_names"])
     problems = [
         f"{path}/{name}: missing"
-        if name not in found
-        else f"{path}/{name}: {found[name].dtype} of {found[name].shape}, expected {dtype} of "
+        if name not in arrays
+        else f"{path}/{name}: {arrays[name].dtype} of {arrays[name].shape}, expected {dtype} of "
         f"{(views, *shape)}"
-        for name, (shape, dtype, by_view) in _expected(group.attrs["format"], image, found).items()
-        if name not in found or not _fits(found[name], (views, *shape), dtype, by_view=by_view)
+        for name, (shape, dtype, by_view) in _expected(group.attrs["format"], image, arrays).items()
+        if name not in arrays or not _fits(arrays[name], (views, *shape), dtype, by_view=by_view)
     ]
     problems += [
-        f"{path}/{name}: shape {found[name].shape[1:]} per view, but there are {joints} joints"
+        f"{path}/{name}: shape {arrays[name].shape[1:]} per view, but there are {joints} joints"
         for name in _JOINTS
-        if name in found and found[name].shape[1:] != (joints,)
+        if name in arrays and arrays[name].shape[1:] != (joints,)
     ]
-    if BAD_PIXELS in found and not _fits(found[BAD_PIXELS], image.shape[1:], np.bool_):
+    if BAD_PIXELS in arrays and not _fits(arrays[BAD_PIXELS], image.shape[1:], np.bool_):
         problems.append(f"{path}/{BAD_PIXELS}: expected one truth value per pixel")
-    if MAS in found and not _fits(found[MAS], (views,), np.float64):
+    if MAS in arrays and not _fits(arrays[MAS], (views,), np.float64):
         problems.append(f"{path}/{MAS}: expected one number per view")
     if problems:
         raise InputError(problems)
 
 
 def _expected(
-    format_: int, image: Any, found: dict[str, Any]
+    format_: int, image: Any, arrays: dict[str, Any]
 ) -> dict[str, tuple[tuple[int, ...], DTypeLike, bool]]:
     """Return by array: shape of a view, type, and True for arrays with one chunk per view."""
 
     def like(name: str) -> tuple[int, ...]:
-        return found[name].shape[1:] if name in found and len(found[name].shape) == 2 else (0,)
+        return arrays[name].shape[1:] if name in arrays and len(arrays[name].shape) == 2 else (0,)
 
-    images = ("transmission", *(name for name in FRAMES if name in found))
+    images = ("transmission", *(name for name in FRAMES if name in arrays))
     numbers: dict[str, tuple[int, ...]] = {f"executed/{k}": (n,) for k, n in _POSES.items()}
     numbers |= {name: (n,) for name, n in _OBJECT.items()} | {"state": like("state")}
     numbers |= {"joints": like("joints"), "simulated_s": (), "clearance_mm": ()}
     if format_ >= 3:
         numbers |= {name: like(name) for name in _JOINTS[1:]}
-    if EXPOSURE in found:
-        numbers[EXPOSURE] = (*found[EXPOSURE].shape[1:2], 3, 7)
+    if EXPOSURE in arrays:
+        numbers[EXPOSURE] = (*arrays[EXPOSURE].shape[1:2], 3, 7)
     return {
         "status": ((), np.uint8, True),
         **{name: (image.shape[1:], np.float32, True) for name in images},

@@ -84,12 +84,12 @@ class NamedGeometry:
             sides = [_poses(data[side]) for side in ("source", "detector")]
             if len(sides[0]) != len(sides[1]):
                 raise ValueError("source and detector differ in their number of views")
-            found = cls(checked_name(path.stem), PosePairs(*sides), dict(data["made_by"]))
+            geometry = cls(checked_name(path.stem), PosePairs(*sides), dict(data["made_by"]))
         except (OSError, ValueError, TypeError, KeyError) as error:
             raise InputError(f"{path}: not a geometry file: {error}") from None
-        if found.digest != data["digest"]:
+        if geometry.digest != data["digest"]:
             raise InputError(f"{path}: the geometry does not match its digest")
-        return found
+        return geometry
 
 
 def named_geometries(folder: Path) -> dict[str, NamedGeometry]:

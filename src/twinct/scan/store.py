@@ -60,8 +60,8 @@ def check_space(folder: Path, scenario: Scenario, views: int) -> None:
         StorageError: space is short; the message states the bytes needed and free.
     """
     grid = scenario.reconstruction.volume_grid
-    kept = 1 + len(scenario.detector.keep)
-    images = kept * views * scenario.detector.rows * scenario.detector.columns * 4
+    copies = 1 + len(scenario.detector.keep)
+    images = copies * views * scenario.detector.rows * scenario.detector.columns * 4
     volumes = 3 * int(np.prod(grid.shape)) * 4
     require_space(folder, images + volumes, "the scan and its volume need")
 
@@ -103,8 +103,8 @@ class ScanStore:
         self.path = path
         if not path.is_dir():
             raise FileNotFoundError(errno.ENOENT, "no scan store", str(path))
-        if found := frame_damage(path):
-            raise damaged(path, *found)
+        if damages := frame_damage(path):
+            raise damaged(path, *damages)
         with readable(path, "its metadata"):
             self._files = CheckedStore(path)
             self._group: Any = zarr.open_group(self._files, mode="r+")
@@ -161,16 +161,16 @@ class ScanStore:
         """
         store = cls(path)
         store.refuse_other(scenario)
-        found = store.damage
+        damages = store.damage
         taken = views_taken(path)
-        if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in found}:
+        if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in damages}:
             problem = "no view fits the metadata, which are damaged and cannot be reconstructed"
-            raise DamagedError([f"{path}: {problem}; nothing has been changed"], found)
-        clear_paths(path, found)
-        for damage in found:
+            raise DamagedError([f"{path}: {problem}; nothing has been changed"], damages)
+        clear_paths(path, damages)
+        for damage in damages:
             log.warning("%s: %s; its view will be taken again", path, damage)
         with storage_errors(path):
-            for view in {damage.view for damage in found}:
+            for view in {damage.view for damage in damages}:
                 (path / status_file(view or 0)).unlink(missing_ok=True)
             store._remove_unfinished()
         return store
@@ -383,8 +383,8 @@ class ScanStore:
         columns = columns_of(reached)
         if self._format < 3:  # begun by an older twinct, which did not store them
             del columns["joint_velocity"], columns["joint_torque"]
-        kept = {name: getattr(frames, name) for name in self.stored_frames}
-        images = {"transmission": transmission, **kept}
+        raw = {name: getattr(frames, name) for name in self.stored_frames}
+        images = {"transmission": transmission, **raw}
         for name, values in {**images, **columns}.items():
             if np.shape(values) != (shape := self._array(name).shape[1:]):
                 raise InputError(

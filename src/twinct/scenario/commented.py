@@ -41,21 +41,21 @@ def commented_scenario(name: str, file: str) -> str:
 
 
 def _section(
-    data: dict[str, Any], model: object, indent: str, told: set[str] | None = None
+    data: dict[str, Any], model: object, indent: str, explained: set[str] | None = None
 ) -> Iterator[str]:
     """Yield the lines of a section; its keys are fields of the model.
 
-    In a list, ``told`` holds the comments so far: no item repeats them.
+    In a list, ``explained`` holds the comments so far: no item repeats them.
     """
     for key, value in data.items():
         inner = getattr(model, key, None)
-        yield from _comment(model, key, indent, told)
+        yield from _comment(model, key, indent, explained)
         if is_mapping(value) and value and isinstance(inner, BaseModel):
             yield f"{indent}{key}:"
-            yield from _section(value, inner, f"{indent}  ", told)
+            yield from _section(value, inner, f"{indent}  ", explained)
         elif is_list(value) and value and all(map(is_mapping, value)):
             yield f"{indent}{key}:"
-            already = set[str]() if told is None else told
+            already = set[str]() if explained is None else explained
             for item, its_model in zip(value, inner or [None] * len(value), strict=False):
                 yield from _item(item, its_model, f"{indent}  ", already)
         else:
@@ -64,10 +64,10 @@ def _section(
             yield ""
 
 
-def _item(item: dict[str, Any], model: object, indent: str, told: set[str]) -> Iterator[str]:
+def _item(item: dict[str, Any], model: object, indent: str, explained: set[str]) -> Iterator[str]:
     """Yield the lines of a section in a list: the first key stands behind a dash."""
     comments = True
-    for line in _section(item, model, f"{indent}  ", told):
+    for line in _section(item, model, f"{indent}  ", explained):
         if not comments:
             yield line
         elif line.lstrip().startswith("#"):
@@ -77,14 +77,14 @@ def _item(item: dict[str, Any], model: object, indent: str, told: set[str]) -> I
             comments = False
 
 
-def _comment(model: object, key: str, indent: str, told: set[str] | None) -> Iterator[str]:
+def _comment(model: object, key: str, indent: str, explained: set[str] | None) -> Iterator[str]:
     """Yield the description of a key as a comment, unless it stands above."""
     field = type(model).model_fields.get(key) if isinstance(model, BaseModel) else None
     text = " ".join(((field and field.description) or "").split()).replace("``", "")
-    if told is not None and text in told:
+    if explained is not None and text in explained:
         return
-    if told is not None:
-        told.add(text)
+    if explained is not None:
+        explained.add(text)
     prefix = f"{indent}# "
     yield from textwrap.wrap(text, WIDTH, initial_indent=prefix, subsequent_indent=prefix)
 

@@ -281,5 +281,5 @@ class Detector(Section):
 
         The response is ignored: it cancels out of the transmission at a single energy.
         """
-        kept = ("columns", "rows", "pixel_pitch_mm", "response", "keep", "frame_ms")
-        return self == Detector(**{name: getattr(self, name) for name in kept})
+        exempt = ("columns", "rows", "pixel_pitch_mm", "response", "keep", "frame_ms")
+        return self == Detector(**{name: getattr(self, name) for name in exempt})

@@ -75,15 +75,15 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
         OSError: a file cannot be read. A missing file is no error: it counts as missing.
     """
     content = cache(content_digest)  # a large file is read once for all stages
-    found: dict[StageName, str] = {}
+    digests: dict[StageName, str] = {}
     for name, stage in STAGES.items():
-        on = {base: found[base] for base in stage.on if _stands_on(scenario, name, base)}
+        on = {base: digests[base] for base in stage.on if _stands_on(scenario, name, base)}
         keys = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
         text = json.dumps(
             [name, _version(scenario, name), on, keys, _seed(scenario, name)], sort_keys=True
         )
-        found[name] = hashlib.sha256(text.encode()).hexdigest()
-    return found
+        digests[name] = hashlib.sha256(text.encode()).hexdigest()
+    return digests
 
 
 def specimen_digest(scenario: Scenario) -> str:
@@ -98,13 +98,13 @@ def specimen_digest(scenario: Scenario) -> str:
 
 def readers(key: str) -> tuple[StageName, ...]:
     """Return the stages that read a key directly. The key is dotted, without list indices."""
-    found = {
+    by_stage = {
         stage
         for one, stages in declared(Scenario)
         if f"{key}.".startswith(f"{one}.")
         for stage in stages
     }
-    return tuple(name for name in STAGES if name in found)
+    return tuple(name for name in STAGES if name in by_stage)
 
 
 def declared(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, frozenset[str]]]:

@@ -94,14 +94,18 @@ class EvaluationSection(Section):
             "region": ("region", regions),
             "round body": ("part or region", bodies),
         }
-        found: list[Conflict] = []
+        contradictions: list[Conflict] = []
         for at, name, target in self.references():
             what, having = known.get(target) or self._entries_named(target)
             if name not in having:
-                found.append(_conflict(at, f"unknown {what} {quoted(name)}; {_are(having)}"))
+                contradictions.append(
+                    _conflict(at, f"unknown {what} {quoted(name)}; {_are(having)}")
+                )
             elif target == "round body" and not isinstance(bodies[name], Sphere | Cylinder):
-                found.append(_conflict(at, f"{quoted(name)} is neither a sphere nor a cylinder"))
-        found += [
+                contradictions.append(
+                    _conflict(at, f"{quoted(name)} is neither a sphere nor a cylinder")
+                )
+        contradictions += [
             _conflict(f"regions.{i}.name", f"a part is also called {quoted(region.name)}")
             for i, region in enumerate(self.regions)
             if region.name in parts
@@ -109,8 +113,10 @@ class EvaluationSection(Section):
         for kind in figure_kinds():
             labels = Counter(one.label for one in self.entries(kind))
             twice = [label for label, times in labels.items() if times > 1]
-            found += [_conflict(kind, f"{quoted(label)} appears more than once") for label in twice]
-        return found
+            contradictions += [
+                _conflict(kind, f"{quoted(label)} appears more than once") for label in twice
+            ]
+        return contradictions
 
     def references(self) -> Iterator[tuple[str, str, str]]:
         """Yield each key that names something, the name, and its target: see ``FigureKind``."""
@@ -130,7 +136,9 @@ class EvaluationSection(Section):
     @model_serializer(mode="wrap")
     def _without_unused_extensions(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out foreign kinds without entries: others can read the scenario without them."""
-        return {name: told for name, told in plain(self).items() if told or name in BUILT_IN}
+        return {
+            name: section for name, section in plain(self).items() if section or name in BUILT_IN
+        }
 
 
 if TYPE_CHECKING:

@@ -155,8 +155,8 @@ _KEY = re.compile(r"([a-z_]+(?:\.[a-z_0-9]+)+): ")
 
 
 def _with_place(draft: Draft, problem: str) -> str:
-    found = _KEY.match(problem)
-    origin = draft.origin(key_of(found[1])) if found else ""
+    match = _KEY.match(problem)
+    origin = draft.origin(key_of(match[1])) if match else ""
     return f"{origin}: {problem}" if origin else problem
 
 

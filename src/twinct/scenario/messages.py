@@ -44,7 +44,7 @@ def refusal(
 
     In a union, only the branches that the value could have meant are reported.
     """
-    found: dict[Key, list[tuple[bool, str]]] = {}
+    problems: dict[Key, list[tuple[bool, str]]] = {}
     conflicts: list[str] = []
     in_conflict: list[Key] = []
     details = error.errors(include_url=False)
@@ -66,10 +66,10 @@ def refusal(
             by = detail.get("ctx", {})["discriminator"]
             key = (*key, next((tag for tag in KIND_KEYS if tag in by), "algorithm"))
         wrong_shape = detail["type"].endswith("_type") or detail["type"] == "too_short"
-        found.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
+        problems.setdefault(key, []).append((wrong_shape, _sentence(detail, key, model, others)))
     sentences: list[str] = []
-    for key, parts in found.items():
-        others = (*found, *in_conflict)
+    for key, parts in problems.items():
+        others = (*problems, *in_conflict)
         deeper = any(len(other) > len(key) and other[: len(key)] == key for other in others)
         meant = [text for wrong_shape, text in parts if not wrong_shape]
         if not meant and not deeper:
@@ -85,8 +85,8 @@ def _either(texts: list[str]) -> str:
     alike = len({given for _, _, given in parts}) == 1
     if len(texts) == 1 or not alike or not all(text.startswith("must be ") for text in texts):
         return " or ".join(texts)
-    asked = " or ".join(text.removeprefix("must be ") for text, _, _ in parts)
-    return f"must be {asked}, but is {parts[0][2]}"
+    bounds = " or ".join(text.removeprefix("must be ") for text, _, _ in parts)
+    return f"must be {bounds}, but is {parts[0][2]}"
 
 
 def _blamed(draft: Draft, section: Key, conflict: Conflict) -> str:
@@ -188,14 +188,14 @@ _BOUNDS = ("greater_than", "greater_than_equal", "less_than", "less_than_equal")
 def _both_bounds(model: type[BaseModel] | None, key: Key) -> str:
     """Return both bounds of a key in words; nothing if it has one."""
     info = model.model_fields.get(str(key[-1])) if model else None
-    found = {
+    bounds = {
         of: getattr(bound, name)
         for bound in (info.metadata if info else ())
         for name, of in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
         if getattr(bound, name, None) is not None
     }
-    lower = next((f"{of} {found[of]}" for of in ("above", "at least") if of in found), "")
-    upper = next((f"{of} {found[of]}" for of in ("below", "at most") if of in found), "")
+    lower = next((f"{of} {bounds[of]}" for of in ("above", "at least") if of in bounds), "")
+    upper = next((f"{of} {bounds[of]}" for of in ("below", "at most") if of in bounds), "")
     return f"{lower} and {upper}" if lower and upper else ""
 
 
@@ -204,8 +204,8 @@ def _length(model: type[BaseModel] | None, key: Key) -> int | None:
     info = model.model_fields.get(str(key[-1])) if model else None
     if info is None:
         return None
-    found = [info.annotation, *typing.get_args(info.annotation)]
-    lists = (typing.get_args(one) for one in found if typing.get_origin(one) is tuple)
+    annotations = [info.annotation, *typing.get_args(info.annotation)]
+    lists = (typing.get_args(one) for one in annotations if typing.get_origin(one) is tuple)
     return next((len(one) for one in lists if one and Ellipsis not in one), None)
 
 

@@ -310,9 +310,9 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
     before = section.get("algorithm", DEFAULT_ALGORITHM)
     if algorithm not in SECTIONS or before == algorithm:
         return
-    kept = SECTIONS[algorithm].model_fields
+    valid = SECTIONS[algorithm].model_fields
     others = {name for other in SECTIONS.values() for name in own_keys(other)}
-    for name in [name for name in section if name in others and name not in kept]:
+    for name in [name for name in section if name in others and name not in valid]:
         if not draft.set_over((*key, name)):
             origin = draft.origin((*key, name))
             # Python code that changes a whole scenario has all defaults in it, which nobody chose.
@@ -338,16 +338,16 @@ def _absolute_paths(
         return [_absolute_paths(item, folder, places, (*key, i)) for i, item in items]
     if not is_mapping(data):
         return data
-    found: dict[str, Any] = {}
+    results: dict[str, Any] = {}
     for name, value in data.items():
         inner = (*key, name)
         if name in FILE_KEYS and isinstance(value, str):
             try:
-                found[name] = str(absolute(folder, value))
+                results[name] = str(absolute(folder, value))
             except ValueError as error:
                 at = (places or {}).get(inner) or (places or {}).get((), "")
                 dotted = ".".join(map(str, inner))
                 raise ScenarioError(f"{at + ': ' if at else ''}{dotted}: {error}") from None
         else:
-            found[name] = _absolute_paths(value, folder, places, inner)
-    return found
+            results[name] = _absolute_paths(value, folder, places, inner)
+    return results

@@ -103,7 +103,7 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _sections_go_together(self) -> Scenario:
-        found = (
+        contradictions = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
             *(self._arms_to_err(), self._time_of_a_frame()),
@@ -111,7 +111,7 @@ class Scenario(Section):
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
             *(self.task.conflicts(self.specimen) if self.task else ()),
         )
-        if conflicts := [conflict for conflict in found if conflict is not None]:
+        if conflicts := [conflict for conflict in contradictions if conflict is not None]:
             raise ConflictError(*conflicts)
         return self
 
@@ -177,12 +177,12 @@ class Scenario(Section):
         )
 
     def _arms_to_err(self) -> Conflict | None:
-        found = {
+        results = {
             "uncertainty.arms": any(self.uncertainty.arms.sizes),
             "uncertainty.encoder_step_deg": self.uncertainty.encoder_step_deg > 0,
             "uncertainty.calibration": self.uncertainty.calibration is not None,
         }
-        keys = tuple(key for key, asked in found.items() if asked)
+        keys = tuple(key for key, given in results.items() if given)
         if not isinstance(self.cell, GantryCell) or not keys:
             return None
         what = (

@@ -313,10 +313,10 @@ class Specimen(Section):
         """Names of all parts and labels; if files or a phantom state some, every name is in it."""
         greys = [part.shape for part in self.parts if isinstance(part.shape, GreyVolume)]
         sections = [grey.labels for grey in greys]
-        found = [part.label for part in self.parts]
-        found += [name for section in sections if section for name in section.names]
+        labels = [part.label for part in self.parts]
+        labels += [name for section in sections if section for name in section.names]
         is_open = any(grey.phantom or (grey.labels and not grey.labels.names) for grey in greys)
-        return OpenNames(found) if is_open else found
+        return OpenNames(labels) if is_open else labels
 
     @property
     def world_from_specimen(self) -> Pose:

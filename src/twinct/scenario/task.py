@@ -131,13 +131,13 @@ class ViewTask(_Objectives):
 
     def conflicts(self, specimen: Specimen) -> list[Conflict]:
         """Return conflicts: no goal, more views than candidates, or unknown parts."""
-        found: list[Conflict] = []
+        contradictions: list[Conflict] = []
         if not (self.trying or any(one.more_is_better for one, _ in self.goals.values())):
             gains, costs = (
                 [name for name, one in OBJECTIVES.items() if one.more_is_better is more]
                 for more in (True, False)
             )
-            found.append(
+            contradictions.append(
                 Conflict(
                     f"task: {_listed(gains, 'or')} is required: {_listed(costs, 'and')} alone "
                     "would choose the same view again and again",
@@ -145,7 +145,7 @@ class ViewTask(_Objectives):
                 )
             )
         if self.trying and not self.family:
-            found.append(
+            contradictions.append(
                 Conflict(
                     "task.trying: this goal needs task.family, because it tries whole paths, "
                     "not single views; twinct plan --try tries the chosen views",
@@ -153,7 +153,7 @@ class ViewTask(_Objectives):
                 )
             )
         if self.views > self.candidates:
-            found.append(
+            contradictions.append(
                 Conflict(
                     f"task.views ({self.views}) must be at most task.candidates "
                     f"({self.candidates})",
@@ -161,7 +161,7 @@ class ViewTask(_Objectives):
                 )
             )
         if self.exposure and "detectability" not in self.goals:
-            found.append(
+            contradictions.append(
                 Conflict(
                     "task.exposure: sharing the mAs serves detectability and needs "
                     "task.detectability",
@@ -169,7 +169,7 @@ class ViewTask(_Objectives):
                 )
             )
         if self.exposure and self.family:
-            found.append(
+            contradictions.append(
                 Conflict(
                     "task.exposure: a file of views can give each view its own mAs, a path of "
                     "task.family cannot; leave out one of the two",
@@ -181,14 +181,14 @@ class ViewTask(_Objectives):
             key = f"task.family.parameters.{i}"
             if one.low >= one.high:
                 message = f"{key}: low ({one.low:g}) must be below high ({one.high:g})"
-                found.append(Conflict(message, (f"{key}.low", f"{key}.high")))
+                contradictions.append(Conflict(message, (f"{key}.low", f"{key}.high")))
             if one.key in [other.key for other in family[:i]]:
                 message = f"{key}.key: {quoted(one.key)} is listed twice"
-                found.append(Conflict(message, (f"{key}.key",)))
+                contradictions.append(Conflict(message, (f"{key}.key",)))
         parts = specimen.names
         for one, section in self.goals.values():
-            found += one.conflicts(section, parts)
-        return found
+            contradictions += one.conflicts(section, parts)
+        return contradictions
 
 
 def _listed(names: list[str], word: str) -> str:

@@ -48,8 +48,8 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
         gone.add("nonnegative")
     names = ", ".join(sorted(gone))
     log.info("reconstruction of version 0.1: left out %s (not used by %s)", names, name)
-    kept = {key: value for key, value in flat.items() if key not in gone}
-    return data | {"reconstruction": kept | {"algorithm": name}}
+    valid = {key: value for key, value in flat.items() if key not in gone}
+    return data | {"reconstruction": valid | {"algorithm": name}}
 
 
 def volume_digest(scan_digest: str, section: dict[str, Any]) -> str:

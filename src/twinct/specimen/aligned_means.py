@@ -85,6 +85,6 @@ def _weights(shape: tuple[int, int], first: float, step: float, count: int) -> A
     weight = np.concatenate([(1 - upper).ravel(), upper.ravel()]) / count
     inside = (index >= 0) & (index < size)
     row = np.concatenate([rows.ravel(), rows.ravel()])[inside]
-    found = scipy.sparse.csr_array((weight[inside], (row, index[inside])), shape=(voxels, size))
-    found.sum_duplicates()
-    return found
+    result = scipy.sparse.csr_array((weight[inside], (row, index[inside])), shape=(voxels, size))
+    result.sum_duplicates()
+    return result

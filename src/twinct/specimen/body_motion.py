@@ -172,7 +172,7 @@ def body_motion(section: scenario.Specimen) -> BodyMotion:
 
 
 def _read_fields(section: scenario.Fields) -> PhaseFields:
-    found: list[NDArray[np.float32]] = []
+    results: list[NDArray[np.float32]] = []
     affine = np.eye(4)
     for i, one in enumerate(section.phases):
         where = f"specimen.motion.phases.{i}.path: {one.path}"
@@ -187,11 +187,11 @@ def _read_fields(section: scenario.Fields) -> PhaseFields:
         if not np.isfinite(values).all():
             raise SpecimenError(f"{where} holds values that are not finite")
         at = np.asarray(image.affine, dtype=np.float64)
-        if found and (values.shape != found[0].shape or not np.allclose(at, affine, atol=1e-3)):
+        if results and (values.shape != results[0].shape or not np.allclose(at, affine, atol=1e-3)):
             raise SpecimenError(f"{where} is on another grid than the first phase")
         affine = at
-        found.append(values)
-    vectors = np.stack(found).astype(np.float64)
+        results.append(values)
+    vectors = np.stack(results).astype(np.float64)
     if section.axes == "lps":
         vectors[..., :2] *= -1
     return PhaseFields(vectors.transpose(0, 3, 2, 1, 4), affine)

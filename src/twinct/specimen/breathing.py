@@ -214,13 +214,13 @@ def require_smooth(motion: Motion, breaths: list[Breath], bounds: Floats, where:
     """
     axes = [np.arange(low, high + CHECK_MM, CHECK_MM) for low, high in bounds.T]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    found = [
+    results = [
         require_no_fold(
             lambda p, b=breath: motion(p, b), points, f"{where}, phase {breath.phase:.3g},"
         )
         for breath in breaths
     ]
-    return min(found)
+    return min(results)
 
 
 def gated(breaths: list[Breath], window: tuple[float, float]) -> list[int]:

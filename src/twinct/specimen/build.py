@@ -201,8 +201,8 @@ class BuiltSpecimen:
         Raises:
             SpecimenError: there is none; begins with the key.
         """
-        found = next((part for part in self.parts if part.name == name), None)
-        if (part := found or self.labelled(name)) is None:
+        match = next((part for part in self.parts if part.name == name), None)
+        if (part := match or self.labelled(name)) is None:
             names = [n for part in self.parts for n in (part.name, *part.label_names)]
             raise SpecimenError(
                 f"{key}: no part or label is called {quoted(name)}; there are {quoted(names, 300)}"
@@ -272,14 +272,14 @@ class BuiltSpecimen:
             return (self.hull,)
         from twinct.specimen.convex_parts import convex_parts
 
-        found: list[trimesh.Trimesh] = []
+        convex: list[trimesh.Trimesh] = []
         for part in self.greys:
             for points in convex_parts(part.mesh):
                 if self.motion is not None and part.name == self.motion.part:
                     points = np.concatenate([points, *self._breathing(points)])
-                found.append(_hull(points))
+                convex.append(_hull(points))
         solids = (_hull(np.asarray(solid.mesh.vertices)) for solid in self.solids)
-        return (*found, *(one for one in solids if not any(_holds(skin, one) for skin in found)))
+        return (*convex, *(one for one in solids if not any(_holds(skin, one) for skin in convex)))
 
     def _breathing(self, points: Floats) -> Iterator[Floats]:
         """Yield points of the moving part in deep breaths."""
@@ -429,14 +429,14 @@ def _outermost(points: Floats) -> NDArray[np.intp]:
     radius = np.linalg.norm(points, axis=1).max()
     directions, axes = _sphere_directions(HULL_DIRECTIONS), _sphere_directions(HULL_CAPS)
     nearest = (directions @ axes.T).argmax(axis=1)
-    found = []
+    bodies = []
     for cap in np.unique(nearest):
         within, axis = directions[nearest == cap], axes[cap]
         heights = points @ axis
         slack = 2 * radius * np.linalg.norm(within - axis, axis=1).max()
         candidates = np.flatnonzero(heights >= heights.max() - slack)
-        found.append(candidates[(within @ points[candidates].T).argmax(axis=1)])
-    return np.unique(np.concatenate(found))
+        bodies.append(candidates[(within @ points[candidates].T).argmax(axis=1)])
+    return np.unique(np.concatenate(bodies))
 
 
 def _sphere_directions(count: int) -> Floats:

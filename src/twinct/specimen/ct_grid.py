@@ -72,7 +72,7 @@ def right_angled(
     back = np.linalg.inv(image.affine) @ grid.affine
 
     def moved(values: NDArray[Any], order: Literal[0, 1], fill: float) -> NDArray[Any]:
-        found = scipy.ndimage.affine_transform(
+        resampled = scipy.ndimage.affine_transform(
             values,
             back[:3, :3],
             back[:3, 3],
@@ -80,7 +80,7 @@ def right_angled(
             order=order,
             cval=fill,
         )
-        return np.ascontiguousarray(found.transpose(2, 1, 0))
+        return np.ascontiguousarray(resampled.transpose(2, 1, 0))
 
     return moved(image.values, 1, outside), None if labels is None else moved(labels, 0, 0), grid
 

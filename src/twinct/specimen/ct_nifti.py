@@ -88,13 +88,13 @@ def _affine(header: NiftiHeader, shape: tuple[int, ...], where: str) -> Floats:
 
 def _require_box(affine: Floats, edges: Floats, where: str) -> None:
     """Check that the voxels of an sform are boxes with the edges that the header states, too."""
-    found = np.linalg.norm(affine[:3, :3], axis=0)
-    if not np.abs(found - edges).max() <= EDGE_TOLERANCE * edges.min():
+    lengths = np.linalg.norm(affine[:3, :3], axis=0)
+    if not np.abs(lengths - edges).max() <= EDGE_TOLERANCE * edges.min():
         raise SpecimenError(
             f"{where} contradicts itself: its voxels have edges of {_listed(edges)} by pixdim, but "
-            f"{_listed(found)} by the sform"
+            f"{_listed(lengths)} by the sform"
         )
-    cosines = (affine[:3, :3] / found).T @ (affine[:3, :3] / found) - np.eye(3)
+    cosines = (affine[:3, :3] / lengths).T @ (affine[:3, :3] / lengths) - np.eye(3)
     if np.abs(cosines).max() > LARGEST_COSINE:
         raise SpecimenError(f"{where}: the axes of its sform are not at right angles")
 

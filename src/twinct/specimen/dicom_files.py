@@ -52,9 +52,9 @@ class DicomImage:
             ("SharedFunctionalGroupsSequence", 0),
         ):
             items = self.value(groups) or []
-            found = items[index].get(sequence) if index < len(items) else None
-            if found:
-                return found[0]
+            entry = items[index].get(sequence) if index < len(items) else None
+            if entry:
+                return entry[0]
         return self.data
 
     def value(self, name: str, item: Any = None) -> Any:
@@ -83,13 +83,13 @@ class DicomImage:
         if value is None or value == "":
             raise SpecimenError(f"{self.where} lacks {name}")
         try:
-            found = np.array([number(str(n)) for n in (value if count > 1 else [value])])
+            array = np.array([number(str(n)) for n in (value if count > 1 else [value])])
         except (TypeError, ValueError):
-            found = np.array([])
-        if len(found) != count or not np.isfinite(found).all():
+            array = np.array([])
+        if len(array) != count or not np.isfinite(array).all():
             expected = "a number" if count == 1 else f"{count} numbers"
             raise SpecimenError(f"{self.where}: {name} is {_shown(value)}; expected {expected}")
-        return found
+        return array
 
     def whole(self, name: str, default: int | None = None) -> int:
         """Return an attribute that is a whole number.
@@ -100,10 +100,10 @@ class DicomImage:
         value = self.value(name)
         if default is not None and (value is None or value == ""):
             return default
-        found = float(self.numbers(name, 1)[0])
-        if not found.is_integer():
-            raise SpecimenError(f"{self.where}: {name} is {found:g}; expected a whole number")
-        return int(found)
+        real = float(self.numbers(name, 1)[0])
+        if not real.is_integer():
+            raise SpecimenError(f"{self.where}: {name} is {real:g}; expected a whole number")
+        return int(real)
 
 
 def _shown(value: Any) -> str:
@@ -151,13 +151,13 @@ def silent_library() -> Iterator[None]:
 def _files(folder: Path, where: str) -> list[Path]:
     """Return the files of a folder without hidden ones, such as those that file managers make."""
     try:
-        found = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
+        files = sorted(p for p in folder.iterdir() if not p.name.startswith("."))
     except OSError as error:
         raise SpecimenError(f"{where} cannot be read: {error.strerror}") from None
-    for path in found:
+    for path in files:
         if why := no_file(path, folder=True):
             raise SpecimenError(f"{where}: {path.name} {why}")
-    return [path for path in found if path.is_file()]
+    return [path for path in files if path.is_file()]
 
 
 def _start(path: Path, place: str) -> bytes:

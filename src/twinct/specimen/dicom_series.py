@@ -206,15 +206,15 @@ def _evened(
         )
     require_memory(where, 8 * values[0].size * count, SpecimenError)
     log.warning("%s: %s; they are interpolated", where, text)
-    found = np.empty((count, *values.shape[1:]), dtype=np.float32)
+    evened = np.empty((count, *values.shape[1:]), dtype=np.float32)
     places = np.interp(np.linspace(0, heights[-1], count), heights, np.arange(len(heights)))
     for k, place in enumerate(places):
         below = min(int(place), len(values) - 2)
         share = np.float32(place - below)
-        found[k] = (1 - share) * values[below] + share * values[below + 1]
+        evened[k] = (1 - share) * values[below] + share * values[below + 1]
     even = affine.copy()
     even[:3, 2] *= (len(values) - 1) / (count - 1)
-    return found, even
+    return evened, even
 
 
 def _uneven(gaps: Floats) -> Floats:

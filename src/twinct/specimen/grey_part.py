@@ -204,14 +204,14 @@ class GreyPart:
         self, grid: VolumeGrid, world_from_specimen: Pose
     ) -> list[tuple[Material, NDArray[np.float32]]]:
         """Return the mean amount of each basis material in the voxels of a grid."""
-        found = []
+        by_material = []
         for substance, weights in zip(
             self.field.materials, np.eye(len(self.field.materials)), strict=True
         ):
             share = np.zeros(grid.shape, dtype=np.float32)
             self._add_weighted(weights, grid, world_from_specimen, share)
-            found.append((substance, share))
-        return found
+            by_material.append((substance, share))
+        return by_material
 
     def _add_weighted(
         self, weights: Floats, grid: VolumeGrid, pose: Pose, out: NDArray[np.float32]
@@ -270,12 +270,12 @@ def add_means(
         return
     if add_aligned_means(values, first, steps, counts.tolist(), out[box]):
         return
-    found = np.zeros(out[box].shape, dtype=np.float32)
+    means = np.zeros(out[box].shape, dtype=np.float32)
     from twinct.specimen import _grey_kernels
 
     values = np.require(values, requirements=["C", "W"])  # one type for numba
-    _grey_kernels.add_means(values, first, steps, counts, found)
-    out[box] += found
+    _grey_kernels.add_means(values, first, steps, counts, means)
+    out[box] += means
 
 
 def _add_sharp_means(
@@ -289,9 +289,9 @@ def _add_sharp_means(
     from twinct.specimen import _grey_kernels
 
     first, steps, counts, box = _sampling(field.grid, grid, world_from_field)
-    found, all_weights = np.zeros(out[box].shape, dtype=np.float32), np.append(weights, 0.0)
-    _grey_kernels.add_sharp_means(field.amounts, all_weights, first, steps, counts, found)
-    out[box] += found
+    means, all_weights = np.zeros(out[box].shape, dtype=np.float32), np.append(weights, 0.0)
+    _grey_kernels.add_sharp_means(field.amounts, all_weights, first, steps, counts, means)
+    out[box] += means
 
 
 def _sampling(

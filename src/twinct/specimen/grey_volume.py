@@ -175,16 +175,16 @@ def _counting(
 ) -> _Voxels:
     """Return the voxels that count; all others are air."""
     values = np.maximum(image.values, np.float32(AIR_HU))
-    kept = np.ones(values.shape, dtype=np.bool_)
+    counting = np.ones(values.shape, dtype=np.bool_)
     if shape.above_hu is not None:
-        kept &= values > shape.above_hu
+        counting &= values > shape.above_hu
     if shape.mask:
-        kept &= read_mask(shape.mask.path, image, where)
+        counting &= read_mask(shape.mask.path, image, where)
     if shape.keep == "labelled" and numbers is not None:
-        kept &= numbers > 0
+        counting &= numbers > 0
     if shape.keep == "body":
-        kept &= _body(np.where(kept, values, np.float32(AIR_HU)), shape.surface_hu)
-    values = np.where(kept, values, np.float32(AIR_HU))
+        counting &= _body(np.where(counting, values, np.float32(AIR_HU)), shape.surface_hu)
+    values = np.where(counting, values, np.float32(AIR_HU))
     if not values.max() > shape.surface_hu:
         raise SpecimenError(f"{where}: nothing that counts exceeds surface_hu {shape.surface_hu:g}")
     hu, numbers, grid = right_angled(CtImage(values, image.affine), AIR_HU, numbers)
@@ -224,14 +224,14 @@ def _extended(voxels: _Voxels, length_mm: float) -> _Voxels:
 
 def _cuts(voxels: _Voxels, level: float) -> tuple[CutFace, ...]:
     """Return the faces of a volume that hold tissue."""
-    found = []
+    cuts = []
     for axis in range(3):
         for high in (False, True):
             layer = np.moveaxis(voxels.hu, 2 - axis, 0)[-1 if high else 0]
             tissue = np.asarray(layer > level)
             if tissue.mean() > SMALLEST_CUT:
-                found.append(CutFace(axis, high, tissue))
-    return tuple(found)
+                cuts.append(CutFace(axis, high, tissue))
+    return tuple(cuts)
 
 
 def _skin(voxels: _Voxels, shape: scenario.GreyVolume, where: str) -> trimesh.Trimesh:
@@ -296,7 +296,7 @@ def _field(
     shift = Pose(middle, np.array([0.0, 0.0, 0.0, 1.0]))
     pose = specimen_from_part @ voxels.grid.world_from_grid @ shift
     grid = VolumeGrid(shape, voxels.grid.voxel, pose)
-    kept = tuple(
+    cut_faces = tuple(
         CutFace(
             face.axis,
             face.high,
@@ -304,4 +304,4 @@ def _field(
         )
         for face in cuts
     )
-    return GreyField(line.materials, amounts, grid), labels, kept
+    return GreyField(line.materials, amounts, grid), labels, cut_faces

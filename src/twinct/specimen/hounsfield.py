@@ -76,10 +76,10 @@ class TissueLine:
         inside = np.minimum(hu, self.hu[-1])
         beyond = np.maximum(np.asarray(hu) - AIR_HU, self.hu[-1] - AIR_HU)
         beyond = beyond / (self.hu[-1] - AIR_HU)
-        found = np.empty((*np.shape(hu), len(self.materials)), dtype=np.float32)
+        amounts = np.empty((*np.shape(hu), len(self.materials)), dtype=np.float32)
         for m in range(len(self.materials)):
-            found[..., m] = np.interp(inside, self.hu, self.amounts[:, m]) * beyond
-        return found
+            amounts[..., m] = np.interp(inside, self.hu, self.amounts[:, m]) * beyond
+        return amounts
 
     def mu_per_mm(self, hu: NDArray[np.floating], energy_kev: float) -> Floats:
         """Return the attenuation of voxels with these HU at a photon energy, 1/mm."""
@@ -158,8 +158,8 @@ def _amounts_of(tissue: Material, basis: Sequence[Material]) -> Floats:
     """Return amounts of basis materials, not negative, with nearly the attenuation of a tissue."""
     wanted = np.array([tissue.mu_per_mm(e) for e in FIT_KEV])
     given = np.array([[m.mu_per_mm(e) for m in basis] for e in FIT_KEV])
-    found, _ = scipy.optimize.nnls(given / wanted[:, None], np.ones(len(wanted)))
-    return found
+    amounts, _ = scipy.optimize.nnls(given / wanted[:, None], np.ones(len(wanted)))
+    return amounts
 
 
 def _table_line(section: scenario.TissueTable, key: str, pure: bool) -> TissueLine:
@@ -194,9 +194,9 @@ def _electron_line(section: scenario.ElectronDensities) -> TissueLine:
 def _extended(x: Floats, known: Floats, values: Floats) -> Floats:
     """Interpolate between known values, and extrapolate straight beyond them."""
     slopes = np.diff(values) / np.diff(known)
-    found = np.interp(x, known, values)
-    found += slopes[0] * np.minimum(x - known[0], 0) + slopes[-1] * np.maximum(x - known[-1], 0)
-    return found
+    extended = np.interp(x, known, values)
+    extended += slopes[0] * np.minimum(x - known[0], 0) + slopes[-1] * np.maximum(x - known[-1], 0)
+    return extended
 
 
 def _electrons(substance: Material) -> float:

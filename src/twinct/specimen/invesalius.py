@@ -92,14 +92,14 @@ def _main(text: bytes, where: str) -> dict[str, Any]:
 
 def _members(archive: tarfile.TarFile, size: int, where: str) -> dict[str, tarfile.TarInfo]:
     """Return regular files of an archive by name, without links and devices, up to a total size."""
-    found: dict[str, tarfile.TarInfo] = {}
+    members: dict[str, tarfile.TarInfo] = {}
     whole = 0
     for member in archive:
         whole += 512 + member.size  # also what a sparse file leaves out
         require_unpacked(size, whole, where, SpecimenError)
         if member.isfile():
-            found[PurePosixPath(member.name).name] = member
-    return found
+            members[PurePosixPath(member.name).name] = member
+    return members
 
 
 def _extract(

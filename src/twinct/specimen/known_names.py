@@ -70,21 +70,21 @@ def known_names(section: scenario.Specimen) -> KnownNames:
     Raises:
         SpecimenError: a file of labels is damaged; names the part.
     """
-    found = KnownNames()
+    names_so_far = KnownNames()
     for part in section.parts:
-        found.append(part.label)
+        names_so_far.append(part.label)
         shape = part.shape
         if not isinstance(shape, scenario.GreyVolume):
             continue
         if shape.phantom:
             from twinct.specimen.phantom import phantom
 
-            found += phantom(shape.phantom, shape.seed).names[1:]
+            names_so_far += phantom(shape.phantom, shape.seed).names[1:]
         elif shape.labels:
             names = _of_files(shape.labels, f"part {part.label!r}: labels {shape.labels.path}")
-            found += names
-            found.numbered |= names.numbered
-    return found
+            names_so_far += names
+            names_so_far.numbered |= names.numbered
+    return names_so_far
 
 
 def _of_files(section: scenario.Labels, where: str) -> KnownNames:
@@ -94,6 +94,6 @@ def _of_files(section: scenario.Labels, where: str) -> KnownNames:
     if path.is_dir():
         return KnownNames(mask_files(path))
     open_nifti(path, where, SpecimenError)
-    found = KnownNames(header_names(path).values())
-    found.numbered = True
-    return found
+    result = KnownNames(header_names(path).values())
+    result.numbered = True
+    return result

@@ -114,10 +114,10 @@ class Material:
         """
         try:
             numbers = {s: _atomic_number(s, self.name) for s in self.mass_fractions}
-            kept = _electrons_share(float(energy_kev))
+            absorbed = _electrons_share(float(energy_kev))
             return sum(
                 share * xraylib.CS_Photo(numbers[symbol], float(energy_kev))
-                + share * kept * xraylib.CS_Compt(numbers[symbol], float(energy_kev))
+                + share * absorbed * xraylib.CS_Compt(numbers[symbol], float(energy_kev))
                 for symbol, share in self.mass_fractions.items()
             )
         except ValueError as error:

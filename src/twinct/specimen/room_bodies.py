@@ -90,7 +90,7 @@ def beam_bodies(objects: Sequence[tuple[str, scenario.RoomObject]]) -> tuple[Bui
         SpecimenError: a material is unknown, or a mesh file is unusable; one sentence for each.
     """
     problems: list[str] = []
-    found: list[BuiltPart] = []
+    bodies: list[BuiltPart] = []
     for key, body in objects:
         if body.material is None:
             continue
@@ -101,13 +101,13 @@ def beam_bodies(objects: Sequence[tuple[str, scenario.RoomObject]]) -> tuple[Bui
             problems.extend(error.problems)
             continue
         placed = surface(body.world_from_body.apply(mesh.vertices), mesh.faces)
-        found.append(BuiltPart(body.name, substance, placed))
+        bodies.append(BuiltPart(body.name, substance, placed))
     if problems:
         raise SpecimenError(problems)
     solid = solids_once()
     apart = []
-    for index, part in enumerate(found):
-        later = [other.mesh for other in found[index + 1 :]]
+    for index, part in enumerate(bodies):
+        later = [other.mesh for other in bodies[index + 1 :]]
         mesh = subtract(part.mesh, later, part.name, solid)
         if len(mesh.faces):
             apart.append(BuiltPart(part.name, part.material, mesh))

@@ -29,5 +29,5 @@ def sketch(mesh: trimesh.Trimesh, cells: int = CELLS) -> trimesh.Trimesh:
     means = [np.bincount(cell_of, weights=mesh.vertices[:, axis]) / count for axis in range(3)]
     faces = cell_of[mesh.faces]
     a, b, c = faces.T
-    kept = faces[(a != b) & (b != c) & (c != a)]
-    return trimesh.Trimesh(np.column_stack(means), kept, process=False)
+    valid = faces[(a != b) & (b != c) & (c != a)]
+    return trimesh.Trimesh(np.column_stack(means), valid, process=False)

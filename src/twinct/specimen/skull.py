@@ -58,12 +58,12 @@ def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     texts = [Path(__file__).with_name(name).read_bytes() for name in SOURCES]
     libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy", "scikit-image")]
     numbers = repr((scale, resolution_mm, *libraries, version("manifold3d")))
-    found = made_once(
+    mesh = made_once(
         "skull",
         [*texts, numbers.encode()],
         lambda: _arrays(_made(scale, resolution_mm)),
     )
-    return surface(found["vertices"], found["faces"].astype(np.int64))
+    return surface(mesh["vertices"], mesh["faces"].astype(np.int64))
 
 
 def _arrays(mesh: trimesh.Trimesh) -> dict[str, NDArray[Any]]:
@@ -306,6 +306,6 @@ def _without_crumbs(mesh: trimesh.Trimesh, smallest_mm3: float = 200.0) -> trime
     labels = trimesh.graph.connected_component_labels(mesh.face_adjacency, len(mesh.faces))
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     signed = np.bincount(labels, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0)
-    kept = mesh.faces[np.abs(signed)[labels] >= smallest_mm3]
-    used, faces = np.unique(kept, return_inverse=True)
+    large = mesh.faces[np.abs(signed)[labels] >= smallest_mm3]
+    used, faces = np.unique(large, return_inverse=True)
     return surface(mesh.vertices[used], faces.reshape(-1, 3))

@@ -40,8 +40,8 @@ def read_labels(
     where = f"{where}: labels {section.path}"
     if section.path.is_dir():
         return _of_folder(section, image, where)
-    found = _numbers(section.path, image, where)
-    there = [int(n) for n in np.flatnonzero(np.bincount(found.ravel())) if n]
+    labels = _numbers(section.path, image, where)
+    there = [int(n) for n in np.flatnonzero(np.bincount(labels.ravel())) if n]
     names = dict(section.names)
     if not names:
         stated = header_names(section.path)
@@ -50,10 +50,10 @@ def read_labels(
         raise SpecimenError(f"{where} has no voxel of {', '.join(lost)}; its labels are {there}")
     if not names:
         raise SpecimenError(f"{where} holds no label: all of its values are 0")
-    renumbered = np.zeros(int(found.max()) + 1, dtype=np.uint16)
+    renumbered = np.zeros(int(labels.max()) + 1, dtype=np.uint16)
     for i, number in enumerate(names.values()):
         renumbered[number] = i + 1
-    return tuple(names), renumbered[found]
+    return tuple(names), renumbered[labels]
 
 
 def read_mask(path: Path, image: CtImage, where: str) -> NDArray[np.bool_]:
@@ -63,10 +63,10 @@ def read_mask(path: Path, image: CtImage, where: str) -> NDArray[np.bool_]:
         SpecimenError: the file is damaged, empty or on another grid.
     """
     where = f"{where}: mask {path}"
-    found = _on_grid(path, image, where).values > 0
-    if not found.any():
+    mask = _on_grid(path, image, where).values > 0
+    if not mask.any():
         raise SpecimenError(f"{where} is empty: none of its values is above 0")
-    return found
+    return mask
 
 
 def mask_files(folder: Path) -> dict[str, Path]:
@@ -107,13 +107,13 @@ def _numbers(path: Path, image: CtImage, where: str) -> NDArray[np.uint16]:
 
 
 def _on_grid(path: Path, image: CtImage, where: str) -> CtImage:
-    found = canonical(read_ct_nifti(path, where, scenario.HuLine()))
-    if not same_place(found, image):
+    image_read = canonical(read_ct_nifti(path, where, scenario.HuLine()))
+    if not same_place(image_read, image):
         raise SpecimenError(
-            f"{where} is on another grid than the CT: {_in_words(found)}, the CT "
+            f"{where} is on another grid than the CT: {_in_words(image_read)}, the CT "
             f"{_in_words(image)}; resample it to the CT's"
         )
-    return found
+    return image_read
 
 
 def _in_words(image: CtImage) -> str:

@@ -39,7 +39,7 @@ class Checker:
         Raises:
             InputError: one sentence for each problem, for about the first nine.
         """
-        found: list[Trial] = []
+        valid: list[Trial] = []
         problems: dict[str, Trial] = {}
         figures: set[str] = set()
         for trial in progressed(trials, progress):
@@ -54,15 +54,15 @@ class Checker:
                 continue
             if not problems:
                 figures.update(figure_names(scenario))
-                found.append(self._checked(trial, scenario))
+                valid.append(self._checked(trial, scenario))
         if problems:
             lines = [f"{p}; in {trial}" if trial.axes else p for p, trial in problems.items()]
             if len(problems) >= MOST_PROBLEMS:
                 lines = [*lines[:MOST_PROBLEMS], "further trials were not checked"]
             raise InputError(lines)
         self._require_figures(figures)
-        self._require_different(found)
-        return found
+        self._require_different(valid)
+        return valid
 
     def _require_figures(self, figures: set[str]) -> None:
         """Check that the trials have the requested figures, and that no axis is named like one."""
@@ -76,9 +76,9 @@ class Checker:
                 f"axis {taken[0]}: a figure has this name; give the axis another 'label'"
             )
 
-    def _require_different(self, found: list[Trial]) -> None:
+    def _require_different(self, trials: list[Trial]) -> None:
         first: dict[str, Trial] = {}
-        for one in found:
+        for one in trials:
             same = first.setdefault(one.key, one)
             if same is not one and not self.design.study.search:
                 place = self.design.at("axes", "repetitions")
@@ -99,15 +99,15 @@ class Checker:
         """
         problems: list[str] = []
         for index, part in enumerate(scenario.specimen.parts):
-            told = repr(part.material)
-            if told not in self.materials:
-                self.materials[told] = ()
+            description = repr(part.material)
+            if description not in self.materials:
+                self.materials[description] = ()
                 try:
                     material(part.material, origin=f"specimen.parts.{index}.material")
                 except SpecimenError as error:
-                    self.materials[told] = error.problems
+                    self.materials[description] = error.problems
             place = self.design.places.get(f"specimen.parts.{index}.material", "")
-            problems += [f"{place}: {p}" if place else p for p in self.materials[told]]
+            problems += [f"{place}: {p}" if place else p for p in self.materials[description]]
         if problems:
             raise SpecimenError(problems)
 
@@ -148,8 +148,8 @@ def trial_key(volume: str, trial: Trial) -> str:
         key: Path(value).name if key.rpartition(".")[2] in FILE_KEYS else value
         for key, value in trial.changes.items()
     }
-    told = json.dumps([volume, changes], sort_keys=True)
-    return hashlib.sha256(told.encode()).hexdigest()[:32]
+    text = json.dumps([volume, changes], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
 def progressed(trials: Iterable[Trial], progress: Progress) -> Iterator[Trial]:

@@ -118,8 +118,8 @@ class Design:
 
     def at(self, *sections: str) -> str:
         """Return the prefix of a message: the origin of the first section that the file has."""
-        found = next((self.places[name] for name in sections if name in self.places), "")
-        return found and f"{found}: "
+        place = next((self.places[name] for name in sections if name in self.places), "")
+        return place and f"{place}: "
 
     def scenario(self, trial: Trial) -> Scenario:
         """Return the scenario of a trial.
@@ -195,8 +195,8 @@ def load_study(source: str | Path | Mapping[str, Any]) -> Design:
     places = {key: draft.origin(("set", key)) or f"{where}set {key}" for key in fixed}
     read = _template(study, draft).changed(fixed, places)
     design = Design(study, read, _places(study, draft), text, folder)
-    if found := list(_design_problems(design, draft)):
-        raise InputError(found)
+    if problems := list(_design_problems(design, draft)):
+        raise InputError(problems)
     return design
 
 
@@ -209,14 +209,14 @@ def _template(study: Study, draft: Draft) -> Template:
         return read
     if why := no_file(study.scenario):
         place = draft.origin(("scenario",))
-        told = f"no file at {study.scenario}" if why == ABSENT else f"{study.scenario} {why}"
-        raise InputError(f"{place and place + ': '}scenario: {told}{same_name(study.scenario)}")
+        problem = f"no file at {study.scenario}" if why == ABSENT else f"{study.scenario} {why}"
+        raise InputError(f"{place and place + ': '}scenario: {problem}{same_name(study.scenario)}")
     return Template.read(study.scenario)
 
 
 def _places(study: Study, draft: Draft) -> dict[str, str]:
     sections = ("figures", "axes", "search", "repetitions", "max_trials")
-    found = {
+    places = {
         key: place for key in sections if key in draft.data and (place := draft.origin((key,)))
     }
     for index, axis in enumerate(study.axes):
@@ -224,14 +224,14 @@ def _places(study: Study, draft: Draft) -> dict[str, str]:
             where = ("axes", index, "paired", inner) if axis.paired else ("axes", index)
             place = draft.origin((*where, "key"))
             for key in part.keys:
-                found[key] = f"{place}: axis {part.name}" if place else f"axis {part.name}"
+                places[key] = f"{place}: axis {part.name}" if place else f"axis {part.name}"
     for name, keys in (
         ("repetitions", study.repetitions.keys if study.repetitions else ()),
         *((f"search {d.name}", d.keys) for d in (study.search.keys if study.search else ())),
     ):
         place = draft.origin((name.partition(" ")[0],))
-        found |= dict.fromkeys(keys, f"{place}: {name}" if place else name)
-    return found
+        places |= dict.fromkeys(keys, f"{place}: {name}" if place else name)
+    return places
 
 
 def _design_problems(design: Design, draft: Draft) -> Iterator[str]:
@@ -295,8 +295,8 @@ def _values(axis: Axis) -> Iterable[Any]:
         else:
             numbers = np.linspace(span.first, span.last, span.number)
         # Twelve digits remove rounding errors of the step, such as 0.30000000000000004.
-        found = [float(f"{number:.12g}") for number in numbers]
-        return dict.fromkeys(round(x) for x in found) if span.whole else found
+        numbers_rounded = [float(f"{number:.12g}") for number in numbers]
+        return dict.fromkeys(round(x) for x in numbers_rounded) if span.whole else numbers_rounded
     draw = axis.draw
     assert draw is not None
     rng = view_rng(draw.seed, f"axis {', '.join(axis.keys)}", 0)

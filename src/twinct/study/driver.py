@@ -139,13 +139,13 @@ class Driver:
         keys = [key for d in search.keys for key in d.keys] if search else []
         later = bool(keys) and not any({*readers(key)} & _BEFORE_IMAGES for key in keys)
         for digest, number in Counter(one.scan for one in trials).items():
-            kept = self.folder.scans / digest[:32]
-            if number > 1 or later or kept.exists():
+            path = self.folder.scans / digest[:32]
+            if number > 1 or later or path.exists():
                 shared = self._scans.setdefault(digest, _SharedScan())
                 shared.wanted += number
-                if kept.exists() and not shared.there:
+                if path.exists() and not shared.there:
                     shared.there = True
-                    self.pool.offer(scan_name(digest), kept)
+                    self.pool.offer(scan_name(digest), path)
 
     def _work(self, one: Trial) -> Work | None:
         """Return the next work of a trial; None if it waits for a scan, or the scan has failed."""
@@ -172,8 +172,8 @@ class Driver:
     def spec(self, one: Trial, *, shared: bool) -> TrialSpec:
         """Return a trial in the form sent to workers; ``shared``: other trials use its scan."""
         scenario: Scenario = self.design.scenario(one)
-        told = str(one).partition(" (")[2].removesuffix(")")  # its number may change
-        name = f"{self.design.study.name}: {told}" if told else self.design.study.name
+        values = str(one).partition(" (")[2].removesuffix(")")  # its number may change
+        name = f"{self.design.study.name}: {values}" if values else self.design.study.name
         scenario = scenario.model_copy(update={"name": name})
         return TrialSpec(
             key=one.key,
@@ -193,13 +193,13 @@ class Driver:
             shared.failed = event
             self._fail(waiting, event)
             return []
-        kept = self.folder.scans / digest[:32]
-        event.artifacts["scan"].save(kept)
-        self.pool.offer(scan_name(digest), kept)
+        path = self.folder.scans / digest[:32]
+        event.artifacts["scan"].save(path)
+        self.pool.offer(scan_name(digest), path)
         shared.there = True
         shared.seconds = event.value
         self._count(waiting[0].cost.scan, sum(event.value.values()) - event.value.get(START, 0.0))
-        self._timings.add(f"{waiting[0].cost.scan} bytes", bytes_below([kept]))
+        self._timings.add(f"{waiting[0].cost.scan} bytes", bytes_below([path]))
         return waiting
 
     def _tried(self, one: Trial, event: Done | Failed) -> None:
@@ -235,7 +235,7 @@ class Driver:
         self._busy_s += seconds
         self._timings.add(kind, seconds)
 
-    def _count_trial(self, one: Trial, event: Done, kept: Path | None) -> None:
+    def _count_trial(self, one: Trial, event: Done, folder: Path | None) -> None:
         """Record seconds and bytes of a trial; count its own scan separately."""
         spent, scan_s = event.value["seconds"], 0.0
         if one.scan not in self._scans:
@@ -244,9 +244,9 @@ class Driver:
         self._count(one.cost.rest, spent["total"] - scan_s)
         self._timings.add(f"{one.cost.rest} sections bytes", len(event.value["sections"]))
         scan_bytes = event.value.get("scan_bytes", 0)
-        if kept is not None:
-            scan_bytes = bytes_below([kept / "scan.zarr"])
-            self._timings.add(f"{one.cost.rest} bytes", bytes_below([kept]) - scan_bytes)
+        if folder is not None:
+            scan_bytes = bytes_below([folder / "scan.zarr"])
+            self._timings.add(f"{one.cost.rest} bytes", bytes_below([folder]) - scan_bytes)
         if scan_bytes:
             self._timings.add(f"{one.cost.scan} bytes", scan_bytes)
 
@@ -303,5 +303,5 @@ class _SharedScan:
 
     def take_seconds(self) -> dict[str, float]:
         """Return the seconds, and clear them so that they count once."""
-        found, self.seconds = self.seconds, {}
-        return found
+        seconds, self.seconds = self.seconds, {}
+        return seconds

@@ -55,9 +55,9 @@ def estimate(
     seconds: list[float | None] = [timings.mean(one.cost.scan) for one in first.values()]
     seconds += [timings.mean(one.cost.rest) for one in tried]
     known = [s for s in seconds if s is not None]
-    kept = [one for digest, one in first.items() if whole or numbers[digest] > 1]
+    stored = [one for digest, one in first.items() if whole or numbers[digest] > 1]
     # Trial folders hold shared scans as hard links, so each scan's bytes count once.
-    size = sum(_mean(timings, f"{one.cost.scan} bytes", one.cost.scan_bytes) for one in kept)
+    size = sum(_mean(timings, f"{one.cost.scan} bytes", one.cost.scan_bytes) for one in stored)
     size += len(trials) * (_mean(timings, "row bytes", ROW_BYTES) + BYTES_IN_TABLE)
     if study.keep != "figures":
         for one in tried:
@@ -90,10 +90,10 @@ def page_parts(combinations: int) -> int:
 def bytes_below(paths: Iterable[Path]) -> int:
     """Return the total size of files, also in folders; hard links of one file count once."""
     files = (file for path in paths for file in ([path] if path.is_file() else path.rglob("*")))
-    told = (file.stat() for file in files if file.is_file())
-    return sum({(one.st_dev, one.st_ino): one.st_size for one in told}.values())
+    stats = (file.stat() for file in files if file.is_file())
+    return sum({(one.st_dev, one.st_ino): one.st_size for one in stats}.values())
 
 
 def _mean(timings: TrialTimings, kind: str, otherwise: float) -> float:
-    found = timings.mean(kind)
-    return otherwise if found is None else found
+    mean = timings.mean(kind)
+    return otherwise if mean is None else mean

@@ -65,9 +65,9 @@ class StudyFolder:
         check_folder(self.path, {*own, *(draft_of(Path(name)).name for name in own)})
         if not self.identity.exists():
             return
-        told, there = _identity(design), self._there()
-        if {name: there.get(name) for name in told} != told:
-            what = "keep" if there.get("base") == told["base"] else "scenario or 'set'"
+        identity, there = _identity(design), self._there()
+        if {name: there.get(name) for name in identity} != identity:
+            what = "keep" if there.get("base") == identity["base"] else "scenario or 'set'"
             raise InputError(
                 f"--out {self.path}: the folder holds another study: its {what} differs; "
                 "choose another folder"

@@ -30,7 +30,7 @@ class Inputs:
         Raises:
             OSError: a file cannot be read.
         """
-        found: dict[str, tuple[str, str]] = {}
+        offers: dict[str, tuple[str, str]] = {}
         for key, path in scenario.files().items():
             if path not in self._known:
                 last = key.rpartition(".")[2]
@@ -38,8 +38,8 @@ class Inputs:
                 whole, inner = self._arm(path, name) if last == "file" else (path, "")
                 pool.offer(name, whole)
                 self._known[path] = name, inner
-            found[key] = self._known[path]
-        return found
+            offers[key] = self._known[path]
+        return offers
 
     def _arm(self, path: Path, name: str) -> tuple[Path, str]:
         """Collect an arm's description and its includes; return their folder and its main file."""

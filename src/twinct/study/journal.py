@@ -58,13 +58,13 @@ class Row:
 
     def to_json(self) -> str:
         """Return the row as one line of strict JSON, without a newline."""
-        told = vars(self) | {
+        data = vars(self) | {
             "figures": {
                 name: value if value is not None and math.isfinite(value) else None
                 for name, value in self.figures.items()
             }
         }
-        return json.dumps(told, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        return json.dumps(data, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
     @classmethod
     def from_json(cls, line: str) -> Row:
@@ -133,7 +133,7 @@ class Journal:
         Raises:
             InputError: a line is broken; names file and line.
         """
-        found: dict[str, Row] = {}
+        rows: dict[str, Row] = {}
         try:
             with open(self.path, "rb") as file:
                 for number, line in enumerate(file, 1):
@@ -145,12 +145,12 @@ class Journal:
                         raise InputError(
                             f"{self.path}, line {number}: not a row of a study: {reason(error)}"
                         ) from None
-                    found[row.key] = row
+                    rows[row.key] = row
         except FileNotFoundError:
             return []
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {reason(error)}") from None
-        return sorted(found.values(), key=lambda row: (row.trial, row.key))
+        return sorted(rows.values(), key=lambda row: (row.trial, row.key))
 
     def whole_bytes(self) -> int:
         """Return the size of all complete lines; it grows with each row.

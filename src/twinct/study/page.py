@@ -51,10 +51,10 @@ def write_page(
         planned=total if len(rows) < total else None,
         wall_seconds=wall_seconds,
     )
-    kept = {row.trial: path for row in rows if (path := sections_of(folder, row))}
-    shown = {n: read_sections(kept[n]) for n in best_trials(data) if n in kept}
+    stored = {row.trial: path for row in rows if (path := sections_of(folder, row))}
+    shown = {n: read_sections(stored[n]) for n in best_trials(data) if n in stored}
     mu_reference = next((mu for _, mu in shown.values()), None)
-    sections = {number: found for number, (found, _) in shown.items()}
+    sections = {number: arrays for number, (arrays, _) in shown.items()}
     write_study(folder.page, replace(data, sections=sections, mu_reference=mu_reference))
 
 
@@ -66,13 +66,13 @@ def _axes(design: Design) -> list[StudyAxis]:
     log = {part.name for part in parts if _is_log(part)}
     log |= {one.name for one in dimensions if one.scale == "log"}
     keys = {one.name: one.keys for one in (*parts, *dimensions)}
-    found = [
+    axes = [
         StudyAxis(label, log=label in log, keys=", ".join(keys[label])) for label in design.labels
     ]
     words = axis_words([keys[label] for label in design.labels])
     return [
         replace(one, name=name, unit=unit) if one.label == one.keys else one
-        for one, (name, unit) in zip(found, words, strict=True)
+        for one, (name, unit) in zip(axes, words, strict=True)
     ]
 
 

@@ -139,8 +139,8 @@ def load_results(folder: str | Path) -> pd.DataFrame:
         )
     try:
         with path.open("rb") as stream:
-            told = (pq.read_schema(stream).metadata or {}).get(_JOURNAL_BYTES)
-        if told == str(journal.whole_bytes()).encode():
+            stated = (pq.read_schema(stream).metadata or {}).get(_JOURNAL_BYTES)
+        if stated == str(journal.whole_bytes()).encode():
             with path.open("rb") as stream:
                 return pq.read_table(stream).to_pandas()
     except (OSError, pa.ArrowException):

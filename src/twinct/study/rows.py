@@ -151,8 +151,8 @@ def _combination(row: Row) -> str:
     return repr(sorted(row.axes.items(), key=lambda item: item[0]))
 
 
-def _row(one: Trial, **told: Any) -> Row:
-    return Row(one.number, one.key, one.axes, one.seed, scan=one.scan, **told)
+def _row(one: Trial, **values: Any) -> Row:
+    return Row(one.number, one.key, one.axes, one.seed, scan=one.scan, **values)
 
 
 def sections_of(folder: StudyFolder, row: Row) -> Path | None:

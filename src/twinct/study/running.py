@@ -162,8 +162,8 @@ def _concluded(driver: Driver) -> Iterator[None]:
         finally:
             Cache(driver.folder.work).remove_locks()
         if isinstance(error, KeyboardInterrupt):
-            kept = f"{driver.folder.path} keeps {len(rows.status)} of {total} trials"
-            error.add_note(f"{kept}; --resume continues")
+            note = f"{driver.folder.path} keeps {len(rows.status)} of {total} trials"
+            error.add_note(f"{note}; --resume continues")
         raise
     else:
         driver.pool.close(clear=True)
@@ -194,10 +194,10 @@ def dry_run(
     there = Rows(folder, design.study) if folder else None
     open_ = [one for one in trials if there is None or there.wanted(one.key, retry=retry)]
     workers = jobs or _workers(design.study.threads)
-    found = estimate(design.study, open_, workers, TrialTimings.open())
+    preview = estimate(design.study, open_, workers, TrialTimings.open())
     search = design.study.search
     total = search.trials * len(design.seeds) if search else len(trials)
-    return DryRun(open_, len(trials) - len(open_), total, found)
+    return DryRun(open_, len(trials) - len(open_), total, preview)
 
 
 def _first_trials(design: Design, checker: Checker, audience: Audience) -> list[Trial]:
@@ -249,8 +249,10 @@ def _search(design: Design, checker: Checker, driver: Driver, retry: bool) -> No
         for chosen in values:
             first = len(tried) * len(design.seeds)
             of_seeds = [figures.get(keys[first + n]) for n in range(len(design.seeds))]
-            found = [figure for figure in of_seeds if figure is not None]
-            tried.append((chosen, sum(found) / len(found) if found else None))
+            known_figures = [figure for figure in of_seeds if figure is not None]
+            tried.append(
+                (chosen, sum(known_figures) / len(known_figures) if known_figures else None)
+            )
     driver.rows.renumbered(known)
     driver.say()
 
@@ -291,16 +293,16 @@ def _conclude(
     design: Design, folder: StudyFolder, rows: Rows, total: int, wall_seconds: float
 ) -> None:
     """Write table and page of all existing rows, also after an interruption."""
-    found = rows.all()
-    if not found:
+    of_trials = rows.all()
+    if not of_trials:
         return
-    write_results(folder.path, found)
-    write_page(folder, design, found, total, wall_seconds)
+    write_results(folder.path, of_trials)
+    write_page(folder, design, of_trials, total, wall_seconds)
     timings = TrialTimings.open()
-    timings.add("row bytes", folder.journal.stat().st_size / len(found))
-    table = folder.results.stat().st_size - BYTES_IN_TABLE * len(found)
+    timings.add("row bytes", folder.journal.stat().st_size / len(of_trials))
+    table = folder.results.stat().st_size - BYTES_IN_TABLE * len(of_trials)
     timings.add("table bytes", max(table, 0))
-    parts = page_parts(len({repr(row.axes) for row in found}))
+    parts = page_parts(len({repr(row.axes) for row in of_trials}))
     timings.add(page_kind(design.study), folder.page.stat().st_size / parts)
     timings.write()
 

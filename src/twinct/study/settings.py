@@ -112,10 +112,10 @@ class Axis(Section):
     def _one_way(self) -> Axis:
         ways = [name for name in ("values", "range", "draw", "paired") if getattr(self, name)]
         if len(ways) != 1:
-            found = f"{' and '.join(ways)} are given" if ways else "none is given"
+            problem = f"{' and '.join(ways)} are given" if ways else "none is given"
             raise ConflictError(
                 Conflict(
-                    f"one of values, range, draw and paired is needed; {found}", (*ways, "key")
+                    f"one of values, range, draw and paired is needed; {problem}", (*ways, "key")
                 )
             )
         if (self.paired is None) == (self.key is None):

@@ -147,12 +147,12 @@ def try_trial(spec: TrialSpec, place: Place) -> dict[str, Any]:
         folder.mkdir(parents=True, exist_ok=True)
         scenario = spec.scenario_at(place)
         _check(scenario)
-        kept = _scan_path(spec, place)
+        shared_scan = _scan_path(spec, place)
         if spec.keep == "everything":
-            result = _whole_run(spec, scenario, kept, folder, place, seconds)
+            result = _whole_run(spec, scenario, shared_scan, folder, place, seconds)
             place.attach("run", folder)
         else:
-            result = _figures(spec, scenario, kept, folder, cache, seconds)
+            result = _figures(spec, scenario, shared_scan, folder, cache, seconds)
             if spec.keep == "volume":
                 place.attach("volume", folder / VOLUME)
     seconds.stages["total"] = time.perf_counter() - began
@@ -223,18 +223,18 @@ def _acquire(spec: TrialSpec, builder: SimulationBuilder, folder: Path) -> None:
 def _figures(
     spec: TrialSpec,
     scenario: Scenario,
-    kept: Path | None,
+    shared_scan: Path | None,
     folder: Path,
     cache: Cache,
     seconds: _Seconds,
 ) -> dict[str, Any]:
     specimen = _specimen(scenario, cache, seconds)
-    path = kept or folder / "scan.zarr"
-    plan = ScanStore(path).plan if kept else _plan(scenario, specimen, cache, seconds)
+    path = shared_scan or folder / "scan.zarr"
+    plan = ScanStore(path).plan if shared_scan else _plan(scenario, specimen, cache, seconds)
     builder = SimulationBuilder(scenario, plan, specimen)
     require_feasible(scenario, builder.commanded)
     check_sight(builder)
-    if kept is None:
+    if shared_scan is None:
         with seconds.stage("scan"):
             _acquire(spec, builder, folder)
     scan = once("scan", spec.scan, lambda: ScanStore(path).read())
@@ -255,7 +255,7 @@ def _figures(
             if spec.keep == "volume":
                 volume.write(stored, "twinct, 1/mm")
     result = {"figures": flat_figures(figures_of(scan, images)), "sections": sections}
-    if kept is None:  # for estimates: later trials may share the scan
+    if shared_scan is None:  # for estimates: later trials may share the scan
         result["scan_bytes"] = bytes_below([path])
     attached = stored if spec.keep == "volume" else None
     for used in [path for path in folder.iterdir() if path != attached]:
@@ -266,16 +266,16 @@ def _figures(
 def _whole_run(
     spec: TrialSpec,
     scenario: Scenario,
-    kept: Path | None,
+    shared_scan: Path | None,
     folder: Path,
     place: Place,
     seconds: _Seconds,
 ) -> dict[str, Any]:
-    if kept is not None and not (folder / "scan.zarr").exists():
-        LocalArtifact(kept).save(folder / "scan.zarr")
+    if shared_scan is not None and not (folder / "scan.zarr").exists():
+        LocalArtifact(shared_scan).save(folder / "scan.zarr")
     cache = Cache(place.folder)
     specimen = _specimen(scenario, cache, seconds)
-    plan = None if kept else _plan(scenario, specimen, cache, seconds)
+    plan = None if shared_scan else _plan(scenario, specimen, cache, seconds)
     finished = run(
         scenario,
         folder,

@@ -17,19 +17,19 @@ _OF_IMAGE = (*(one.key for one in IMAGE_FIGURES), *(f"zero.{name}" for name in _
 
 def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the figures that depend on the scenario alone, without seconds and digests."""
-    found: dict[str, float | None] = {}
+    figures: dict[str, float | None] = {}
     for name in (*_IMAGES, *_SECTIONS, *_WITH_ARMS):
         if name in metrics:
-            found |= _flat(name, metrics[name])
+            figures |= _flat(name, metrics[name])
     believed = metrics["geometries"]["believed"]["pose_error"]
-    return found | _flat("geometries.believed.pose_error", believed)
+    return figures | _flat("geometries.believed.pose_error", believed)
 
 
 def figure_names(scenario: Scenario) -> tuple[str, ...]:
     """Return the names of the figures that a trial of a scenario will have."""
-    asked = scenario.evaluation
+    section = scenario.evaluation
     moves = [one.key for one in MOTION_FIGURES] if scenario.specimen.motion else []
-    of_image = [*_OF_IMAGE, *moves, *(asked.figure_names() if asked else ())]
+    of_image = [*_OF_IMAGE, *moves, *(section.figure_names() if section else ())]
     names = [f"image.{name}" for name in of_image]
     geometries = scenario.reconstruction.geometries
     if len(geometries) > 1:

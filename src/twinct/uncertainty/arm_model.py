@@ -63,9 +63,9 @@ def carried(frames: Floats, tools: Floats) -> Floats:
     """Return matrices from twists of frames, in their axes, to errors of tools, (..., 6, 6)."""
     rotation = frames[..., :3, :3]
     arms = tools[..., :3, 3] - frames[..., :3, 3]
-    found = np.zeros((*rotation.shape[:-2], 6, 6))
-    found[..., :3, :3] = found[..., 3:, 3:] = rotation
+    result = np.zeros((*rotation.shape[:-2], 6, 6))
+    result[..., :3, :3] = result[..., 3:, 3:] = rotation
     # The columns are w x r for each axis of the frame.
     turned = np.cross(np.swapaxes(rotation, -1, -2), arms[..., None, :])
-    found[..., :3, 3:] = np.swapaxes(turned, -1, -2)
-    return found
+    result[..., :3, 3:] = np.swapaxes(turned, -1, -2)
+    return result

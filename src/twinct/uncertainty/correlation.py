@@ -22,8 +22,8 @@ REACH = 3.0
 def weights(length: float) -> Floats:
     """Return the weights of the views around a view, itself in the middle; squares add up to 1."""
     reach = math.ceil(REACH * length)
-    found = np.exp(-((np.arange(-reach, reach + 1) / max(length, 1e-9)) ** 2))
-    return found / np.linalg.norm(found)
+    kernel = np.exp(-((np.arange(-reach, reach + 1) / max(length, 1e-9)) ** 2))
+    return kernel / np.linalg.norm(kernel)
 
 
 def view_normals(seed: int, purpose: str, view: int, size: int, length: float = 0.0) -> Floats:

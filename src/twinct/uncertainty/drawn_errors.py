@@ -176,9 +176,9 @@ def _alike(
 
 def _reported_draws(noise: PoseNoise, seed: int, side: str, draws: int, views: int) -> Singles:
     sigma = np.array([noise.sigma_mm] * 3 + [np.radians(noise.rotation_sigma_deg)] * 3, np.float32)
-    found = sigma * _alike(seed, f"reported {side}", draws, views, noise.correlation_views)
+    result = sigma * _alike(seed, f"reported {side}", draws, views, noise.correlation_views)
     rng = scan_rng(seed, f"reported {side} again")
     cutoff = np.inf if noise.cutoff_mm is None else noise.cutoff_mm
-    while (beyond := np.abs(found[..., :3]) > cutoff).any():
-        found[..., :3][beyond] = rng.normal(0.0, noise.sigma_mm, int(beyond.sum()))
-    return found
+    while (beyond := np.abs(result[..., :3]) > cutoff).any():
+        result[..., :3][beyond] = rng.normal(0.0, noise.sigma_mm, int(beyond.sum()))
+    return result

@@ -64,11 +64,11 @@ class FirstOrder:
 
     def covariance(self, one: int, other: int) -> Floats:
         """Return the covariance of the errors of view ``one`` (rows) and ``other``, (12, 12)."""
-        found = np.zeros((12, 12))
+        total = np.zeros((12, 12))
         for term in self.terms:
             apart = np.array(float(one - other))
-            found += term.alike(apart) * term.factor[one] @ term.factor[other].T
-        return found
+            total += term.alike(apart) * term.factor[one] @ term.factor[other].T
+        return total
 
     @cached_property
     def covariances(self) -> Floats:
@@ -83,7 +83,7 @@ def first_order(section: Uncertainty, scan: NominalScan) -> FirstOrder:
     """Compute the first-order covariances of a scenario's errors, without draws."""
     slopes = [derivatives(scan.motion(side)) for side in range(2)]
     of_terms, means = _of_terms(section, scan, slopes)
-    found = [
+    results = [
         *of_terms,
         *_of_encoders(section, scan, slopes),
         *_of_patient(section, scan),
@@ -91,7 +91,7 @@ def first_order(section: Uncertainty, scan: NominalScan) -> FirstOrder:
     ]
     views = len(scan.time_s)
     terms: dict[tuple[str, float], list[Floats]] = {}
-    for term in found:
+    for term in results:
         if term.factor.any():
             factor = np.broadcast_to(term.factor, (views, *term.factor.shape[1:]))
             terms.setdefault((term.name, term.length), []).append(factor)
@@ -112,7 +112,7 @@ def _of_terms(
     section: Uncertainty, scan: NominalScan, slopes: list[dict[Place, Floats]]
 ) -> tuple[list[Term], list[Term]]:
     """Return the effects of all error terms, random and systematic ones."""
-    found: list[Term] = []
+    of_views: list[Term] = []
     shared: dict[tuple[str, int], Term] = {}
     for term, settings in terms_of(section):
         for side in range(2):
@@ -120,14 +120,14 @@ def _of_terms(
             for k, (spread, _) in enumerate(spreads):
                 factor = _of_side(side, _factor(slopes[side][spread.place], spread))
                 if spread.draws in ("each", "side"):
-                    found.append(Term(term.name, factor, spread.length))
+                    of_views.append(Term(term.name, factor, spread.length))
                     continue
                 # One draw moves both sides.
                 name = f"{term.name}, mean" if spread.draws == "none" else term.name
                 before = shared[term.name, k].factor if (term.name, k) in shared else 0.0
                 shared[term.name, k] = Term(name, before + factor, spread.length)
     means = [term for term in shared.values() if term.name.endswith(", mean")]
-    return [*found, *(term for term in shared.values() if term not in means)], means
+    return [*of_views, *(term for term in shared.values() if term not in means)], means
 
 
 def _factor(slope: Floats, spread: Spread) -> Floats:

@@ -13,8 +13,8 @@ JERK_S = 0.2
 
 def directions(seed: int, draws: int = 1) -> Floats:
     """Draw unit vectors: direction and axis of the nod, then of the jerk, (draws, 4, 3)."""
-    found = scan_rng(seed, "patient").normal(size=(draws, 4, 3))
-    return found / np.linalg.norm(found, axis=-1, keepdims=True)
+    result = scan_rng(seed, "patient").normal(size=(draws, 4, 3))
+    return result / np.linalg.norm(result, axis=-1, keepdims=True)
 
 
 def amplitudes(section: PatientMotion, time_s: Floats) -> Floats:

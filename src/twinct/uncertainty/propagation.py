@@ -34,7 +34,7 @@ def pixel_jacobian(scan: NominalScan, panel: Panel, points: Floats) -> Floats:
     Returns:
         (views, points, 2, 12), pixels per mm and rad.
     """
-    found = []
+    columns = []
     for column in range(12):
         step = np.zeros(6)
         step[column % 6] = STEP
@@ -43,16 +43,16 @@ def pixel_jacobian(scan: NominalScan, panel: Panel, points: Floats) -> Floats:
             poses = scan.poses.copy()
             poses[column // 6] = _displaced(poses[column // 6], sign * step)
             ends.append(project(poses[:, None], panel, points)[0])
-        found.append((ends[0] - ends[1]) / (2 * STEP))
-    return np.stack(found, axis=-1)
+        columns.append((ends[0] - ends[1]) / (2 * STEP))
+    return np.stack(columns, axis=-1)
 
 
 def _displaced(poses: Floats, error: Floats) -> Floats:
-    found = poses.copy()
-    found[..., :3, 3] += error[:3]
+    displaced = poses.copy()
+    displaced[..., :3, 3] += error[:3]
     turn = scipy.spatial.transform.Rotation.from_rotvec(error[3:])
-    found[..., :3, :3] = turn.as_matrix() @ poses[..., :3, :3]
-    return found
+    displaced[..., :3, :3] = turn.as_matrix() @ poses[..., :3, :3]
+    return displaced
 
 
 def project(poses: Floats, panel: Panel, points: Floats) -> Floats:

@@ -75,12 +75,12 @@ def reachable(
         return np.arange(len(geometry))
     starts = range(0, len(geometry), TOGETHER)
     pieces = (geometry[start : start + TOGETHER] for start in starts)
-    found: list[NDArray[np.intp]] = []
+    within_reach: list[NDArray[np.intp]] = []
     with progress.stage("views within reach", len(starts)) as step:
         for start, held in zip(starts, spread(_held, builder, pieces, pool), strict=True):
-            found.append(start + held)
+            within_reach.append(start + held)
             step()
-    return np.concatenate(found)
+    return np.concatenate(within_reach)
 
 
 def _held(builder: SimulationBuilder, geometry: ScanGeometry) -> NDArray[np.intp]:

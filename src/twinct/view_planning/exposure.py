@@ -11,7 +11,11 @@ from twinct.recon.objectives.detectability import Detectability
 
 
 def best_exposures(
-    found: Detectability, views: list[int], total: float, least: float = 0.0, most: float = np.inf
+    detectability: Detectability,
+    views: list[int],
+    total: float,
+    least: float = 0.0,
+    most: float = np.inf,
 ) -> Floats:
     """Compute exposures of some views with a given sum and the best detectability, (views,).
 
@@ -20,9 +24,9 @@ def best_exposures(
     worse than equal exposures.
 
     Args:
-        found: detectability of all candidates.
+        detectability: detectability of all candidates.
         views: indices of the chosen views.
-        total: sum of the exposures, in units of the exposures of ``found``.
+        total: sum of the exposures, in units of the exposures of ``detectability``.
         least: smallest exposure of each view.
         most: largest exposure of each view.
 
@@ -35,7 +39,7 @@ def best_exposures(
             f"{count} views of {least:g} to {most:g} each cannot add up to {total:g}; the "
             f"sum must be from {least * count:g} to {most * count:g}"
         )
-    mine = Detectability(found.task, found.fisher[views])
+    mine = Detectability(detectability.task, detectability.fisher[views])
     equal = np.full(count, total / count)
     unit = mine(equal) ** 2
     solved = scipy.optimize.minimize(

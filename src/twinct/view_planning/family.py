@@ -89,15 +89,15 @@ def best_parameters(
     best, most, history = middle, -np.inf, []
     with progress.stage("parameters", generations) as step:
         for _ in range(generations):
-            asked = [search.ask() for _ in range(search.population_size)]
-            values = worth([_named(names, low + x * (high - low)) for x in asked])
+            candidates = [search.ask() for _ in range(search.population_size)]
+            values = worth([_named(names, low + x * (high - low)) for x in candidates])
             values = np.asarray(values, dtype=np.float64)
             if values.max() > most:
-                best, most = asked[int(values.argmax())], float(values.max())
+                best, most = candidates[int(values.argmax())], float(values.max())
             history.append(most)
             # Infeasible sets rank below all feasible sets.
             finite = np.where(np.isfinite(values), values, -1e300)
-            search.tell(list(zip(asked, (-finite).tolist(), strict=True)))
+            search.tell(list(zip(candidates, (-finite).tolist(), strict=True)))
             step()
             if search.should_stop():
                 break

@@ -74,9 +74,9 @@ def best_path(
     task = builder.scenario.task
     assert task is not None and task.family is not None
     _check(builder, task, task.family)
-    kept, judged = list(journal.generations), 0
+    generations, judged = list(journal.generations), 0
     tried = None
-    if task.trying is not None and len(kept) < task.family.generations:
+    if task.trying is not None and len(generations) < task.family.generations:
         tried = error_of(builder, reference)
 
     def starts(sets: Sequence[object]) -> range:
@@ -85,8 +85,8 @@ def best_path(
     def worth(sets: Sequence[Mapping[str, float]]) -> Sequence[float]:
         nonlocal judged
         judged += 1
-        if judged <= len(kept):
-            return kept[judged - 1]
+        if judged <= len(generations):
+            return generations[judged - 1]
         pieces = [_Piece(reference, tried, sets[k : k + TOGETHER]) for k in starts(sets)]
         judgements = spread(_judged, builder, pieces, pool)
         values = [value for piece in judgements for value, _ in piece]
@@ -94,7 +94,7 @@ def best_path(
         return values
 
     bounds = {one.key: (one.low, one.high) for one in task.family.parameters}
-    found = best_parameters(
+    tuned = best_parameters(
         worth,
         bounds,
         generations=task.family.generations,
@@ -102,11 +102,11 @@ def best_path(
         seed=builder.scenario.seed,
         progress=progress,
     )
-    if found.worth <= MISSED:
-        raise _infeasible(builder, reference, found.parameters)
-    section = _section(builder, task, found.parameters)
+    if tuned.worth <= MISSED:
+        raise _infeasible(builder, reference, tuned.parameters)
+    section = _section(builder, task, tuned.parameters)
     views = commanded_views(section, builder.scenario.detector.panel)
-    return TunedPath(section, found.parameters, views, found.history)
+    return TunedPath(section, tuned.parameters, views, tuned.history)
 
 
 def _infeasible(
@@ -151,7 +151,7 @@ def _judged(builder: SimulationBuilder, piece: _Piece) -> list[tuple[float, str]
     held = np.array([len(reachable(builder, path, SILENT)) for path in paths])
     both = ScanGeometry.joined([reference, *paths])
     goals = goals_of(builder, both, len(reference), range(len(reference)), SILENT)
-    found: list[tuple[float, str]] = []
+    judged: list[tuple[float, str]] = []
     for k in range(len(paths)):
         views = range(len(reference) + k * count, len(reference) + (k + 1) * count)
         missed = count - int(held[k])
@@ -167,8 +167,8 @@ def _judged(builder: SimulationBuilder, piece: _Piece) -> list[tuple[float, str]
         worth = MISSED * (1 + far) if words else worth_of(goals, views)
         if piece.tried is not None and task.trying is not None and not words:
             worth -= task.trying.weight * error_of(builder, paths[k]) / piece.tried
-        found.append((worth, ", ".join(words)))
-    return found
+        judged.append((worth, ", ".join(words)))
+    return judged
 
 
 def _section(

@@ -69,13 +69,13 @@ def rejudged(
     executed = [_geometry(true[0, k], true[1, k], panel) for k in range(draws)]
     place = builder.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
     blur = _blur_mm(true, believed, planned, place)
-    kept = {name: None for name, (one, _) in task.goals.items() if one.under_errors is None}
-    moved = task.model_copy(update=kept)
+    dropped = {name: None for name, (one, _) in task.goals.items() if one.under_errors is None}
+    moved = task.model_copy(update=dropped)
     quiet = SimulationBuilder(scenario.model_copy(update={"task": moved}))
     together = ScanGeometry.joined([planned, *executed])
     mas = builder.mas
     exposures = np.ones(views) if mas is None else mas / scenario.source.mas
-    found: dict[str, Rejudged] = {}
+    by_name: dict[str, Rejudged] = {}
     for goal in goals_of(quiet, together, views, range(views), progress):
         objective, section = task.goals[goal.name]
         assert objective.under_errors is not None
@@ -85,8 +85,8 @@ def rejudged(
             )
             for k, sigma in enumerate([0.0, *blur.tolist()])
         )
-        found[goal.name] = Rejudged(planned_figure, np.array(drawn))
-    return found, blur
+        by_name[goal.name] = Rejudged(planned_figure, np.array(drawn))
+    return by_name, blur
 
 
 def _drawn_poses(scenario: Scenario, scan: NominalScan, draws: int) -> tuple[Floats, Floats]:

@@ -40,13 +40,13 @@ class Journal:
         self.generations: list[list[float]] = []
         if not path.exists():
             return
-        kept = _read(path)
+        data = _read(path)
         if not resume:
             raise ScanExistsError(f"{path} holds a search: continue it with --resume")
-        if kept.get("digest") != self._digest:
+        if data.get("digest") != self._digest:
             raise ScanExistsError(f"{path} is the search of another scenario: choose another --out")
-        self.within_reach = np.array(kept["reachable"], np.intp)
-        state = kept["state"]
+        self.within_reach = np.array(data["reachable"], np.intp)
+        state = data["state"]
         self.state = Searched(
             tuple(state["chosen"]),
             tuple(state["worth"]),
@@ -54,7 +54,7 @@ class Journal:
             state["unchanged"],
             state["priced"],
         )
-        self.generations = kept["generations"]
+        self.generations = data["generations"]
 
     @property
     def in_words(self) -> str:
@@ -81,13 +81,13 @@ class Journal:
 
     def _write(self) -> None:
         assert self.within_reach is not None
-        kept = {
+        data = {
             "digest": self._digest,
             "reachable": self.within_reach.tolist(),
             "state": vars(self.state),
             "generations": self.generations,
         }
-        write_json(self._path, kept)
+        write_json(self._path, data)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -40,13 +40,13 @@ def share_exposure(section: ExposureSharing, goals: Sequence[Goal], views: Seque
         views: the chosen views.
     """
     measures = {goal.name: goal for goal in goals if goal.name in ("detectability", "dose")}
-    found = measures["detectability"].measure
-    assert isinstance(found, Detectability)
+    detectability = measures["detectability"].measure
+    assert isinstance(detectability, Detectability)
     chosen = list(views)
-    mine = Detectability(found.task, found.fisher[chosen])
+    mine = Detectability(detectability.task, detectability.fisher[chosen])
     equal = np.ones(len(chosen))
     best = best_exposures(
-        found, chosen, total=len(chosen), least=section.least_rel, most=section.most_rel
+        detectability, chosen, total=len(chosen), least=section.least_rel, most=section.most_rel
     )
     part, kerma = 1.0, np.zeros(len(chosen))
     if (dose := measures.get("dose")) is not None:

@@ -80,11 +80,11 @@ class Patient:
 
     def points_of(self, part: str) -> Floats:
         """See ``PatientModel``."""
-        found, rng = self._part(part), np.random.default_rng([self.seed, 15])
-        if isinstance(found, GreyPart) and found.name != part:
+        body_part, rng = self._part(part), np.random.default_rng([self.seed, 15])
+        if isinstance(body_part, GreyPart) and body_part.name != part:
             place = self.builder.specimen.world_from_specimen
-            return place.apply(found.points(part, PART_POINTS, rng))
-        mesh = found.mesh
+            return place.apply(body_part.points(part, PART_POINTS, rng))
+        mesh = body_part.mesh
         low, high = np.asarray(mesh.bounds)
         step = float(np.cbrt(mesh.volume / PART_POINTS))
         count = np.maximum(np.ceil((high - low) / step).astype(int), 2)[::-1]
@@ -137,21 +137,21 @@ class Patient:
 
     def body(self, part: str) -> tuple[Body, Pose]:
         """See ``PatientModel``."""
-        found = self._part(part)
-        if isinstance(found, GreyPart):
+        body_part = self._part(part)
+        if isinstance(body_part, GreyPart):
             raise InputError(
                 f"task: {quoted(part)} is made of voxels; a shadow needs a part of one material"
             )
         return Body(
-            found.mesh.vertices, found.mesh.faces
+            body_part.mesh.vertices, body_part.mesh.faces
         ), self.builder.specimen.world_from_specimen
 
     def material_of(self, part: str) -> Material:
         """See ``PatientModel``."""
-        found = self._part(part)
-        if isinstance(found, GreyPart) and found.name != part:
-            return found.mixture(part)
-        return found.mixture()
+        body_part = self._part(part)
+        if isinstance(body_part, GreyPart) and body_part.name != part:
+            return body_part.mixture(part)
+        return body_part.mixture()
 
     def material(self, name: str, key: str) -> Material:
         """See ``PatientModel``."""

@@ -137,13 +137,13 @@ def plan_views(
         choice = choose(builder, task, within, own, journal, progress)
         write_views(out / VIEWS, choice.views, choice.mas)
         scan_s, clearance = _driven(source, overrides, scenario, out, choice.section)
-        figures, found = choice.figures, choice.views
+        figures, chosen = choice.figures, choice.views
         errors = None
         if try_views:
-            every = {"own_path": (own, None), "planned": (found, choice.mas)}
+            every = {"own_path": (own, None), "planned": (chosen, choice.mas)}
             errors = tried(builder, every, out, progress)
         plan = ViewPlan(
-            found, figures, len(all_views), len(within), scan_s, clearance, seen, errors
+            chosen, figures, len(all_views), len(within), scan_s, clearance, seen, errors
         )
         write_json(out / RESULT, _plan_data(plan, choice))
         centre = np.asarray(orbit_of(scenario).isocentre_mm)
@@ -154,7 +154,7 @@ def plan_views(
                 "candidates": all_views.source - centre,
                 "within reach": within.source - centre,
                 "scenario's path": own.source - centre,
-                "planned": found.source - centre,
+                "planned": chosen.source - centre,
             },
             choice.worth,
             figures,
@@ -205,10 +205,10 @@ def _chosen(
             journal.went_on(state)
             step()
 
-        found = search_views(
+        choice = search_views(
             goals, len(within), task.views, start=journal.state, rounds=task.rounds, heard=heard
         )
-    chosen, path = sorted(found.chosen), range(len(within), len(together))
+    chosen, path = sorted(choice.chosen), range(len(within), len(together))
     assert journal.within_reach is not None
     data: dict[str, Any] = {"chosen": journal.within_reach[chosen].tolist()}
     figures, mas = _figures(goals, chosen, even, path), None
@@ -218,7 +218,7 @@ def _chosen(
         data["exposure"] = {"mas": mas.tolist(), "at_equal_mas": shared.equal}
         for name, value in shared.figures.items():
             figures[name]["planned"] = value
-    return _Choice(within[chosen], goals, figures, found.worth, data, mas=mas)
+    return _Choice(within[chosen], goals, figures, choice.worth, data, mas=mas)
 
 
 def _tuned(
@@ -233,28 +233,28 @@ def _tuned(
     """Choose the best path of the scenario's family."""
     count = task.views
     reference = within[spread_evenly(within.source, count)]
-    found = best_path(builder, reference, journal, progress, pool)
-    together = ScanGeometry.joined([reference, found.views, own])
+    tuned = best_path(builder, reference, journal, progress, pool)
+    together = ScanGeometry.joined([reference, tuned.views, own])
     even, planned, path = (range(k * count, (k + 1) * count) for k in range(3))
     goals = goals_of(builder, together, count, even, SILENT)
     figures = _figures(goals, planned, even, path)
-    data: dict[str, Any] = {"parameters": dict(found.parameters)}
+    data: dict[str, Any] = {"parameters": dict(tuned.parameters)}
     if task.trying is not None:
-        sets = {"planned": found.views, "spread_evenly": reference, "own_path": own}
+        sets = {"planned": tuned.views, "spread_evenly": reference, "own_path": own}
         error = "error in the region"
         figures[error] = {n: error_of(builder, views) for n, views in sets.items()}
         data["trying"] = figures[error]
-    return _Choice(found.views, goals, figures, found.worth, data, found.section)
+    return _Choice(tuned.views, goals, figures, tuned.worth, data, tuned.section)
 
 
 def _figures(
     goals: Sequence[Goal], planned: Sequence[int], even: Sequence[int], path: Sequence[int]
 ) -> dict[str, dict[str, float | None]]:
     kinds = {"planned": planned, "spread_evenly": even, "own_path": path}
-    found = {goal.name: {kind: goal.of(views) for kind, views in kinds.items()} for goal in goals}
+    figures = {goal.name: {kind: goal.of(views) for kind, views in kinds.items()} for goal in goals}
     return {
         name: {kind: None if np.isnan(value) else value for kind, value in of.items()}
-        for name, of in found.items()
+        for name, of in figures.items()
     }
 
 
@@ -283,8 +283,8 @@ def _driven(
     try:
         plan = SimulationBuilder(load_scenario(out / SCENARIO)).plan
     except TrajectoryError as error:
-        kept = f"the chosen views are kept in {out / VIEWS}; move the arms, or change task.views"
-        raise TrajectoryError([*error.problems, kept]) from error
+        note = f"the chosen views are kept in {out / VIEWS}; move the arms, or change task.views"
+        raise TrajectoryError([*error.problems, note]) from error
     assert plan is not None
     save_plan(plan, out / JOINTS)
     changes["motion.plan"] = str(folder / JOINTS)

@@ -80,8 +80,8 @@ def exchanged(covers: NDArray[np.bool_], start: Choice, weights: ArrayLike | Non
             gains = covers @ np.where(without, 0.0, weight)
             gains[chosen] = -1.0
             other = int(gains.argmax())
-            if (found := weight[without].sum() + gains[other]) > best:
-                best, swap = found, (place, other)
+            if (gain := weight[without].sum() + gains[other]) > best:
+                best, swap = gain, (place, other)
         if swap is None:
             return Choice(tuple(sorted(chosen)), float(covered / total), start.bound)
         chosen[swap[0]] = swap[1]
@@ -117,7 +117,7 @@ def exact_choice(
     covering = scipy.sparse.csr_matrix(kinds.T.astype(float))
     covered = scipy.sparse.hstack([-covering, scipy.sparse.eye(elements)])
     count = np.concatenate([np.ones(candidates), np.zeros(elements)])[None]
-    found = scipy.optimize.milp(
+    solution = scipy.optimize.milp(
         cost,
         integrality=np.concatenate([np.ones(candidates), np.zeros(elements)]),
         bounds=scipy.optimize.Bounds(0, 1),
@@ -127,10 +127,10 @@ def exact_choice(
         ],
         options={} if seconds is None else {"time_limit": seconds},
     )
-    if found.x is None:
-        raise InputError(f"no choice of {number} of {candidates} views found: {found.message}")
-    views = np.sort(np.argsort(-found.x[:candidates], kind="stable")[:number])
-    bound = min(1.0, float(-found.mip_dual_bound / weight.sum()))
+    if solution.x is None:
+        raise InputError(f"no choice of {number} of {candidates} views found: {solution.message}")
+    views = np.sort(np.argsort(-solution.x[:candidates], kind="stable")[:number])
+    bound = min(1.0, float(-solution.mip_dual_bound / weight.sum()))
     return Choice(tuple(views.tolist()), covered_share(covers, views.tolist(), weights), bound)
 
 

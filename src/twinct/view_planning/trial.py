@@ -85,13 +85,13 @@ def tried(
     task = scenario.task
     assert task is not None
     (out / FOLDER).mkdir(exist_ok=True)
-    found: dict[str, TrialVolume] = {}
+    trials: dict[str, TrialVolume] = {}
     with progress.stage("trying views", len(views)) as step:
         for name, (geometry, mas) in views.items():
-            found[name] = trial(builder, geometry, mas, out / FOLDER, name)
+            trials[name] = trial(builder, geometry, mas, out / FOLDER, name)
             step()
-    shown = {"truth": next(iter(found.values())).truth}
-    for name, one in found.items():
+    shown = {"truth": next(iter(trials.values())).truth}
+    for name, one in trials.items():
         shown[f"{name.replace('_', ' ')}, error {100 * one.error_rel:.1f} %"] = one.volume
     _, grid, place = _region(scenario)
     draw_tried(
@@ -102,7 +102,7 @@ def tried(
         place,
         task.radius_mm,
     )
-    return {name: one.error_rel for name, one in found.items()}
+    return {name: one.error_rel for name, one in trials.items()}
 
 
 def _region(

@@ -52,15 +52,17 @@ def curves(shows: Sequence[Show]) -> list[Curve]:
             gaps[f"{own}gap"] = _filled(show.clearance_mm, views)
         for name, values in show.residuals.items():
             courses[own + name] = values
-    found = [
+    curves_shown = [
         Curve("distance from executed, mm", x, True, errors),
         Curve("smallest gap on the way to a view, mm", x, True, gaps),
     ]
     most = max(map(len, courses.values()), default=0)
     iterations = np.arange(1, most + 1, dtype=float)
     residuals = {name: _filled(np.array(values), most) for name, values in courses.items()}
-    found.append(Curve("residual of an iteration (RMS of p - A x)", iterations, False, residuals))
-    return [curve for curve in found if curve.series and len(curve.x)]
+    curves_shown.append(
+        Curve("residual of an iteration (RMS of p - A x)", iterations, False, residuals)
+    )
+    return [curve for curve in curves_shown if curve.series and len(curve.x)]
 
 
 def _filled(values: Floats, length: int) -> Floats:

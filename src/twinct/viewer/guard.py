@@ -71,8 +71,8 @@ class Guard:
         """Return why a request comes from another site; empty if it does not."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         host = hosts[0].lower() if len(hosts) == 1 else ""
-        found = _HOST.fullmatch(host)
-        if found is None or not self._is_own(found["v6"] or found["name"]):
+        match = _HOST.fullmatch(host)
+        if match is None or not self._is_own(match["v6"] or match["name"]):
             return (
                 f"The page does not answer to the name {host[:80]!r}: use the printed address, or "
                 "this machine's IP address."
@@ -94,10 +94,10 @@ class Guard:
         request.path = f"/{rest}{mark}{query}"
         return ""
 
-    def _say(self, told: str) -> None:
-        if told not in self._said and len(self._said) < MOST_SAID:
-            self._said.add(told)
-            log.warning("refused a request: %s", told)
+    def _say(self, text: str) -> None:
+        if text not in self._said and len(self._said) < MOST_SAID:
+            self._said.add(text)
+            log.warning("refused a request: %s", text)
 
 
 def _is_address(name: str) -> bool:

@@ -88,7 +88,7 @@ class Page:
             Stage(server, f"run{k}", np.array([APART_M * k - half, 0.0, 0.0])) for k in range(runs)
         ]
         for k, stage in enumerate(self.stages):
-            stage.clicked = lambda *told, k=k: self._select(k, *told)
+            stage.clicked = lambda *click, k=k: self._select(k, *click)
         self._look = Look()
         self._painted: Look | None = None
         self._selected = 0
@@ -342,8 +342,8 @@ class Page:
             known, wanted = self._geometry.options, self._geometry.value
             self._geometry.options = names
             taken = "executed" in names and (before is None or "executed" not in known)
-            kept = wanted if wanted in names else names[-1]
-            self._geometry.value = "executed" if taken else kept
+            valid = wanted if wanted in names else names[-1]
+            self._geometry.value = "executed" if taken else valid
         if self._follow.value and show.acquired > (before.acquired if before else 0):
             self._view.value = show.acquired - 1
         volumes = tuple(dict.fromkeys(n for one in self.shows for n in one.volumes))
@@ -409,11 +409,13 @@ class Page:
             if curve.over_views:
                 plot.data = (curve.x, *curve.series.values(), curve.marked(self._look.view))
 
-    def _lay_curves(self, found: list[Curve]) -> bool:
+    def _lay_curves(self, curves_shown: list[Curve]) -> bool:
         """Update the plots; return True if they were made anew because the series have changed."""
         known = [(c.title, tuple(c.series)) for c, _ in self._curves]
-        if known == [(c.title, tuple(c.series)) for c in found]:
-            self._curves = [(c, plot) for c, (_, plot) in zip(found, self._curves, strict=True)]
+        if known == [(c.title, tuple(c.series)) for c in curves_shown]:
+            self._curves = [
+                (c, plot) for c, (_, plot) in zip(curves_shown, self._curves, strict=True)
+            ]
             for curve, plot in self._curves:
                 if not curve.over_views:
                     plot.data = (curve.x, *curve.series.values())
@@ -421,7 +423,7 @@ class Page:
         for _, plot in self._curves:
             plot.remove()
         with self._curves_tab:
-            self._curves = [(curve, self._plot(curve)) for curve in found]
+            self._curves = [(curve, self._plot(curve)) for curve in curves_shown]
         return True
 
     def _plot(self, curve: Curve) -> Any:
@@ -452,11 +454,11 @@ class Page:
         view = min(look.view, len(show) - 1)
         text: str | None = None
         if kind == "path":
-            found = nearest_view(show, detail, origin, along)
-            if found is not None:
+            nearest = nearest_view(show, detail, origin, along)
+            if nearest is not None:
                 self._selected = run
-                self.show_view(found)
-                text = of_view(show, found)
+                self.show_view(nearest)
+                text = of_view(show, nearest)
         elif kind == "projection":
             _, drawn, _ = stage.shown_geometry(show, look, view)
             text = of_pixel(show, drawn, view, origin, along, IN_FRONT_MM)

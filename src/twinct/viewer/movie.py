@@ -84,9 +84,13 @@ def _encoder(draft: Path, path: Path) -> Iterator[IO[bytes]]:
         "-pix_fmt", "yuv420p", "-crf", str(CRF), f"file:{draft}",
     ]  # fmt: skip
     whole = False
-    with tempfile.TemporaryFile() as told:
+    with tempfile.TemporaryFile() as messages:
         encoder = subprocess.Popen(
-            words, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=told, process_group=0
+            words,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=messages,
+            process_group=0,
         )
         assert encoder.stdin is not None
         try:
@@ -102,8 +106,8 @@ def _encoder(draft: Path, path: Path) -> Iterator[IO[bytes]]:
                 encoder.stdin.close()
         if whole and code == 0:
             return
-        told.seek(0)
-        why = told.read().decode(errors="replace")
+        messages.seek(0)
+        why = messages.read().decode(errors="replace")
     if os.strerror(errno.ENOSPC) in why:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     ending = shortened(why) or f"ffmpeg ended with {code}"

@@ -17,7 +17,7 @@ def of_view(show: Show, view: int) -> str:
     """Return a view's source and panel in each geometry, and their distances from executed."""
     executed = show.geometries.get("executed")
     taken = executed is not None and view < len(executed)
-    told = [f"**View {view}** of {len(show)}"]
+    blocks = [f"**View {view}** of {len(show)}"]
     for name, geometry in show.geometries.items():
         if view >= len(geometry):
             continue
@@ -34,15 +34,15 @@ def of_view(show: Show, view: int) -> str:
                 for mine, its in ((source, executed.source[view]), (panel, executed.detector[view]))
             )
             lines.append("distance from executed: {:.3f} mm source, {:.3f} mm panel".format(*off))
-        told.append("  \n".join(lines))
+        blocks.append("  \n".join(lines))
     if taken:
         if math.isfinite(gap := float(show.clearance_mm[view])):
-            told.append(f"smallest gap on the way there: {gap:.1f} mm")
+            blocks.append(f"smallest gap on the way there: {gap:.1f} mm")
     elif view in show.refused:
-        told.append("the arms cannot reach this view")
+        blocks.append("the arms cannot reach this view")
     else:
-        told.append("not taken yet")
-    return "\n\n".join(told)
+        blocks.append("not taken yet")
+    return "\n\n".join(blocks)
 
 
 def of_joints(show: Show, view: int, body: str) -> str:
@@ -110,10 +110,10 @@ def of_point(show: Show, point: Floats, where: str) -> str | None:
     """Return all volumes' values at a point, mm."""
     lines: list[str] = []
     for name, volume in show.volumes.items():
-        found = index_at(volume.grid, point)
-        if found is not None:
-            value = float(volume.array[found])
-            lines.append(f"{plain(name)}: {value:.5f} /mm in voxel (z, y, x) {found}")
+        index = index_at(volume.grid, point)
+        if index is not None:
+            value = float(volume.array[index])
+            lines.append(f"{plain(name)}: {value:.5f} /mm in voxel (z, y, x) {index}")
     return "\n\n".join([f"**{where}** at {_point(point)} mm", *lines]) if lines else None
 
 

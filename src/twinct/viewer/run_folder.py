@@ -133,14 +133,14 @@ class RunFolder:
 
     def _poses(self, store: ScanStore, executed: PosePairs, acquired: int) -> dict[str, PosePairs]:
         """Return executed, believed and derived poses; compute believed ones unless stored."""
-        found = {"executed": executed}
+        by_name = {"executed": executed}
         derived = {
-            name: kept.poses
-            for name, kept in self._cached(self.paths.geometries, named_geometries, {}).items()
-            if len(kept.poses) == acquired
+            name: named.poses
+            for name, named in self._cached(self.paths.geometries, named_geometries, {}).items()
+            if len(named.poses) == acquired
         }
         if "believed" in derived:
-            found["believed"] = derived["believed"]
+            by_name["believed"] = derived["believed"]
         elif acquired:
             views, poses = self._reported
             # This slows down with each view, so a running scan does not do it after every view.
@@ -148,8 +148,8 @@ class RunFolder:
                 poses = store.reported.poses
                 self._reported = acquired, poses
             if poses is not None and self._reported[0] <= acquired:
-                found["believed"] = poses
-        return found | {name: poses for name, poses in derived.items() if name not in OWN}
+                by_name["believed"] = poses
+        return by_name | {name: poses for name, poses in derived.items() if name not in OWN}
 
     def _made(self, base: Show, poses: Mapping[str, PosePairs]) -> dict[str, ScanGeometry]:
         """Return the geometries of these poses; for executed poses, build only new views."""
@@ -172,31 +172,31 @@ class RunFolder:
         """Return all volumes, and True while the run's own is still to come."""
         files = {RECONSTRUCTION: self.paths.volume}
         if self.paths.reconstructions.is_dir():
-            for kept in sorted(self.paths.reconstructions.glob("*/volume.nii")):
-                files[kept.parent.name] = kept
+            for path in sorted(self.paths.reconstructions.glob("*/volume.nii")):
+                files[path.parent.name] = path
         files[TRUTH] = self.paths.truth
-        found = {
+        volumes = {
             name: volume
             for name, file in files.items()
             if (volume := self._cached(file, Volume.read, None)) is not None
         }
-        if RECONSTRUCTION not in found and (under_way := self._checkpoint()) is not None:
-            found = {RECONSTRUCTION: under_way[0], **found}
-        return found, not self.paths.volume.exists()
+        if RECONSTRUCTION not in volumes and (under_way := self._checkpoint()) is not None:
+            volumes = {RECONSTRUCTION: under_way[0], **volumes}
+        return volumes, not self.paths.volume.exists()
 
     def _checkpoint(self) -> tuple[Volume, str, int, tuple[float, ...]] | None:
         """Return volume, geometry, number and residuals of a reconstruction's newest iteration."""
-        if (told := self._iteration) is not None:
-            course = tuple(self._course[told.geometry])
-            return told.volume, told.geometry, told.iteration, course
+        if (iteration := self._iteration) is not None:
+            course = tuple(self._course[iteration.geometry])
+            return iteration.volume, iteration.geometry, iteration.iteration, course
         files = sorted(self.paths.checkpoints.glob("*.npz"), key=lambda f: f.name)
         if not files:
             return None
         grid = self._scenario_now().reconstruction.volume_grid
 
         def read(file: Path) -> tuple[Volume, str, int, tuple[float, ...]] | None:
-            with np.load(file) as kept:
-                array, residuals = kept["volume"], json.loads(str(kept["residuals"]))
+            with np.load(file) as arrays:
+                array, residuals = arrays["volume"], json.loads(str(arrays["residuals"]))
             if array.shape != grid.shape:
                 return None
             which, _, number = file.stem.rpartition("-")
@@ -213,10 +213,10 @@ class RunFolder:
 
     def _residuals(self) -> Mapping[str, tuple[float, ...]]:
         residuals = self._cached(self.paths.metrics, _read_json, {}).get("residuals", {})
-        found = {name: tuple(values) for name, values in residuals.items()}
-        if not found and (under_way := self._checkpoint()) is not None:
-            found = {under_way[1]: under_way[3]}
-        return found
+        by_name = {name: tuple(values) for name, values in residuals.items()}
+        if not by_name and (under_way := self._checkpoint()) is not None:
+            by_name = {under_way[1]: under_way[3]}
+        return by_name
 
     def _said(
         self, store: ScanStore, acquired: int, volumes: Mapping[str, Volume], waiting: bool
@@ -246,8 +246,8 @@ class RunFolder:
         if known is None or known[0] != mark:
             if path.parent == self.paths.checkpoints:
                 self._known = {
-                    file: kept
-                    for file, kept in self._known.items()
+                    file: entry
+                    for file, entry in self._known.items()
                     if file.parent != self.paths.checkpoints
                 }
             self._known[path] = known = mark, read(path)
@@ -256,7 +256,7 @@ class RunFolder:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        found = read_json(path)
+        data = read_json(path)
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot read the figures of a run: {error}") from None
-    return found if isinstance(found, dict) else {}
+    return data if isinstance(data, dict) else {}

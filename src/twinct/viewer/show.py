@@ -102,14 +102,14 @@ class Show:
         executed = self.poses.get("executed")
         if executed is None or not len(executed):
             return {}
-        found: dict[str, Floats] = {}
+        by_side: dict[str, Floats] = {}
         for name, poses in {"commanded": self.commanded, **self.poses}.items():
             views = min(len(poses), len(executed))  # some may lack a running scan's newest views
             if name != "executed" and views:
                 errors = pose_errors(_first(poses, views), _first(executed, views))
-                found[f"{name}, source"] = errors.source.position_mm
-                found[f"{name}, panel"] = errors.detector.position_mm
-        return found
+                by_side[f"{name}, source"] = errors.source.position_mm
+                by_side[f"{name}, panel"] = errors.detector.position_mm
+        return by_side
 
     def window(self) -> tuple[float, float]:
         """Return the grey window of all volumes, 1/mm: from air to just above dense material."""

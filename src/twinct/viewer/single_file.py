@@ -92,8 +92,8 @@ def _with_pictures(text: str, show: Show, look: Look) -> str:
     pictures = []
     if (sheet := slices_beside([show], look)) is not None:
         pictures.append(("slices", _png(sheet)))
-    if found := curves([show]):
-        pictures.append(("curves", curves_picture(found)))
+    if shown_curves := curves([show]):
+        pictures.append(("curves", curves_picture(shown_curves)))
     parts = [
         f"<details><summary>{name}</summary>"
         f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(content).decode()}">'
@@ -115,11 +115,11 @@ def _with_pictures(text: str, show: Show, look: Look) -> str:
     return f"{named[:start]}{html.escape(show.name)} - twinct{named[stop:]}"
 
 
-def curves_picture(found: Sequence[Curve]) -> bytes:
+def curves_picture(shown_curves: Sequence[Curve]) -> bytes:
     """Return a picture (PNG) of all curves, one below the other."""
-    figure = Figure(figsize=(6.0, 2.4 * len(found)), layout="constrained", dpi=110)
-    panels = np.atleast_1d(figure.subplots(len(found), 1))
-    for axes, curve in zip(panels, found, strict=True):
+    figure = Figure(figsize=(6.0, 2.4 * len(shown_curves)), layout="constrained", dpi=110)
+    panels = np.atleast_1d(figure.subplots(len(shown_curves), 1))
+    for axes, curve in zip(panels, shown_curves, strict=True):
         for name, values in curve.series.items():
             axes.plot(curve.x, values, label=name, linewidth=1)
         axes.set_title(curve.title, fontsize=9)

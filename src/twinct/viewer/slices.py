@@ -55,9 +55,9 @@ class Plane:
         """Return the plane's voxels, (rows, columns), the only ones read from a mapped file."""
         picked: list[slice | int] = [slice(None)] * 3
         picked[2 - self.axis] = self.index
-        found = np.array(array[tuple(picked)])
+        section = np.array(array[tuple(picked)])
         release(array)
-        return found
+        return section
 
 
 _SHOWN: WeakKeyDictionary[Volume, dict[int, tuple[int, NDArray[np.float32]]]] = WeakKeyDictionary()
@@ -113,8 +113,8 @@ def differences(values: NDArray[np.float32], half: float) -> Bytes:
 def index_at(grid: VolumeGrid, point_mm: Floats) -> tuple[int, int, int] | None:
     """Return the index (k, j, i) of the voxel at a point in the world; None outside the grid."""
     local = grid.world_from_grid.inverse().apply(np.asarray(point_mm)[None])[0]
-    found = np.rint((local - grid.first_voxel_mm) / grid.voxel).astype(int)
-    if (found < 0).any() or (found >= grid.shape_xyz).any():
+    index = np.rint((local - grid.first_voxel_mm) / grid.voxel).astype(int)
+    if (index < 0).any() or (index >= grid.shape_xyz).any():
         return None
-    i, j, k = found.tolist()
+    i, j, k = index.tolist()
     return k, j, i

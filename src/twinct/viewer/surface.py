@@ -51,12 +51,12 @@ def averaged(array: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     nz, ny, nx = (n // step for n in array.shape)
     if step == 1:
         return np.array(array, dtype=np.float32)
-    found = np.empty((nz, ny, nx), np.float32)
+    means = np.empty((nz, ny, nx), np.float32)
     for k in range(nz):
         slab = array[k * step : (k + 1) * step, : ny * step, : nx * step]
-        found[k] = slab.reshape(step, ny, step, nx, step).mean(axis=(0, 2, 4), dtype=np.float32)
+        means[k] = slab.reshape(step, ny, step, nx, step).mean(axis=(0, 2, 4), dtype=np.float32)
     release(array)
-    return found
+    return means
 
 
 def _placed(indices: Floats, grid: VolumeGrid, step: int) -> Floats:

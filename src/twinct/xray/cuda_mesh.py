@@ -97,8 +97,8 @@ class CudaMeshEngine:
         assert self._panel is not None
         warp, device = card.warp(), card.device()
         frame = frame_of(view)
-        found = self._covered(frame, weights)
-        self._settle(frame, weights, *found)
+        covered = self._covered(frame, weights)
+        self._settle(frame, weights, *covered)
         steps = warp.mat33d(frame.steps)
         inputs = [steps, exponential, self._sums, self._image]
         warp.launch(kernels.write_lengths, self._panel.shape, inputs, device=device)

@@ -198,14 +198,14 @@ class GvxrEngine:
     def _quiet(self) -> Iterator[None]:
         sys.stdout.flush()
         sys.stderr.flush()
-        kept = [os.dup(1), os.dup(2)]
+        streams = [os.dup(1), os.dup(2)]
         try:
             os.dup2(self._log, 1)
             os.dup2(self._log, 2)
             yield
         finally:
             ctypes.CDLL(None).fflush(None)  # flushes the C and C++ buffers
-            for descriptor, stream in zip(kept, (1, 2), strict=True):
+            for descriptor, stream in zip(streams, (1, 2), strict=True):
                 os.dup2(descriptor, stream)
                 os.close(descriptor)
 

@@ -318,8 +318,8 @@ def _casters(
     specimen: BuiltSpecimen, panel: Panel, energy_kev: float
 ) -> list[tuple[GreyCaster, NDArray[np.float32]]]:
     """Return the caster of each grey part, and the attenuations of its basis materials, 1/mm."""
-    found = []
+    casters = []
     for part in specimen.greys:
         mu_per_mm = [m.mu_per_mm(energy_kev) for m in part.field.materials]
-        found.append((GreyCaster(part.field, panel), np.array(mu_per_mm, np.float32)))
-    return found
+        casters.append((GreyCaster(part.field, panel), np.array(mu_per_mm, np.float32)))
+    return casters

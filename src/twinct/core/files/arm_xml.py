@@ -112,8 +112,8 @@ def _inside(main: Path, name: str, where: str, folder: Path | None = None) -> Pa
             f"{where} names {quoted(name)}, outside its folder {folder}: copy the file into it"
         )
     if why := no_file(file):
-        told = f"there is no file {file}" if why == ABSENT else f"{file} {why}"
-        raise ScenarioError(f"{where} names {quoted(name)}, but {told}")
+        problem = f"there is no file {file}" if why == ABSENT else f"{file} {why}"
+        raise ScenarioError(f"{where} names {quoted(name)}, but {problem}")
     return file
 
 
@@ -218,7 +218,7 @@ def mesh_file(name: str, folder: str, main: Path, where: str) -> Path:
     for file in (with_package, rest):
         if (main.parent / file).is_file():
             return _inside(main, file, where)
-    if (found := package_folder(package, main)) is None:
+    if (of_package := package_folder(package, main)) is None:
         raise ScenarioError(
             f"{where} names {quoted(name)}, but the package {quoted(package)} was not found: it "
             f"was searched in {main.parent} and the folders above, and in {' and '.join(PATHS)}. "
@@ -226,9 +226,9 @@ def mesh_file(name: str, folder: str, main: Path, where: str) -> Path:
             f"{main.parent / rest}"
         )
     # An installed package may consist of links to its sources.
-    inside = package_of((found / rest).resolve())
+    inside = package_of((of_package / rest).resolve())
     linked = inside is not None and is_package(inside, package)
-    return _inside(main, str(found / rest), where, inside if linked else found.resolve())
+    return _inside(main, str(of_package / rest), where, inside if linked else of_package.resolve())
 
 
 def _speeds(root: Any, where: str) -> Iterator[tuple[str, float]]:

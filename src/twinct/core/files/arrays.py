@@ -63,9 +63,9 @@ def _read(stream: IO[bytes], size: int, where: str, kind: type[InputError]) -> N
         raise kind(
             f"{where} holds Python objects, which are never read, instead of an array of numbers"
         )
-    told = math.prod(shape) * dtype.itemsize
-    if min((0, *shape)) < 0 or told > size:
-        raise ValueError(f"its header states {told} bytes, but there are {size}")
-    require_memory(where, 2 * told, kind)
+    stated = math.prod(shape) * dtype.itemsize
+    if min((0, *shape)) < 0 or stated > size:
+        raise ValueError(f"its header states {stated} bytes, but there are {size}")
+    require_memory(where, 2 * stated, kind)
     stream.seek(0)
     return np.lib.format.read_array(stream, allow_pickle=False)

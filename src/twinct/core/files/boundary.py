@@ -146,8 +146,8 @@ def library_errors(where: str, kind: type[InputError] = InputError) -> Generator
     except MemoryError:
         raise kind(f"{where} cannot be read: it does not fit into memory") from None
     except Exception as error:
-        told = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        why = f"{type(error).__name__}: {told}" if told else type(error).__name__
+        text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        why = f"{type(error).__name__}: {text}" if text else type(error).__name__
         raise kind(f"{where} cannot be read ({shortened(why)})") from None
 
 

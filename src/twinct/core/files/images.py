@@ -58,10 +58,10 @@ def read_image(
 
 
 def _require_shape(
-    path: Path, what: str, found: tuple[int, ...], shape: tuple[int, int] | None
+    path: Path, what: str, actual: tuple[int, ...], shape: tuple[int, int] | None
 ) -> None:
-    if shape is not None and found != shape:
-        raise InputError(f"{path}: the image of {what} has {found} pixels, expected {shape}")
+    if shape is not None and actual != shape:
+        raise InputError(f"{path}: the image of {what} has {actual} pixels, expected {shape}")
 
 
 def _raw(file: RawImage, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -123,10 +123,10 @@ def _check_ply(data: bytes, where: str) -> None:
     """Refuse a PLY header that states more elements than the file has bytes."""
     header = data[: max(data.find(b"end_header"), 0)]
     for number in re.findall(rb"^element\s+\S+\s+(\S+)", header, re.MULTILINE):
-        told = number.decode("latin-1")
-        if (elements := whole_number(told)) is None or elements > len(data):
-            told = shortened(told, 30)
-            raise SpecimenError(f"{where} is cut off: its header states {told} elements")
+        stated = number.decode("latin-1")
+        if (elements := whole_number(stated)) is None or elements > len(data):
+            stated = shortened(stated, 30)
+            raise SpecimenError(f"{where} is cut off: its header states {stated} elements")
 
 
 def read_mesh(path: Path, where: str) -> trimesh.Trimesh:

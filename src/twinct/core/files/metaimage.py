@@ -76,9 +76,9 @@ class MetaImageHeader:
         """
         words = _required(self.fields, key, self.where, kind).split()
         with contextlib.suppress(ValueError):
-            found = [number(word) for word in words]
-            if len(found) == count and all(map(math.isfinite, found)):
-                return found
+            values = [number(word) for word in words]
+            if len(values) == count and all(map(math.isfinite, values)):
+                return values
         raise kind(f"{self.where}: {key} is {quoted(self.fields[key])}; expected {count} numbers")
 
 
@@ -117,16 +117,16 @@ def _unpacked(data: bytes, size: int, whose: str, kind: type[InputError]) -> byt
     """Return compressed numbers in their own form; zlib checks their checksum."""
     stream = zlib.decompressobj()
     try:
-        found = stream.decompress(data, size + 1)
+        content = stream.decompress(data, size + 1)
         # A full buffer hides the end of the stream, where its checksum is.
-        found += stream.decompress(stream.unconsumed_tail, 1) if len(found) == size else b""
+        content += stream.decompress(stream.unconsumed_tail, 1) if len(content) == size else b""
     except zlib.error:
         raise kind(
             f"{whose} is damaged: its compressed voxels do not match their checksum"
         ) from None
-    if len(found) != size or not stream.eof or stream.unused_data:
+    if len(content) != size or not stream.eof or stream.unused_data:
         raise kind(f"{whose} is damaged: its compressed voxels are not {size} bytes, as stated")
-    return found
+    return content
 
 
 def metaimage_header(
@@ -198,9 +198,9 @@ def _required(fields: Mapping[str, str], key: str, where: str, kind: type[InputE
 
 def _truth(fields: Mapping[str, str], key: str, where: str, kind: type[InputError]) -> bool:
     value = _required(fields, key, where, kind)
-    if (found := _TRUTHS.get(value.lower())) is None:
+    if (truth := _TRUTHS.get(value.lower())) is None:
         raise kind(f"{where}: {key} is {quoted(value)}; expected True or False")
-    return found
+    return truth
 
 
 def _require_plain(fields: Mapping[str, str], where: str, kind: type[InputError]) -> None:

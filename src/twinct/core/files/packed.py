@@ -80,7 +80,7 @@ def require_unpacked(
 
 def read_to_end(stream: BinaryIO, most: int) -> int:
     """Read the rest of a stream, at most ``most`` bytes and one more, and return its length."""
-    found = 0
-    while found <= most and (part := stream.read(min(_STEP, most + 1 - found))):
-        found += len(part)
-    return found
+    size = 0
+    while size <= most and (part := stream.read(min(_STEP, most + 1 - size))):
+        size += len(part)
+    return size

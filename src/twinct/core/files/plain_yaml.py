@@ -178,8 +178,8 @@ class _Reader:
         return data
 
     def _fit(self, text: str, line: int, key: Key) -> str:
-        if found := _UNFIT.search(text):
-            self._refuse(line, key, f"the character {found[0]!r} is not allowed in a {self._what}")
+        if match := _UNFIT.search(text):
+            self._refuse(line, key, f"the character {match[0]!r} is not allowed in a {self._what}")
         return text
 
     def _meant(self, text: str, line: int, key: Key) -> Any:

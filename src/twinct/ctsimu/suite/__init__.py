@@ -46,13 +46,13 @@ def qualify(
         raise InputError([wrong, *left_out])
     _toolbox()
     make_folder(folder)
-    found: list[Verdict] = []
+    verdicts: list[Verdict] = []
     for test in tests:
         with storage_errors(folder):
-            found += _judged(test, folder / test, step)
-            figures = {"figures": [asdict(v) for v in found], "not_taken": NOT_TAKEN}
+            verdicts += _judged(test, folder / test, step)
+            figures = {"figures": [asdict(v) for v in verdicts], "not_taken": NOT_TAKEN}
             write_json(folder / "qualification.json", figures)
-    return found
+    return verdicts
 
 
 def _judged(test: str, folder: Path, step: Callable[[str], None]) -> list[Verdict]:
@@ -95,12 +95,12 @@ def _true_rotation() -> Iterator[None]:
         self.set_x(x * math.cos(angle) - y * math.sin(angle))
         self.set_y(x * math.sin(angle) + y * math.cos(angle))
 
-    kept = Vector.rotate_2D_xy
+    original = Vector.rotate_2D_xy
     Vector.rotate_2D_xy = rotate
     try:
         yield
     finally:
-        Vector.rotate_2D_xy = kept
+        Vector.rotate_2D_xy = original
 
 
 def _toolbox() -> Callable[..., object]:

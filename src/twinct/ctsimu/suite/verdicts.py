@@ -29,15 +29,15 @@ def verdicts(test: str, results: Path) -> list[Verdict]:
 
 
 def _noise(results: Path) -> list[Verdict]:
-    found = []
+    verdicts = []
     for nominal in (100, 250):
         text = (results / f"2D-FB-1_SNR{nominal}_summary.txt").read_text()
         snr = _number(text, r"Overall projection SNR:\s+(\S+)")
         mean = _number(text, r"Mean grey value:\s+(\S+)")
         measured = f"{snr:.2f} (mean {mean:.0f})"
         good = abs(snr / nominal - 1) <= 0.02
-        found.append(Verdict("2D-FB-1", "SNR", f"{nominal} within 2 %", measured, good))
-    return found
+        verdicts.append(Verdict("2D-FB-1", "SNR", f"{nominal} within 2 %", measured, good))
+    return verdicts
 
 
 def _distance(results: Path) -> list[Verdict]:
@@ -65,23 +65,23 @@ def _coverage(results: Path) -> list[Verdict]:
 
 
 def _spots(results: Path) -> list[Verdict]:
-    found = []
+    verdicts = []
     for key, sigma_um, mtf20 in (("spot1", 9.579, 29.852), ("spot2", 24.552, 11.770)):
         text = (results / f"2D-WE-1_{key}_summary.txt").read_text()
         sigma = 1000 * _number(text, r"measured:\s+sigma.*\n\s+\[mm\] = (\S+)")
         frequency = _number(text, r"MTF20 measured:.*\n\s+\[cycles/mm\] = (\S+)")
-        found.append(_near("2D-WE-1", f"{key}: LSF sigma", sigma, sigma_um, "um"))
-        found.append(_near("2D-WE-1", f"{key}: MTF20", frequency, mtf20, "/mm"))
-    return found
+        verdicts.append(_near("2D-WE-1", f"{key}: LSF sigma", sigma, sigma_um, "um"))
+        verdicts.append(_near("2D-WE-1", f"{key}: MTF20", frequency, mtf20, "/mm"))
+    return verdicts
 
 
 def _wires(results: Path) -> list[Verdict]:
-    found = []
+    verdicts = []
     for key, nominal_um in (("SR75", 75.0), ("SR150", 150.0)):
         text = (results / f"2D-DW-1_{key}_results.txt").read_text()
         value_um = 1000 * _number(text, r"iSRb: (\S+)")
-        found.append(_near("2D-DW-1", f"{key}: iSRb", value_um, nominal_um, "um"))
-    return found
+        verdicts.append(_near("2D-DW-1", f"{key}: iSRb", value_um, nominal_um, "um"))
+    return verdicts
 
 
 def _near(test: str, what: str, value: float, wanted: float, unit: str) -> Verdict:
@@ -94,7 +94,7 @@ def _near(test: str, what: str, value: float, wanted: float, unit: str) -> Verdi
 def _scintillators(results: Path) -> list[Verdict]:
     names, ours = _table(results / "2D-SW-1_all_GV_ratios_to_Det1.txt")
     reference = np.loadtxt(results / "2D-SW-1_all_MCprimary_reference_ratios.txt")[:, 1:]
-    found = []
+    verdicts = []
     for column, name in enumerate(names):
         if name.startswith("D1"):
             continue
@@ -110,28 +110,30 @@ def _scintillators(results: Path) -> list[Verdict]:
             required = "nothing: the steps were taken from this reference"
         what = f"{name}: ratios to D1, primary radiation"
         measured = f"largest deviation {100 * relative:.2f} %, {worst:.2f} of what is allowed"
-        found.append(Verdict("2D-SW-1", what, required, measured, passed))
-    return found
+        verdicts.append(Verdict("2D-SW-1", what, required, measured, passed))
+    return verdicts
 
 
 def _filters(results: Path) -> list[Verdict]:
-    found = []
+    verdicts = []
     for key in ("Al", "AlCu", "Fe", "FeCu"):
         worst = np.abs(np.loadtxt(results / f"2D-SW-2_{key}_ratios.txt")[:, 6]).max()
         measured = f"largest deviation {100 * worst:.2f} %"
-        found.append(Verdict("2D-SW-2", f"{key}: step ratios, primary", "reported", measured, None))
-    return found
+        verdicts.append(
+            Verdict("2D-SW-2", f"{key}: step ratios, primary", "reported", measured, None)
+        )
+    return verdicts
 
 
 def _overlaps(results: Path) -> list[Verdict]:
-    found = []
+    verdicts = []
     for key in ("Al_Al", "Al_Ti"):
         text = (results / f"2D-SW-3_{key}_summary.txt").read_text()
         count = int(_number(text, r"anomalies: (\d+)"))
         pixels = int(_number(text, r"treated pixels: (\d+)"))
         measured = f"{count} in {pixels} pixels"
-        found.append(Verdict("2D-SW-3", f"{key}: anomalies", "0", measured, count == 0))
-    return found
+        verdicts.append(Verdict("2D-SW-3", f"{key}: anomalies", "0", measured, count == 0))
+    return verdicts
 
 
 def _number(text: str, pattern: str) -> float:

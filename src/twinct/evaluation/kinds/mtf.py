@@ -91,38 +91,38 @@ def _around_edge(
     for k in range(z.start, z.stop):  # all positions together would be large
         layer = slice(k, k + 1), y, x
         local = centres(at.grid, layer, pose)
-        kept = np.abs(np.linalg.norm(local[..., :axes], axis=-1) - radius_mm) <= reach
+        near = np.abs(np.linalg.norm(local[..., :axes], axis=-1) - radius_mm) <= reach
         if height_mm is not None:
-            kept &= np.abs(local[..., 2]) <= height_mm / 2
-        points.append(local[kept][:, :axes])
-        values.append(at.volume[layer][kept])
+            near &= np.abs(local[..., 2]) <= height_mm / 2
+        points.append(local[near][:, :axes])
+        values.append(at.volume[layer][near])
     return np.concatenate(points), np.concatenate(values).astype(np.float64)
 
 
 def _measure(at: Measurement, one: Transfer) -> dict[str, Any]:
-    found = at.once(transfer_at, one.at)
-    if found is None:
+    transfer = at.once(transfer_at, one.at)
+    if transfer is None:
         return {}
     return {
-        "f50_per_mm": found.mtf.falls_to(0.5),
-        "f10_per_mm": found.mtf.falls_to(0.1),
-        "shift_mm": found.shift_mm,
-        "frequency_per_mm": found.mtf.frequency_per_mm,
-        "mtf": found.mtf.value,
+        "f50_per_mm": transfer.mtf.falls_to(0.5),
+        "f10_per_mm": transfer.mtf.falls_to(0.1),
+        "shift_mm": transfer.shift_mm,
+        "frequency_per_mm": transfer.mtf.frequency_per_mm,
+        "mtf": transfer.mtf.value,
     }
 
 
 def _check(places: NamedPlaces, one: Transfer) -> dict[str, str]:
     pose, radius, _ = places.body(one.at)
-    least, found = _LEAST_RADIUS_VOXELS * float(places.grid.voxel.max()), ""
+    least, result = _LEAST_RADIUS_VOXELS * float(places.grid.voxel.max()), ""
     if radius < least:
-        found = (
+        result = (
             f"has a radius of {radius:g} mm; its edge needs at least {least:g} mm, "
             f"{_LEAST_RADIUS_VOXELS:g} voxels"
         )
     elif not len(ball(places.grid, pose, radius)):
-        found = "lies outside the grid"
-    return {"at": f"{quoted(one.at)} {found}"} if found else {}
+        result = "lies outside the grid"
+    return {"at": f"{quoted(one.at)} {result}"} if result else {}
 
 
 MTF = FigureKind(

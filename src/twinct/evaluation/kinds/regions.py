@@ -25,12 +25,12 @@ def _measure(at: Measurement, one: NamedRegion) -> dict[str, float]:
         return {}
     values = voxels.of(at.volume)
     error = values - voxels.of(at.truth)
-    found = {
+    results = {
         "mean_rel": float(values.mean()),
         "bias_rel": float(error.mean()),
         "rmse_rel": math.sqrt(float((error * error).mean())),
     }
-    return {key: value / at.mu_reference for key, value in found.items()}
+    return {key: value / at.mu_reference for key, value in results.items()}
 
 
 REGIONS = FigureKind(
@@ -71,10 +71,10 @@ def _measure_hu(at: Measurement, one: HounsfieldUnits) -> dict[str, float]:
     air = _mean(at, one.air, 0.0)
     if not len(voxels) or not water > air:
         return {}
-    found = AIR_HU * (1 - (voxels.of(at.volume) - air) / (water - air))
-    error = found - AIR_HU * (1 - voxels.of(at.truth) / at.mu_water)
+    hu = AIR_HU * (1 - (voxels.of(at.volume) - air) / (water - air))
+    error = hu - AIR_HU * (1 - voxels.of(at.truth) / at.mu_water)
     return {
-        "mean_hu": float(found.mean()),
+        "mean_hu": float(hu.mean()),
         "bias_hu": float(error.mean()),
         "sd_hu": float(error.std()),
         "rmse_hu": math.sqrt(float((error * error).mean())),

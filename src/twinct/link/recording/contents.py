@@ -54,16 +54,16 @@ class Contents:
         """
         if not paths:
             raise InputError("no recording given; name the MCAP files of a scan")
-        found = cls([Recording(path) for path in paths])
-        for recording in found.recordings:
+        contents = cls([Recording(path) for path in paths])
+        for recording in contents.recordings:
             for record in recording.records():
                 if isinstance(record, Said):
-                    found._take(record)
+                    contents._take(record)
                 elif isinstance(record, Attachment):
-                    found.files.setdefault(record.name, record.data)
+                    contents.files.setdefault(record.name, record.data)
                 elif record.name == "twinct":
-                    found._take_facts(recording.path, record.metadata)
-        return found
+                    contents._take_facts(recording.path, record.metadata)
+        return contents
 
     def _take(self, said: Said) -> None:
         self.topics.add(said.topic)
@@ -100,8 +100,8 @@ class Contents:
     def view_of(self) -> dict[int, int]:
         """View of each stamp that ``/scan/views`` lists."""
         sources = ((stamp, said.message.source) for stamp, said in self.said[VIEWS].items())
-        found = ((stamp, re.fullmatch("view ([0-9]{1,18})", source)) for stamp, source in sources)
-        return {stamp: int(match[1]) for stamp, match in found if match}
+        matches = ((stamp, re.fullmatch("view ([0-9]{1,18})", source)) for stamp, source in sources)
+        return {stamp: int(match[1]) for stamp, match in matches if match}
 
     def at(self, topic: str, stamp: int) -> Any:
         """Return the message of a topic and stamp; None if there is none."""

@@ -78,8 +78,8 @@ def foreign_scan(contents: Contents, views_file: Path) -> Foreign:
 
 def _target(contents: Contents, stamp: int, instant: PosePairs) -> PosePairs:
     message: Any = None
-    if (told := contents.at(VIEWS, stamp)) is not None:
-        message = contents.at(TARGET, told.time_ref.sec * NANO + told.time_ref.nanosec)
+    if (view := contents.at(VIEWS, stamp)) is not None:
+        message = contents.at(TARGET, view.time_ref.sec * NANO + view.time_ref.nanosec)
     if message is None:
         return PosePairs(instant.source, instant.detector)
     return PosePairs.from_sevens([[seven_of(pose) for pose in message.poses[:2]]])

@@ -56,8 +56,8 @@ class Recorded:
     @property
     def missing_in_words(self) -> str:
         """Missing views as text, such as ``views 3, 5 to 9``."""
-        found = groupby(enumerate(self.missing), lambda pair: pair[1] - pair[0])
-        runs = [[view for _, view in run] for _, run in found]
+        stretches = groupby(enumerate(self.missing), lambda pair: pair[1] - pair[0])
+        runs = [[view for _, view in run] for _, run in stretches]
         words = ", ".join(f"{r[0]} to {r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
         return f"view {words}" if len(self.missing) == 1 else f"views {words}"
 
@@ -109,15 +109,15 @@ def read_recordings(paths: Sequence[Path], out: Path) -> Recorded:
     """
     contents = Contents.of(paths)
     if contents.facts:
-        found = _own(contents)
+        recorded = _own(contents)
     else:
-        found = Recorded(contents, *foreign_scan(contents, out / VIEWS_FILE))
-    if not found.reached:
+        recorded = Recorded(contents, *foreign_scan(contents, out / VIEWS_FILE))
+    if not recorded.reached:
         problems = "; ".join(
             ("no view is complete, so there is nothing to import", *contents.problems)
         )
         raise InputError(f"{contents.names}: {problems}")
-    return found
+    return recorded
 
 
 def _own(contents: Contents) -> Recorded:

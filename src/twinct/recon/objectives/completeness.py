@@ -58,7 +58,7 @@ def local_completeness(
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     directions = plane_normals(normals)
     seen = sees(geometry, points)
-    found = np.empty(len(points))
+    completeness = np.empty(len(points))
     for index, point in enumerate(points):
         towards = geometry.source - point
         towards /= np.linalg.norm(towards, axis=1)[:, None]
@@ -71,8 +71,8 @@ def local_completeness(
                 near = np.abs(heights) <= np.sin(np.radians(within_deg))
                 crossed = (near & seen[:, index, None]).any(axis=0)
             number += int(crossed.sum())
-        found[index] = number / normals
-    return found
+        completeness[index] = number / normals
+    return completeness
 
 
 def crossed_planes(
@@ -85,13 +85,13 @@ def crossed_planes(
     """
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     directions, seen = plane_normals(normals), sees(geometry, points)
-    found = np.empty((len(geometry), len(points), normals), np.bool_)
+    crossed = np.empty((len(geometry), len(points), normals), np.bool_)
     for index, point in enumerate(points):
         towards = geometry.source - point
         towards /= np.linalg.norm(towards, axis=1)[:, None]
         near = np.abs(towards @ directions.T) <= np.sin(np.radians(within_deg))
-        found[:, index] = near & seen[:, index, None]
-    return found.reshape(len(geometry), -1)
+        crossed[:, index] = near & seen[:, index, None]
+    return crossed.reshape(len(geometry), -1)
 
 
 def _changes(heights: Floats, seen: NDArray[np.bool_], closed: bool) -> NDArray[np.bool_]:

@@ -233,9 +233,9 @@ def _measure(settings: DetectabilityGoal, views: Views, patient: PatientModel) -
     # Centre voxel BOX // 2 at the place.
     grid = VolumeGrid((BOX,) * 3, voxel, Pose.from_euler(place - voxel / 2, (0.0, 0.0, 0.0)))
     coarse, photons = patient.photons(views.geometry, place, voxel, "task.detectability")
-    found = detectability_of(Projector(coarse, grid), photons, Task(signal, 1.0), views.progress)
+    result = detectability_of(Projector(coarse, grid), photons, Task(signal, 1.0), views.progress)
     power = np.abs(np.fft.rfftn(signal)) ** 2
-    fisher = found.fisher[list(views.even)].sum(axis=0, dtype=np.float64)
+    fisher = result.fisher[list(views.even)].sum(axis=0, dtype=np.float64)
     beta = settings.penalty * float(
         (power * fisher).sum() / (power * difference_spectrum((BOX, BOX, BOX))).sum()
     )
@@ -244,7 +244,7 @@ def _measure(settings: DetectabilityGoal, views: Views, patient: PatientModel) -
             "task.detectability: views spread evenly over all reachable ones carry no information "
             "on the signal, as only few see it (task.position_mm)"
         )
-    return Detectability(Task(signal, beta), found.fisher)
+    return Detectability(Task(signal, beta), result.fisher)
 
 
 def _blurred(

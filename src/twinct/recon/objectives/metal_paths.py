@@ -106,14 +106,14 @@ def metal_lengths(
         (bodies, points seen) of each view, mm.
     """
     images = np.empty((len(metal), *geometry.panel.shape))
-    rays, found = Rays(geometry), []
+    rays, lengths = Rays(geometry), []
     for view, (row, column) in enumerate(_pixels(geometry, points)):
         images[:] = 0.0
         for image, (body, world_from_body) in zip(images, metal, strict=True):
             shadow = rays.shadow(body, world_from_body, view)
             image[shadow.box] += shadow.lengths
-        found.append(images[:, row, column])
-    return found
+        lengths.append(images[:, row, column])
+    return lengths
 
 
 def lengths_in_metal(A: Projector, metal: ArrayLike, points: ArrayLike) -> list[Floats]:
@@ -191,12 +191,12 @@ def _pixels(
     """Return for each view the rows and columns of the pixels of the points that it sees."""
     points = np.atleast_2d(np.asarray(points, dtype=np.float64))
     seen, places, panel = sees(geometry, points), geometry.project(points), geometry.panel
-    found = []
+    pixels = []
     for view in range(len(geometry)):
         column, row = np.rint(places[view, seen[view]]).astype(np.intp).T
         inside = (np.clip(row, 0, panel.rows - 1), np.clip(column, 0, panel.columns - 1))
-        found.append(inside)
-    return found
+        pixels.append(inside)
+    return pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,8 +279,8 @@ def _measure(settings: MetalGoal, views: Views, patient: PatientModel) -> Mean:
         )
         pixels = coarse.panel.pitch_u * coarse.panel.pitch_v / (panel.pitch_u * panel.pitch_v)
         least = settings.least_photons * pixels
-        found = starved_share(coarse, metal.dim(coarse, photons), points, least)
-        return _everywhere(found)
+        result = starved_share(coarse, metal.dim(coarse, photons), points, least)
+        return _everywhere(result)
     factors = (max(1, int(PIXEL_MM / pitch)) for pitch in (panel.pitch_v, panel.pitch_u))
     lengths = metal.lengths(views.geometry.binned(*factors), points)
     if settings.counts == "length":
@@ -292,17 +292,17 @@ def _measure(settings: MetalGoal, views: Views, patient: PatientModel) -> Mean:
     return _everywhere(mean_of_views([spectral_shift(one, mu, weights) for one in lengths]))
 
 
-def _everywhere(found: Floats) -> Mean:
-    return Mean(np.nan_to_num(found, nan=float(np.nanmax(found))))
+def _everywhere(shares: Floats) -> Mean:
+    return Mean(np.nan_to_num(shares, nan=float(np.nanmax(shares))))
 
 
 def _conflicts(settings: MetalGoal, parts: Sequence[str]) -> list[Conflict]:
     wanted = {f"task.metal.parts.{i}": name for i, name in enumerate(settings.parts)}
-    found = unknown_parts(wanted, parts)
+    unknown = unknown_parts(wanted, parts)
     if bool(settings.parts) == (settings.seen is not None):
         message = "task.metal: give either parts (of the specimen) or seen (in a volume)"
-        found.insert(0, Conflict(message, ("task.metal.parts", "task.metal.seen")))
-    return found
+        unknown.insert(0, Conflict(message, ("task.metal.parts", "task.metal.seen")))
+    return unknown
 
 
 METAL = Objective(

@@ -149,13 +149,13 @@ class KnownShare:
         exposures = np.bincount(np.asarray(chosen, np.int64), minlength=len(self.rays))
         factor = self._factor(exposures)
         left = float((factor[:, self.region] ** 2).sum())
-        found = np.empty(len(candidates))
+        result = np.empty(len(candidates))
         for place, view in enumerate(candidates):
             seen = self.rays[view] @ factor.T
             within = scipy.linalg.cholesky(seen @ seen.T + np.eye(len(seen)), lower=True)
             taken = scipy.linalg.solve_triangular(within, seen @ factor[:, self.region], lower=True)
-            found[place] = 1.0 - (left - float((taken**2).sum())) / self._before
-        return found
+            result[place] = 1.0 - (left - float((taken**2).sum())) / self._before
+        return result
 
     def slopes(self, exposures: ArrayLike) -> Floats:
         """Return derivatives by each view's exposure, (views,): |a C|^2 over the region."""

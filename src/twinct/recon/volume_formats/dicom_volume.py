@@ -39,28 +39,28 @@ STEPS = 1.0, 2.0, 5.0
 """Leading digits of a rescale step, so that its decimal text is exact."""
 
 
-def rescale_step(array: Singles, told: VolumeFacts) -> float:
+def rescale_step(array: Singles, facts: VolumeFacts) -> float:
     """Return the smallest step 1, 2 or 5 times a power of ten that reaches all values.
 
     HU have a step of at least 1, as those of scanners.
     """
     # The product of a number and 10^n with negative n would not be the nearest to its decimal text.
     top = max(float(array.max()), -float(array.min()), 1e-12)
-    least = max(top / LARGEST, 1.0) if told.unit == "HU" else top / LARGEST
+    least = max(top / LARGEST, 1.0) if facts.unit == "HU" else top / LARGEST
     power = math.floor(math.log10(least))
     texts = (f"{digit:g}e{power + more}" for more in (0, 1) for digit in STEPS)
     return next(step for step in map(float, texts) if step >= least)
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, facts: VolumeFacts) -> None:
     """Write the folder with one file for each slice."""
     from pydicom.dataset import Dataset, FileMetaDataset
     from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
-    step = rescale_step(array, told)
+    step = rescale_step(array, facts)
     series = hashlib.sha256(np.ascontiguousarray(array).data)
-    series.update(repr((grid, told)).encode())
-    common = _common(array, grid, told, series.hexdigest(), step)
+    series.update(repr((grid, facts)).encode())
+    common = _common(array, grid, facts, series.hexdigest(), step)
     affine = LPS_FROM_RAS @ grid.affine
     last = np.array([grid.shape[2] - 1, grid.shape[1] - 1, 0, 1], float)
     path.mkdir(parents=True)
@@ -86,14 +86,14 @@ def _stored(plane: Singles, step: float) -> NDArray[np.int16]:
     return np.rint(plane.astype(np.float64) / step).astype("<i2")
 
 
-def _common(array: Singles, grid: VolumeGrid, told: VolumeFacts, digest: str, step: float) -> Any:
+def _common(array: Singles, grid: VolumeGrid, facts: VolumeFacts, digest: str, step: float) -> Any:
     """Return the attributes that all slices share."""
     from pydicom.dataset import Dataset
     from pydicom.uid import CTImageStorage
 
     axes, edges, _ = frame(LPS_FROM_RAS @ grid.affine)
     low, high = (float(x) for x in np.percentile(array[::2, ::2, ::2], (0.5, 99.9)))
-    of_scan = told.scan_digest or digest
+    of_scan = facts.scan_digest or digest
     shared = Dataset()
     shared.SpecificCharacterSet = "ISO_IR 192"
     shared.SOPClassUID = CTImageStorage
@@ -108,18 +108,18 @@ def _common(array: Singles, grid: VolumeGrid, told: VolumeFacts, digest: str, st
         *("PatientPosition", "Laterality", "KVP"),
     ):
         setattr(shared, name, None)
-    if told.kvp is not None:
-        shared.KVP = _decimal([told.kvp])[0]
+    if facts.kvp is not None:
+        shared.KVP = _decimal([facts.kvp])[0]
     shared.StudyID = _uid("study", of_scan)[-16:]
     shared.SeriesNumber = 1
-    shared.SeriesDescription = f"{told.scan}, {told.unit}"[:64]
-    shared.ImageComments = told.note[:1024]
+    shared.SeriesDescription = f"{facts.scan}, {facts.unit}"[:64]
+    shared.ImageComments = facts.note[:1024]
     shared.Modality = "CT"
     shared.Manufacturer = "twinct"
     shared.ManufacturerModelName = "twinct"
     shared.SoftwareVersions = __version__
     # Original images of a CT have HU by definition.
-    shared.ImageType = ["ORIGINAL" if told.unit == "HU" else "DERIVED", "PRIMARY", "AXIAL"]
+    shared.ImageType = ["ORIGINAL" if facts.unit == "HU" else "DERIVED", "PRIMARY", "AXIAL"]
     shared.ImageOrientationPatient = _decimal([*-axes[:, 0], *-axes[:, 1]])
     shared.PixelSpacing = _decimal([edges[1], edges[0]])
     shared.SliceThickness, shared.SpacingBetweenSlices = 2 * _decimal([edges[2]])
@@ -128,8 +128,8 @@ def _common(array: Singles, grid: VolumeGrid, told: VolumeFacts, digest: str, st
     shared.BitsAllocated = shared.BitsStored = 16
     shared.HighBit, shared.PixelRepresentation = 15, 1
     shared.RescaleIntercept, shared.RescaleSlope = "0", _decimal([step])[0]
-    shared.RescaleType = "HU" if told.unit == "HU" else "US"  # unspecified
-    if told.unit != "HU":
+    shared.RescaleType = "HU" if facts.unit == "HU" else "US"  # unspecified
+    if facts.unit != "HU":
         shared.VOILUTFunction = "LINEAR_EXACT"  # which allows windows narrower than 1
     shared.WindowCenter, shared.WindowWidth = _decimal([(low + high) / 2, max(high - low, step)])
     return shared

@@ -19,12 +19,12 @@ from twinct.recon.volume_formats.volume_format import (
 )
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, facts: VolumeFacts) -> None:
     axes, edges, origin = frame(LPS_FROM_RAS @ grid.affine)
     header = {
         "ObjectType": "Image",
         "NDims": "3",
-        "Comment": " ".join(f"{told.note} ({told.unit})".split()),
+        "Comment": " ".join(f"{facts.note} ({facts.unit})".split()),
         "BinaryData": "True",
         "BinaryDataByteOrderMSB": "False",
         "CompressedData": "False",

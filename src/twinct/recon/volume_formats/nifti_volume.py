@@ -9,14 +9,14 @@ from twinct.geometry import VolumeGrid
 from twinct.recon.volume_formats.volume_format import Singles, VolumeFacts, VolumeFormat
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, facts: VolumeFacts) -> None:
     """Write one file; its description holds at most 79 bytes of the note."""
     import nibabel
 
     affine = grid.affine
     image: Any = nibabel.Nifti1Image(array.T, affine, dtype=array.dtype)  # type: ignore[no-untyped-call]
     image.header.set_xyzt_units("mm")
-    image.header["descrip"] = told.note.encode()[:79]
+    image.header["descrip"] = facts.note.encode()[:79]
     image.set_qform(affine, code="scanner")
     image.set_sform(affine, code="scanner")
     image.to_filename(path)

@@ -14,7 +14,7 @@ LARGEST_IMAGEJ_BYTES = 2**32 - 2**20
 """Limit of a classic TIFF file; larger volumes are BigTIFF, which ImageJ's importers read."""
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, volume_facts: VolumeFacts) -> None:
     """Write pages of rising z with rows of rising y; the place of the voxels is in the tags."""
     from tifffile import imwrite
 
@@ -22,8 +22,8 @@ def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> N
     facts = {
         "unit": "mm",
         "spacing": float(z),
-        "values": told.unit,
-        "note": told.note,
+        "values": volume_facts.unit,
+        "note": volume_facts.note,
         "world_from_voxel": json.dumps(grid.affine.tolist()),
     }
     if array.nbytes < LARGEST_IMAGEJ_BYTES:

@@ -13,7 +13,7 @@ from twinct.recon.volume_formats.volume_format import Singles, VolumeFacts, Volu
 CHUNK = 64
 
 
-def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> None:
+def _write(array: Singles, grid: VolumeGrid, path: Path, volume_facts: VolumeFacts) -> None:
     import zarr
 
     group = zarr.open_group(path, mode="w", zarr_format=3)
@@ -25,7 +25,7 @@ def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> N
         "version": "0.5",
         "multiscales": [
             {
-                "name": told.scan,
+                "name": volume_facts.scan,
                 "axes": [{"name": n, "type": "space", "unit": "millimeter"} for n in "zyx"],
                 "datasets": [
                     {
@@ -39,7 +39,11 @@ def _write(array: Singles, grid: VolumeGrid, path: Path, told: VolumeFacts) -> N
             }
         ],
     }
-    facts = {"values": told.unit, "note": told.note, "world_from_voxel": grid.affine.tolist()}
+    facts = {
+        "values": volume_facts.unit,
+        "note": volume_facts.note,
+        "world_from_voxel": grid.affine.tolist(),
+    }
     group.attrs["twinct"] = facts
 
 

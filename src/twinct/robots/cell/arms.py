@@ -105,7 +105,7 @@ def _from_file(arm: Arm, key: str, origin: str) -> ArmModel:
 def _stamps(files: tuple[Path, ...]) -> tuple[object, ...]:
     """Return what changes when one of some files is written."""
     try:
-        return tuple((found.st_mtime_ns, found.st_size) for found in map(os.stat, files))
+        return tuple((status.st_mtime_ns, status.st_size) for status in map(os.stat, files))
     except OSError:
         return (object(),)  # equal to no other
 
@@ -238,8 +238,8 @@ def _torques(
             f"{origin}: joint_torque_nm has {len(stated)} numbers; expected 1 or {len(names)}, one "
             f"for each of {', '.join(names)}"
         )
-    told = ", ".join(f"{torque:g}" for torque in stated)
-    note = f"torque limits of {bad}, from joint_torque_nm ({told} N m)"
+    values = ", ".join(f"{torque:g}" for torque in stated)
+    note = f"torque limits of {bad}, from joint_torque_nm ({values} N m)"
     return np.where(known, torques, stated), (note,)
 
 

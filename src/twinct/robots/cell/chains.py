@@ -34,7 +34,7 @@ def chains_of(built: CellModel) -> tuple[Chain, Chain]:
     # The last joint that moves each body, -1 for none.
     carriers = model.body_jntadr[model.body_weldid]
     sections = built.cell.source_arm, built.cell.detector_arm
-    found = []
+    chains = []
     for section, part, site in zip(sections, built.arm_joints, built.site_ids, strict=True):
         joints = range(part.start, part.stop)
         bodies = [np.flatnonzero(carriers == joint) for joint in joints]
@@ -42,7 +42,7 @@ def chains_of(built: CellModel) -> tuple[Chain, Chain]:
         moments = np.array([model.body_mass[own] @ data.xipos[own] for own in bodies])
         slides = mujoco.mjtJoint.mjJNT_SLIDE
         base = Pose.from_euler(section.base_position_mm, section.base_rotation_deg)
-        found.append(
+        chains.append(
             Chain(
                 base=base.matrix,
                 joints=np.array([_frame(data.xanchor[j], data.xaxis[j]) for j in joints]),
@@ -53,7 +53,7 @@ def chains_of(built: CellModel) -> tuple[Chain, Chain]:
                 rails=tuple(k for k, j in enumerate(joints) if model.jnt_type[j] == slides),
             )
         )
-    return found[0], found[1]
+    return chains[0], chains[1]
 
 
 def _frame(anchor_m: Floats, axis: Floats) -> Floats:

@@ -183,12 +183,12 @@ class Clearance:
 
     def _distances(self, pairs: np.ndarray) -> Floats:
         """Compute distances in the scratch configuration, and store the smallest."""
-        found = np.empty(len(pairs))
+        distances = np.empty(len(pairs))
         for k, pair in enumerate(pairs):
-            found[k] = self._exact(self._scratch, pair, self._limit)
-            if found[k] < self._smallest:
-                self._smallest, self._which = float(found[k]), int(pair)
-        return found
+            distances[k] = self._exact(self._scratch, pair, self._limit)
+            if distances[k] < self._smallest:
+                self._smallest, self._which = float(distances[k]), int(pair)
+        return distances
 
     def _between(
         self, start: int, end: int, pairs: np.ndarray, at_start: Floats, at_end: Floats

@@ -94,7 +94,7 @@ def overlaps(cell: CellModel) -> list[Overlap]:
         if (model.geom_contype[geom] or model.geom_conaffinity[geom])
         and model.body_weldid[model.geom_bodyid[geom]] == 0
     ]
-    found: dict[tuple[Fixed, Fixed], float] = {}
+    depths: dict[tuple[Fixed, Fixed], float] = {}
     for (a, one), (b, other) in combinations(solid, 2):
         if one.owner == other.owner or {one.kind, other.kind} in _BUILT_TOGETHER:
             continue
@@ -104,8 +104,8 @@ def overlaps(cell: CellModel) -> list[Overlap]:
         depth_mm = -mujoco.mj_geomDistance(model, data, a, b, 1e-3, line) * MM_PER_M
         if depth_mm > sunk_mm:
             pair = (other, one) if _rank(other) >= _rank(one) else (one, other)
-            found[pair] = max(found.get(pair, 0.0), depth_mm)
-    return [Overlap(*pair, depth) for pair, depth in found.items()]
+            depths[pair] = max(depths.get(pair, 0.0), depth_mm)
+    return [Overlap(*pair, depth) for pair, depth in depths.items()]
 
 
 def apart(cell: CellModel) -> CellModel:
@@ -114,8 +114,8 @@ def apart(cell: CellModel) -> CellModel:
     Raises:
         ScenarioError: some do; the message names each pair, the depth and the key that moves it.
     """
-    if found := overlaps(cell):
-        raise ScenarioError([overlap.words for overlap in found])
+    if overlapping := overlaps(cell):
+        raise ScenarioError([overlap.words for overlap in overlapping])
     return cell
 
 

@@ -24,12 +24,12 @@ class LinkFrames:
         Args:
             joints: rad, (n,).
         """
-        data, found, hinge = self._data, {}, mujoco_module().mjtJoint.mjJNT_HINGE
+        data, frames, hinge = self._data, {}, mujoco_module().mjtJoint.mjJNT_HINGE
         data.qpos[:] = joints
         mujoco_module().mj_kinematics(self._model, data)
         for body, name in enumerate(self._names[1:], start=1):
             joint = int(self._model.body_jntadr[body])  # a link's origin lies on its joint
             is_hinge = joint >= 0 and self._model.jnt_type[joint] == hinge
             position = data.xanchor[joint] if is_hinge else data.xpos[body]
-            found[name] = (*position.tolist(), *np.roll(data.xquat[body], -1).tolist())
-        return found
+            frames[name] = (*position.tolist(), *np.roll(data.xquat[body], -1).tolist())
+        return frames

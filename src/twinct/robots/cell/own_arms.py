@@ -212,8 +212,8 @@ def _within_each_other(spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[str,
         spec.add_exclude(bodyname1=one, bodyname2=other)
     if not named:
         return ()
-    told = ", ".join(f"{one} and {other}" for one, other in named)
-    return (f"not checked against each other, as their hulls overlap in every pose: {told}",)
+    in_words = ", ".join(f"{one} and {other}" for one, other in named)
+    return (f"not checked against each other, as their hulls overlap in every pose: {in_words}",)
 
 
 def _weigh(
@@ -260,10 +260,10 @@ def _has_mass(body: Any) -> bool:
     return bool(body.explicitinertial) or any(stated) or any(g.mass > 0 for g in body.geoms)
 
 
-def _base(model: mujoco.MjModel, data: mujoco.MjData, asked: str | None, where: str) -> Pose:
+def _base(model: mujoco.MjModel, data: mujoco.MjData, wanted: str | None, where: str) -> Pose:
     """Return the pose of the base in the file's world."""
     names = [model.body(b).name for b in range(model.nbody)]
-    name = asked or names[1]
+    name = wanted or names[1]
     if name not in names:
         raise ScenarioError(f"{where} has no base {quoted(name)}; it has {', '.join(names[1:])}")
     if model.body_weldid[names.index(name)] != 0:
@@ -288,7 +288,7 @@ def _flange(
     spec: mujoco.MjSpec,
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    asked: str | None,
+    wanted: str | None,
     is_urdf: bool,
     where: str,
 ) -> str:
@@ -296,7 +296,7 @@ def _flange(
     bodies = [model.body(b).name for b in range(1, model.nbody)]
     sites = [model.site(s).name for s in range(model.nsite)]
     usual, places = (FLANGE_LINKS, bodies) if is_urdf else (FLANGE_SITES, sites)
-    name = asked or next((name for name in usual if name in places), None)
+    name = wanted or next((name for name in usual if name in places), None)
     if name is None or name not in (*sites, *bodies):
         lacks = f"no flange {quoted(name)}" if name else f"no flange, such as {' or '.join(usual)}"
         raise ScenarioError(
@@ -312,7 +312,7 @@ def _flange(
         )
     z = place.xmat.reshape(3, 3)[:, 2]
     outwards = (place.xpos - data.xanchor[-1]) @ z
-    if not asked and (abs(data.xaxis[-1] @ z) < ALONG or outwards < -ROUNDING_M):
+    if not wanted and (abs(data.xaxis[-1] @ z) < ALONG or outwards < -ROUNDING_M):
         raise ScenarioError(
             f"{where}: z of its flange {quoted(name)} does not point along the last joint's "
             "axis, away "

@@ -93,10 +93,10 @@ def check_drawing() -> None:
     Raises:
         InputError: ``MUJOCO_GL`` requires a display, and there is none.
     """
-    asked = os.environ.get("MUJOCO_GL", "")
+    backend = os.environ.get("MUJOCO_GL", "")
     displays = ("DISPLAY", "WAYLAND_DISPLAY")
-    if asked.lower() == "glfw" and not any(os.environ.get(name) for name in displays):
-        raise InputError(f"MUJOCO_GL={asked} needs a display, and there is none: {_ADVICE}")
+    if backend.lower() == "glfw" and not any(os.environ.get(name) for name in displays):
+        raise InputError(f"MUJOCO_GL={backend} needs a display, and there is none: {_ADVICE}")
 
 
 def check_picture_size(width: int, height: int) -> None:
@@ -269,7 +269,7 @@ def _step_back(camera: Any, model: Any, data: Any, aspect: float) -> None:
 
 def _corners(model: Any, data: Any) -> Floats:
     """Return the corners of the boxes around all visible shapes but floor, zones and objects, m."""
-    found: list[Floats] = []
+    corners: list[Floats] = []
     cube = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
     for geom in range(model.ngeom):
         name = model.body(model.geom_bodyid[geom]).name
@@ -277,8 +277,8 @@ def _corners(model: Any, data: Any) -> Floats:
             continue
         middle, half = np.split(model.geom_aabb[geom], 2)
         rotation = data.geom_xmat[geom].reshape(3, 3)
-        found.append(data.geom_xpos[geom] + (middle + cube * half) @ rotation.T)
-    return np.concatenate(found)
+        corners.append(data.geom_xpos[geom] + (middle + cube * half) @ rotation.T)
+    return np.concatenate(corners)
 
 
 def _shown(model: Any, data: Any, name: str, eye: Floats) -> float:

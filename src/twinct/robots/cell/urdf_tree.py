@@ -33,12 +33,12 @@ class Reduced:
     notes: tuple[str, ...]
 
 
-def arm_alone(text: str, asked: str | None, where: str) -> Reduced:
+def arm_alone(text: str, wanted: str | None, where: str) -> Reduced:
     """Hold all joints still that are not between root and flange, such as those of grippers.
 
     Args:
         text: URDF.
-        asked: link at the flange; None stands for the usual names.
+        wanted: link at the flange; None stands for the usual names.
         where: name of the URDF in messages.
 
     Raises:
@@ -46,7 +46,7 @@ def arm_alone(text: str, asked: str | None, where: str) -> Reduced:
     """
     root = ElementTree.fromstring(text)
     joints = {_link(joint, "child"): joint for joint in root.findall("joint")}
-    flange = flange_link(root, asked)
+    flange = flange_link(root, wanted)
     if flange is None:  # reported when the flange is looked up in the model
         return Reduced(text, ())
     way: list[Any] = []
@@ -63,11 +63,11 @@ def arm_alone(text: str, asked: str | None, where: str) -> Reduced:
         joint.set("type", "fixed")
         for element in [element for element in joint if element.tag in _OF_MOTION]:
             joint.remove(element)
-    found = {
+    results = {
         "held still at 0, as not between base and flange": held,
         "range of +-360 deg for continuous joints": endless,
     }
-    notes = (f"{what}: {_named(of)}" for what, of in found.items() if of)
+    notes = (f"{what}: {_named(of)}" for what, of in results.items() if of)
     return Reduced(ElementTree.tostring(root, encoding="unicode"), tuple(notes))
 
 
@@ -87,10 +87,10 @@ def _named(joints: list[Any]) -> str:
     return ", ".join(joint.get("name", "") for joint in joints)
 
 
-def flange_link(root: Any, asked: str | None) -> str | None:
+def flange_link(root: Any, wanted: str | None) -> str | None:
     """Return the name of the flange's link, None if the description has none."""
     links = [link.get("name") for link in root.findall("link")]
-    return next((name for name in ((asked,) if asked else FLANGE_LINKS) if name in links), None)
+    return next((name for name in ((wanted,) if wanted else FLANGE_LINKS) if name in links), None)
 
 
 def _link(joint: Any, role: str) -> str:

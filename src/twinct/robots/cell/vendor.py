@@ -135,9 +135,9 @@ def _expanded(file: Path, arguments: Mapping[str, str], where: str) -> str:
     except Exception as error:  # whatever the file's expressions raise
         if isinstance(cause := getattr(error, "exc", None), ScenarioError):
             raise cause from None
-        told = shortened(" ".join(str(error).split()) or type(error).__name__, 400)
-        hint = "; arguments are given as NAME:=VALUE" if "arg" in told else ""
-        raise ScenarioError(f"{where}: xacro cannot expand it: {told}{hint}") from None
+        reason = shortened(" ".join(str(error).split()) or type(error).__name__, 400)
+        hint = "; arguments are given as NAME:=VALUE" if "arg" in reason else ""
+        raise ScenarioError(f"{where}: xacro cannot expand it: {reason}{hint}") from None
     finally:
         substitution_args._eval_find = before
 
@@ -233,9 +233,9 @@ class _Meshes:
             if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
                 raise ValueError("it holds no triangles")
         except Exception as error:  # trimesh raises whatever its readers raise
-            told = shortened(" ".join(str(error).split()) or type(error).__name__)
+            reason = shortened(" ".join(str(error).split()) or type(error).__name__)
             raise ScenarioError(
-                f"{self._where} names {quoted(name)}, but {file} cannot be read: {told}"
+                f"{self._where} names {quoted(name)}, but {file} cannot be read: {reason}"
             ) from None
         return mesh.apply_scale(scale) if scale != 1.0 else mesh
 
@@ -251,7 +251,7 @@ def _convex(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
 
     Pieces inside the hull of a larger one, such as screws, do not count.
     """
-    kept: list[trimesh.Trimesh] = []
+    hulls: list[trimesh.Trimesh] = []
     whole = mesh.convex_hull
     least = 1e-6 * whole.volume
     pieces = sorted(mesh.split(only_watertight=False), key=lambda piece: -piece.bounding_box.volume)
@@ -262,12 +262,12 @@ def _convex(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
             return [whole]
         if hull.volume <= least:
             continue
-        if any(_inside(hull, other) for other in kept):
+        if any(_inside(hull, other) for other in hulls):
             continue
-        kept.append(hull)
-        if len(kept) > MOST_PARTS:
+        hulls.append(hull)
+        if len(hulls) > MOST_PARTS:
             return [whole]
-    return kept or [whole]
+    return hulls or [whole]
 
 
 def _inside(hull: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:

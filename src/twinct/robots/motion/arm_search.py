@@ -145,8 +145,8 @@ class SerialArm:
             part = slice(begin, begin + AT_ONCE)
             wanted = poses[which[part], :3].transpose(1, 2, 0)
             begun = joints[part].T.copy()
-            found, flags = self._newton(np.ascontiguousarray(wanted), begun, off, ranges, steps)
-            joints[part], solved[part] = found.T, flags
+            solutions, flags = self._newton(np.ascontiguousarray(wanted), begun, off, ranges, steps)
+            joints[part], solved[part] = solutions.T, flags
         return joints, solved
 
     def _newton(

@@ -117,14 +117,14 @@ class Branches:
         if self._carrier is None:
             return self._closed(poses, self._ranges)
         places = self._carrier.places(poses)
-        found = []
+        per_arm = []
         for place in places.T:
             there = self._closed(self._carrier.back(poses, place), self._ranges[1:])
             joints = np.column_stack([place[there.pose], there.joints])
-            found.append(Configurations(joints, there.pose))
-        pose = np.concatenate([of.pose for of in found])
+            per_arm.append(Configurations(joints, there.pose))
+        pose = np.concatenate([of.pose for of in per_arm])
         order = np.argsort(pose, kind="stable")
-        return Configurations(np.vstack([of.joints for of in found])[order], pose[order])
+        return Configurations(np.vstack([of.joints for of in per_arm])[order], pose[order])
 
     def _closed(self, poses: Floats, ranges: Floats) -> Configurations:
         """Return the closed form's results for poses in m, NaN for no pose."""
@@ -153,18 +153,18 @@ class Branches:
             turned = np.tile(np.eye(4), (len(rolls), 1, 1))
             about_z = scipy.spatial.transform.Rotation.from_euler("z", rolls[:, None])
             turned[:, :3, :3] = about_z.as_matrix()
-            asked = (poses[:, None] @ turned).reshape(-1, 4, 4)
-            return self.of(asked, starts, abreast=len(rolls))
+            wanted = (poses[:, None] @ turned).reshape(-1, 4, 4)
+            return self.of(wanted, starts, abreast=len(rolls))
         metres = poses.copy()
         metres[:, :3, 3] /= MM_PER_M
         low, high = self._ranges[-1]
         free = np.vstack([self._ranges[:-1], [-np.inf, np.inf]])
-        found = self._searched(metres, starts, 1, free)
-        joints = np.repeat(found.joints[:, None], len(rolls), axis=1)
+        result = self._searched(metres, starts, 1, free)
+        joints = np.repeat(result.joints[:, None], len(rolls), axis=1)
         joints[..., -1] += self._arm.roll_sign * rolls
         joints = joints.reshape(-1, joints.shape[-1])
         joints[:, -1] = _turned_into(joints[:, -1], low, high)
-        pose = (found.pose[:, None] * len(rolls) + np.arange(len(rolls))).ravel()
+        pose = (result.pose[:, None] * len(rolls) + np.arange(len(rolls))).ravel()
         inside = np.flatnonzero(np.isfinite(joints[:, -1]))
         order = inside[np.argsort(pose[inside], kind="stable")]
         return Configurations(joints[order], pose[order])
@@ -190,7 +190,7 @@ class Branches:
             return Configurations(np.zeros((0, len(low))), np.zeros(0, np.intp))
         which = np.repeat(np.arange(len(poses)), starts)
         joints, solved = self._arm.solve(poses, which, np.vstack(draws), self._off, ranges)
-        found: list[Floats] = [
+        results: list[Floats] = [
             _distinct(own[good], ranges)
             for own, good in zip(
                 joints.reshape(len(poses), starts, -1),
@@ -199,35 +199,35 @@ class Branches:
             )
         ]
         if len(low) > 6:
-            self._continue(poses, found, abreast, ranges)
+            self._continue(poses, results, abreast, ranges)
         else:
             for _ in range(SWEEPS):
-                self._share(poses, found, abreast, ranges)
-        pose = np.repeat(np.arange(len(poses)), [len(f) for f in found])
-        return Configurations(np.vstack(found), pose)
+                self._share(poses, results, abreast, ranges)
+        pose = np.repeat(np.arange(len(poses)), [len(f) for f in results])
+        return Configurations(np.vstack(results), pose)
 
-    def _continue(self, poses: Floats, found: list[Floats], abreast: int, ranges: Floats) -> None:
+    def _continue(self, poses: Floats, results: list[Floats], abreast: int, ranges: Floats) -> None:
         """Continue the configurations of each pose to the next, which get to the front there.
 
         A redundant arm has infinitely many, so that neighbours need to continue each other.
         """
         for begin in range(abreast, len(poses), abreast):
             here = np.arange(begin, min(begin + abreast, len(poses)))
-            before = [found[k - abreast][:KEPT] for k in here]
-            self._add(poses, found, here, before, ranges)
+            before = [results[k - abreast][:KEPT] for k in here]
+            self._add(poses, results, here, before, ranges)
 
-    def _share(self, poses: Floats, found: list[Floats], abreast: int, ranges: Floats) -> None:
+    def _share(self, poses: Floats, results: list[Floats], abreast: int, ranges: Floats) -> None:
         """Try the configurations of each pose at the poses before and after it."""
         count = len(poses)
         here = np.tile(np.arange(count), 2)
         there = np.concatenate([np.arange(count) - abreast, np.arange(count) + abreast])
         inside = (there >= 0) & (there < count)
-        self._add(poses, found, here[inside], [found[k] for k in there[inside]], ranges)
+        self._add(poses, results, here[inside], [results[k] for k in there[inside]], ranges)
 
     def _add(
         self,
         poses: Floats,
-        found: list[Floats],
+        results: list[Floats],
         here: NDArray[np.intp],
         starts: list[Floats],
         ranges: Floats,
@@ -241,7 +241,7 @@ class Branches:
         )
         for k in np.unique(which[solved]):
             own = joints[solved & (which == k)]
-            found[k] = _distinct(np.vstack([own, found[k]]), ranges)
+            results[k] = _distinct(np.vstack([own, results[k]]), ranges)
 
 
 def matrices(poses: list[Pose]) -> Floats:
@@ -260,11 +260,11 @@ def _distinct(joints: Floats, ranges: Floats) -> Floats:
     """Return the configurations that differ from all before them, (k, n)."""
     joints = _without_turns(joints, ranges)
     apart = np.abs(joints[:, None] - joints).max(axis=2) >= SAME_RAD
-    kept: list[int] = []
+    distinct: list[int] = []
     for k in range(len(joints)):
-        if apart[k, kept].all():
-            kept.append(k)
-    return joints[kept]
+        if apart[k, distinct].all():
+            distinct.append(k)
+    return joints[distinct]
 
 
 def _turned_into(angles: Floats, low: float, high: float) -> Floats:

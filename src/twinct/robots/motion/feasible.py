@@ -128,21 +128,21 @@ class Feasible:
                     own, at = pair[mine], which[mine] - start
                 # Two geoms can approach by this much between the middle and the ends of a part.
                 room = half * (self._lever[own] * step[at]).sum(axis=1)
-                asked = least + room
-                for index, near, bounds in self._suspects(places, own, at, asked):
+                required = least + room
+                for index, near, bounds in self._suspects(places, own, at, required):
                     if not clear[part[index]]:
                         continue
                     # Far below the required distance, an exact distance proves no more than boxes.
-                    hope = (bounds < least) | (asked[near] - bounds < LOOSE_M)
-                    found = room[near] > SHORTFALL_MM / MM_PER_M
+                    hope = (bounds < least) | (required[near] - bounds < LOOSE_M)
+                    result = room[near] > SHORTFALL_MM / MM_PER_M
                     for k in np.flatnonzero(hope).tolist():
-                        distance = self._distance(int(own[near[k]]), asked[near[k]])
+                        distance = self._distance(int(own[near[k]]), required[near[k]])
                         if distance < least:
                             clear[part[index]] = False
                             break
-                        found[k] &= distance < asked[near[k]]
-                    more_pairs.append(own[near[found]])
-                    more_parts.append(np.full(found.sum(), start + index))
+                        result[k] &= distance < required[near[k]]
+                    more_pairs.append(own[near[result]])
+                    more_parts.append(np.full(result.sum(), start + index))
             pair, which = (
                 np.concatenate(more_pairs or [pair[:0]]),
                 np.concatenate(more_parts or [which[:0]]),
@@ -229,9 +229,9 @@ class Feasible:
         bound -= self._margin[pair]
         rows = np.flatnonzero(bound < required_m)
         rows = rows[np.lexsort((bound[rows], which[rows]))]
-        found, first = np.unique(which[rows], return_index=True)
+        result, first = np.unique(which[rows], return_index=True)
         # An empty array splits into one part.
-        for index, near in zip(found, np.split(rows, first[1:]), strict=False):
+        for index, near in zip(result, np.split(rows, first[1:]), strict=False):
             self._data.geom_xpos[:] = places.position[index]
             self._data.geom_xmat[:] = places.turned[index]
             yield int(index), near, bound[near]

@@ -72,12 +72,12 @@ def branch_path(cell_model: CellModel, motion: Motion, targets: Sequence[PosePai
     kinematics = Kinematics(cell_model, motion.ik)
     ways = _ways(cell_model, kinematics, targets)
     problems = []
-    for side, found in zip(SIDES, ways, strict=True):
-        if not any(way.good for way in found):
-            problems += _reach_problems(side, min(found, key=lambda way: way.badness))
+    for side, paths in zip(SIDES, ways, strict=True):
+        if not any(way.good for way in paths):
+            problems += _reach_problems(side, min(paths, key=lambda way: way.badness))
     if problems:
         raise TrajectoryError(problems)
-    pair = _clearest(cell_model, [[w for w in found if w.good] for found in ways])
+    pair = _clearest(cell_model, [[w for w in paths if w.good] for paths in ways])
     joints = np.hstack([way.joints for way in pair])
     gaps = gaps_along(cell_model, joints)
     required_mm = motion.clearance_mm
@@ -100,8 +100,8 @@ def _ways(
     """Return both arms' paths on every detected branch, with both arms solved together."""
     middle, starts = _start_view(cell, kinematics, targets)
     ways: tuple[list[_JointPath], list[_JointPath]] = ([], [])
-    for k in range(max(len(found) for found in starts)):
-        start = np.hstack([found[min(k, len(found) - 1)] for found in starts])
+    for k in range(max(len(result) for result in starts)):
+        start = np.hstack([result[min(k, len(result) - 1)] for result in starts])
         traced = _trace(cell, kinematics, targets, middle, start)
         for arm in range(2):
             if k < len(starts[arm]):
@@ -114,15 +114,15 @@ def _start_view(
 ) -> tuple[int, list[list[Floats]]]:
     """Return a view that both arms reach, the middle view if possible, and their branches there."""
     last = len(targets) - 1
-    found = None
+    result = None
     for view in dict.fromkeys((len(targets) // 2, 0, last, last // 4, 3 * last // 4)):
         starts, reached = _starts(cell, kinematics, targets[view])
-        if found is None or reached > found[2]:
-            found = (view, starts, reached)
+        if result is None or reached > result[2]:
+            result = (view, starts, reached)
         if reached == 2:
             break
-    assert found is not None
-    return found[:2]
+    assert result is not None
+    return result[:2]
 
 
 def _starts(
@@ -132,7 +132,7 @@ def _starts(
     rng = np.random.default_rng(0)
     low = np.maximum(cell.joint_ranges[:, 0], -np.pi)
     high = np.minimum(cell.joint_ranges[:, 1], np.pi)
-    found: list[list[Floats]] = [[], []]
+    by_arm: list[list[Floats]] = [[], []]
     nearest: list[tuple[float, Floats]] = [(np.inf, np.zeros(0))] * 2
     for k in range(RESTARTS):
         start = rng.uniform(low, high)
@@ -144,11 +144,11 @@ def _starts(
             q = _wrapped(result.joints[joints], cell.joint_ranges[joints])
             if result.position_mm[arm] < nearest[arm][0]:
                 nearest[arm] = (float(result.position_mm[arm]), q)
-            known = any(np.abs(q - other).max() < SAME_RAD for other in found[arm])
-            if result.solved[arm] and not known and len(found[arm]) < BRANCHES:
-                found[arm].append(q)
-    starts = [ways or [nearest[arm][1]] for arm, ways in enumerate(found)]
-    return starts, sum(bool(ways) for ways in found)
+            known = any(np.abs(q - other).max() < SAME_RAD for other in by_arm[arm])
+            if result.solved[arm] and not known and len(by_arm[arm]) < BRANCHES:
+                by_arm[arm].append(q)
+    starts = [ways or [nearest[arm][1]] for arm, ways in enumerate(by_arm)]
+    return starts, sum(bool(ways) for ways in by_arm)
 
 
 def _wrapped(joints: Floats, ranges: Floats) -> Floats:
@@ -215,9 +215,9 @@ def _clearest(cell: CellModel, ways: list[list[_JointPath]]) -> tuple[_JointPath
         return smallest
 
     alone = []
-    for side, part, found in zip(SIDES, cell.arm_joints, ways, strict=True):
+    for side, part, paths in zip(SIDES, cell.arm_joints, ways, strict=True):
         clearance = Clearance(cell, (side,))
-        alone.append([smallest_gap(clearance, part, way.joints, -np.inf) for way in found])
+        alone.append([smallest_gap(clearance, part, way.joints, -np.inf) for way in paths])
     pairs = [
         (min(a, b), one, other)
         for a, one in zip(alone[0], ways[0], strict=True)

@@ -82,7 +82,7 @@ class Guide:
 
     def _way_to(self, target: PosePairs, here: Floats) -> JointPath:
         """Find a path to a target; if none is found and the path back is known, go through home."""
-        found = partial(
+        search = partial(
             find_joint_path,
             self._cell,
             self._motion,
@@ -91,11 +91,11 @@ class Guide:
             most_looks=MOST_LOOKS,
         )
         try:
-            return found(start=here)
+            return search(start=here)
         except NoPathError:
             if not self._trail or np.array_equal(here, self._home):
                 raise
-            back, on = self._way_home(here), found(start=self._home)
+            back, on = self._way_home(here), search(start=self._home)
             views = np.append(np.full(len(back.joints) - 1, -1), on.views)
             return JointPath(np.vstack([back.joints[:-1], on.joints]), views, on.targets)
 

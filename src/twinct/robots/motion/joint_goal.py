@@ -66,16 +66,16 @@ def goal_of(
         raise GoalError("a trajectory needs joints and points")
     if len(set(names)) < len(names):
         raise GoalError(f"a joint is named twice among {', '.join(names)}", unknown=True)
-    found = []
+    parts = []
     for what, rows in zip(("positions", "velocities", "accelerations"), orders, strict=True):
         if what != "positions" and not any(len(row) for row in rows):
             break
         for point, row in enumerate(rows):
             if len(row) != len(names):
                 raise GoalError(f"point {point} has {len(row)} {what} for {len(names)} joints")
-        found.append(np.array(rows, dtype=np.float64))
+        parts.append(np.array(rows, dtype=np.float64))
     times = np.array(time_s, dtype=np.float64)
-    if not all(np.isfinite(array).all() for array in (*found, times)):
+    if not all(np.isfinite(array).all() for array in (*parts, times)):
         raise GoalError("a number of the trajectory is not finite")
     if times[0] < 0 or not (np.diff(times) > 0).all():
         late = int(np.argmax(np.diff(times) <= 0)) + 1 if times[0] >= 0 else 0
@@ -84,7 +84,7 @@ def goal_of(
         raise GoalError(
             f"the trajectory takes {times[-1]:.0f} s; at most {LONGEST_S:.0f} are allowed"
         )
-    return JointGoal(names, times, tuple(found))
+    return JointGoal(names, times, tuple(parts))
 
 
 @dataclass(frozen=True, eq=False)

@@ -168,12 +168,12 @@ def _between(here: tuple[Pose, Pose], there: tuple[Pose, Pose]) -> list[PosePair
     steps = int(max(far)) + 1
     ends = [scipy.spatial.transform.Rotation.from_quat([a.quat, b.quat]) for a, b in pairs]
     turns = [scipy.spatial.transform.Slerp([0, 1], both) for both in ends]
-    found = []
+    results = []
     for share in np.arange(1, steps) / steps:
         places = [(1 - share) * a.position + share * b.position for a, b in pairs]
         quats = [turn(share).as_quat() for turn in turns]
-        found.append(PosePairs.at(*map(Pose, places, quats)))
-    return found
+        results.append(PosePairs.at(*map(Pose, places, quats)))
+    return results
 
 
 def site_pose(data: mujoco.MjData, site: int) -> Pose:

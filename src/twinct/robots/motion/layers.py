@@ -122,10 +122,10 @@ def clear_pairs(
         pairs = pairs[(pairs >= before).any(axis=1)]
         for start in range(0, len(pairs), PAIRS_AT_ONCE):
             part = pairs[start : start + PAIRS_AT_ONCE]
-            found = np.stack([r[p] for r, p in zip(ranked, part.T, strict=True)], axis=1)
-            good = clear(*found.T)
+            chosen = np.stack([r[p] for r, p in zip(ranked, part.T, strict=True)], axis=1)
+            good = clear(*chosen.T)
             if good.any():
-                return found[good]
+                return chosen[good]
         before, count = count, 2 * count
     return np.zeros((0, 2), np.intp)
 
@@ -180,7 +180,7 @@ def lifted(
             (knots - 1,).
         first_stays: whether the first knot keeps its turns.
     """
-    found = np.empty_like(joints)
+    result = np.empty_like(joints)
     turns = 2 * np.pi * np.array([0, -1, 1, -2, 2])
     for j, (low, high) in enumerate(ranges):
         options = joints[:, j, None] + turns
@@ -198,5 +198,5 @@ def lifted(
             other = np.where(follows, np.where(out, np.inf, 0.0)[:, None], rewinding_s[k])
             costs.append(np.abs(moves) / speeds[j] + other + aside[k + 1])
         path, _ = Choice(costs, [aside[0], *[np.zeros(5)] * len(legs)]).best()
-        found[:, j] = options[np.arange(len(options)), path]
-    return found
+        result[:, j] = options[np.arange(len(options)), path]
+    return result

@@ -44,7 +44,7 @@ def limiting(
     nearest = [names[row] for row in values.argmax(axis=0)]
     paced = _paced(plan, time_s, shutter.interval_s(cell.model.opt.timestep))
     resting = np.abs(plan.at(time_s)[:, 1:]).max(axis=(1, 2)) < STILL_RAD
-    found = Counter(
+    counts = Counter(
         shutter.limit
         if by_detector
         else f"motion.settle_s = {motion.settle_s:g}"
@@ -52,7 +52,7 @@ def limiting(
         else by_arms
         for by_arms, by_detector, rests in zip(nearest, paced, resting, strict=True)
     )
-    return {name: count / len(time_s) for name, count in found.most_common()}
+    return {name: count / len(time_s) for name, count in counts.most_common()}
 
 
 def _used(states: Floats, cell: CellModel, motion: Motion) -> dict[str, Floats]:

@@ -126,16 +126,16 @@ class Detours:
         if self.over or not (clear(start) and clear(end)):
             return None
         most = min(collisions.looked + checks, self.most)
-        found = space.connected(start, end, clear, spacing_s, lambda: collisions.looked >= most)
-        if found is None:
+        path = space.connected(start, end, clear, spacing_s, lambda: collisions.looked >= most)
+        if path is None:
             return None
         for aside_mm in ASIDE_MM:
             collisions.keep(least_mm + aside_mm)
-            knots = space.shortened(found, clear)
+            knots = space.shortened(path, clear)
             if proven(knots):
                 break
         else:
-            if not proven(knots := found):
+            if not proven(knots := path):
                 return None
         # Restore the exact ends, which OMPL may have rounded.
         knots[0] = start

@@ -153,11 +153,11 @@ class _Finder:
         self._known: dict[bytes, Floats | None] = {}
 
     def find(self, start: Floats | None) -> JointPath:
-        found = [self._configurations.of_arm(arm) for arm in range(2)]
-        problems = [problem for _, told, _ in found for problem in told]
+        of_arms = [self._configurations.of_arm(arm) for arm in range(2)]
+        problems = [problem for _, refusals, _ in of_arms for problem in refusals]
         if problems:
-            raise TrajectoryError(problems, found[0][2] | found[1][2])
-        candidates = [of_arm for of_arm, _, _ in found]
+            raise TrajectoryError(problems, of_arms[0][2] | of_arms[1][2])
+        candidates = [of_arm for of_arm, _, _ in of_arms]
         path = self._path(candidates, start)
         loads = self._strength.along(path.joints) + self._strength.friction
         if start is not None or loads.max() < TORQUE_SHARE:
@@ -237,14 +237,14 @@ class _Finder:
                 pairs.append(np.zeros((1, 2), np.intp))
                 continue
             of_source, of_detector = (arm[layer].joints for arm in layers)
-            found = clear_pairs(
+            chosen = clear_pairs(
                 (ranked[0][layer], ranked[1][layer]),
                 lambda i, j, a=of_source, b=of_detector: self._cross.clear(
                     np.hstack([a[i], b[j]]), self._least_mm
                 ),
             )
-            pairs.append(found)
-            if not len(found):
+            pairs.append(chosen)
+            if not len(chosen):
                 best = np.hstack(
                     [of_source[ranked[0][layer][:1]], of_detector[ranked[1][layer][:1]]]
                 )

@@ -102,10 +102,10 @@ class MotionPlan:
     @cached_property
     def digest(self) -> str:
         """Hexadecimal SHA-256 of the joint names, targets and waypoints."""
-        told = hashlib.sha256(repr((self.joint_names, tuple(map(_Said, self.targets)))).encode())
+        hashed = hashlib.sha256(repr((self.joint_names, tuple(map(_Said, self.targets)))).encode())
         for array in (self.time_s, self.state, self.views.astype(np.int64)):
-            told.update(array.tobytes())
-        return told.hexdigest()
+            hashed.update(array.tobytes())
+        return hashed.hexdigest()
 
     @cached_property
     def _polynomials(self) -> tuple[BPoly, BPoly, BPoly]:
@@ -122,9 +122,9 @@ class MotionPlan:
             position, velocity and acceleration, (times, 3, n).
         """
         inside = np.clip(time_s, 0.0, self.duration_s)
-        found = np.stack([derivative(inside) for derivative in self._polynomials], axis=1)
-        found[inside != time_s, 1:] = 0.0
-        return found
+        values = np.stack([derivative(inside) for derivative in self._polynomials], axis=1)
+        values[inside != time_s, 1:] = 0.0
+        return values
 
 
 class _Said:
@@ -211,7 +211,7 @@ def _laws(
     stops = {0, len(way.joints) - 1}
     if motion.trigger == "settled":
         stops |= set(np.flatnonzero(way.views >= 0).tolist())
-    found = []
+    laws = []
     ordered = sorted(stops)
     for first, last in zip(ordered[:-1], ordered[1:], strict=True):
         knots, own = [way.joints[first]], [0]
@@ -222,8 +222,8 @@ def _laws(
             own.append(len(knots) - 1)
         passed = [] if motion.trigger == "settled" else way.views[first : last + 1]
         views = [knot for knot, view in zip(own, passed, strict=False) if view >= 0]
-        found.append((law.through(np.array(knots), views), own))
-    return found
+        laws.append((law.through(np.array(knots), views), own))
+    return laws
 
 
 def _compose(
@@ -239,9 +239,9 @@ def _compose(
     interval_s = shutter.interval_s(timestep_s)
     every = round(WAYPOINT_S / FINE_S)
     for law, own in laws:
-        kept = np.unique(np.append(np.arange(0, len(law.time_s), every), len(law.time_s) - 1))
-        times.append(start + law.time_s[kept])
-        states.append(law.state[kept])
+        samples = np.unique(np.append(np.arange(0, len(law.time_s), every), len(law.time_s) - 1))
+        times.append(start + law.time_s[samples])
+        states.append(law.state[samples])
         knots_s += (start + law.knots_s[own[1:]]).tolist()
         start = times[-1][-1]
         if motion.trigger == "settled":

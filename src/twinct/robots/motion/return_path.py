@@ -49,23 +49,23 @@ def path_home(
     """
     least = required_gap_mm(motion)
     gap = Clearance(cell).over(np.array([start, home]))
-    kept = min(least, gap.distance_mm - 2 * SHORTFALL_MM)
-    if kept <= 0:
+    clearance = min(least, gap.distance_mm - 2 * SHORTFALL_MM)
+    if clearance <= 0:
         raise TrajectoryError(f"start: {gap_text(gap, least)}")
     room, knots = Feasible(cell), np.array([start, home])
-    if not room.straight(knots[:1], knots[1:], kept)[0]:
+    if not room.straight(knots[:1], knots[1:], clearance)[0]:
         if len(back):
-            knots = _shortened(room, back, kept)
+            knots = _shortened(room, back, clearance)
         else:
             # No free turns: all joints must end exactly at home, not a turn away.
             detours = Detours(cell, room, np.zeros(len(start), bool), seed, most_looks)
-            tries = (detours.between(start, home, kept, k) for k in range(len(SEARCHES)))
-            found = next((way for way in tries if way is not None), None)
-            if found is None:
+            tries = (detours.between(start, home, clearance, k) for k in range(len(SEARCHES)))
+            path = next((way for way in tries if way is not None), None)
+            if path is None:
                 raise TrajectoryError(
                     f"no path home found after checking {detours.looked} configurations"
                 )
-            knots = found
+            knots = path
     data = mujoco.MjData(cell.model)
     data.qpos[:] = home
     mujoco.mj_kinematics(cell.model, data)
@@ -75,9 +75,9 @@ def path_home(
 
 def _shortened(room: Feasible, knots: Floats, least_mm: float) -> Floats:
     """Connect each knot straight to the last knot in sight, at least to the next one."""
-    kept, last = [0], len(knots) - 1
-    while kept[-1] < last:
-        here = kept[-1]
+    knot_numbers, last = [0], len(knots) - 1
+    while knot_numbers[-1] < last:
+        here = knot_numbers[-1]
         following = here + 1
         for stop in range(last + 1, here + 2, -AT_ONCE):
             ends = knots[max(stop - AT_ONCE, here + 2) : stop]
@@ -85,5 +85,5 @@ def _shortened(room: Feasible, knots: Floats, least_mm: float) -> Floats:
             if seen.any():
                 following = stop - len(ends) + int(np.flatnonzero(seen)[-1])
                 break
-        kept.append(following)
-    return knots[kept]
+        knot_numbers.append(following)
+    return knots[knot_numbers]

@@ -94,15 +94,18 @@ class ViewConfigurations:
         rolls = np.radians(np.arange(0.0, 360.0 if self._roll_free[arm] else step, step))
         side = SIDES[arm]
         room = Feasible(self._cell, side)
-        found = branches.rolled(matrices(poses), rolls)
-        clear = room.clear(self.placed(found.joints, arm), self._least_mm)
+        configurations = branches.rolled(matrices(poses), rolls)
+        clear = room.clear(self.placed(configurations.joints, arm), self._least_mm)
         candidates, far, gaps = [], {}, {}
-        ends = np.searchsorted(found.pose, np.arange(len(poses) + 1) * len(rolls))
+        ends = np.searchsorted(configurations.pose, np.arange(len(poses) + 1) * len(rolls))
         lost = np.flatnonzero(np.diff(ends) == 0).tolist() if branches.closed_form else []
         nearest = cache(lambda view: self._nearest(view, arm))
         for view in range(len(poses)):
             mine = slice(*ends[view : view + 2])
-            joints, roll = found.joints[mine], rolls[found.pose[mine] - view * len(rolls)]
+            joints, roll = (
+                configurations.joints[mine],
+                rolls[configurations.pose[mine] - view * len(rolls)],
+            )
             good = clear[mine]
             if not good.any() and not branches.closed_form:
                 more = branches.rolled(matrices(poses[view : view + 1]), rolls, MANY_STARTS)
@@ -159,11 +162,11 @@ class ViewConfigurations:
         Raises:
             TrajectoryError: some views have none.
         """
-        part, kept, weak = self._cell.arm_joints[arm], [], {}
+        part, by_view, weak = self._cell.arm_joints[arm], [], {}
         for view, of in enumerate(candidates):
             shares = (strength.holding(self.placed(of.joints, arm)) + strength.friction)[:, part]
             good = (shares < TORQUE_SHARE).all(axis=1)
-            kept.append(
+            by_view.append(
                 Candidates(of.joints[good], of.roll[good], load_s(shares[good], len(candidates)))
             )
             if not good.any():
@@ -172,4 +175,4 @@ class ViewConfigurations:
                 weak[view] = (joint, float(least.max()))
         if weak:
             raise TrajectoryError(weak_problems(SIDES[arm], weak))
-        return kept
+        return by_view

@@ -22,12 +22,12 @@ def _write(program: Program) -> Mapping[str, str]:
     both = (*source, *detector)
     if len(set(both)) < len(both):  # one controller of both arms cannot have equal names
         both = program.plan.joint_names
-    found = {
+    trajectories = {
         f"{side}_trajectory.yaml": _text(program, names, program.states(arm))
         for arm, (side, names) in enumerate(zip(SIDES, program.names, strict=True))
     }
-    found["both_trajectory.yaml"] = _text(program, both, program.plan.state)
-    return found | {TRIGGERS: triggers(program)}
+    trajectories["both_trajectory.yaml"] = _text(program, both, program.plan.state)
+    return trajectories | {TRIGGERS: triggers(program)}
 
 
 def _text(program: Program, names: Iterable[str], states: Floats) -> str:

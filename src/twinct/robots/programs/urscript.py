@@ -32,15 +32,15 @@ START_SPEED, START_ACCELERATION = 0.3, 0.5
 
 
 def _write(program: Program) -> Mapping[str, str]:
-    found = {}
+    programs = {}
     for arm, (side, names) in enumerate(zip(SIDES, program.names, strict=True)):
         if len(names) != JOINTS:
             raise InputError(
                 f"--to urscript: the {side} arm has {len(names)} joints; arms of Universal Robots "
                 f"have {JOINTS}"
             )
-        found[f"{side}.script"] = "\n".join(_lines(program, side, arm)) + "\n"
-    return found | {TRIGGERS: triggers(program)}
+        programs[f"{side}.script"] = "\n".join(_lines(program, side, arm)) + "\n"
+    return programs | {TRIGGERS: triggers(program)}
 
 
 def _lines(program: Program, side: str, arm: int) -> Iterator[str]:

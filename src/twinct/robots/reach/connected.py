@@ -97,15 +97,15 @@ def _edges(directions: Floats, joints: Floats, whose: Indices, turns: Flags) -> 
     views = np.unique(whose)
     tree = scipy.spatial.KDTree(directions[views])
     _, near = tree.query(directions[views], min(NEIGHBOURS, len(views)))
-    found = []
+    chosen = []
     for view, others in zip(views, views[near.reshape(len(views), -1)], strict=True):
         mine = np.flatnonzero(whose == view)
         for other in others:
             theirs = np.flatnonzero(whose == other)
             far = np.abs(_way(joints[mine][:, None], joints[theirs], turns)).max(axis=2)
             far[mine[:, None] == theirs] = np.inf
-            found.append(np.stack([far.min(axis=1), mine, theirs[far.argmin(axis=1)]], axis=1))
-    edges = np.vstack(found)
+            chosen.append(np.stack([far.min(axis=1), mine, theirs[far.argmin(axis=1)]], axis=1))
+    edges = np.vstack(chosen)
     edges = edges[edges[:, 0] < FARTHEST_RAD]
     edges = edges[np.argsort(edges[:, 0], kind="stable"), 1:].astype(np.intp)
     _, first = np.unique(np.sort(edges, axis=1), axis=0, return_index=True)

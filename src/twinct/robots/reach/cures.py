@@ -82,11 +82,11 @@ class _Hopes:
     """Largest numbers of views that changes may cure, as far as each arm's reach shows."""
 
     def __init__(
-        self, model: CellModel, motion: Motion, roll_free: tuple[bool, bool], asked: Poses
+        self, model: CellModel, motion: Motion, roll_free: tuple[bool, bool], commanded: Poses
     ) -> None:
-        self._roll_free, self._commanded = roll_free, asked
+        self._roll_free, self._commanded = roll_free, commanded
         self._branches = [Branches(model, arm, motion.ik) for arm in range(2)]
-        self.alone = [_alone(model, motion, roll_free, asked, arm) for arm in range(2)]
+        self.alone = [_alone(model, motion, roll_free, commanded, arm) for arm in range(2)]
 
     def of(self, change: Change) -> int:
         held = np.ones(len(self._commanded), bool)
@@ -101,13 +101,15 @@ class _Hopes:
 
 
 def _alone(
-    cell: CellModel, motion: Motion, roll_free: tuple[bool, bool], asked: Poses, arm: int
+    cell: CellModel, motion: Motion, roll_free: tuple[bool, bool], commanded: Poses, arm: int
 ) -> Flags:
     """Return flags of the views that an arm can hold, wherever the other one stands."""
     bodies, other = cell.model.geom_bodyid, SIDES[1 - arm]
     of_other = np.array([cell.model.body(body).name.startswith(f"{other}_") for body in bodies])
     own = replace(cell, pairs=cell.pairs[~of_other[cell.pairs].any(axis=1)])
-    return Holder(own, motion, roll_free=roll_free).can((asked.source, asked.detector)[arm], arm)
+    return Holder(own, motion, roll_free=roll_free).can(
+        (commanded.source, commanded.detector)[arm], arm
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,24 +144,24 @@ class CureSearch:
             failing: indices of the views that cannot be held.
             progress: progress display.
         """
-        asked = self.poses(_some(failing, FAILING))
-        scope = f"{len(asked)} tested views (of {len(failing)} that cannot be held)"
+        commanded = self.poses(_some(failing, FAILING))
+        scope = f"{len(commanded)} tested views (of {len(failing)} that cannot be held)"
         changes = list(_changes(self.cell, self.roll_free))
         best, gained, tried = "", 0, 0
         try:
-            hopes = _Hopes(self.model, self.motion, self.roll_free, asked)
+            hopes = _Hopes(self.model, self.motion, self.roll_free, commanded)
             ranked = [(hopes.of(change), change) for change in changes]
             ranked.sort(key=lambda one: -one[0])
             with progress.stage("changes that may be a remedy", len(changes)) as step:
                 for hope, change in ranked:
                     if hope > gained:
-                        found = self._gained(change, asked, failing, gained, hopes)
-                        best, gained = (change.words, found) if found else (best, gained)
+                        gain = self._gained(change, commanded, failing, gained, hopes)
+                        best, gained = (change.words, gain) if gain else (best, gained)
                     tried += 1
                     step()
         except WorkSpentError:
             pass
-        if gained == len(asked):
+        if gained == len(commanded):
             return f"cure: {best}; this cures the {scope}"
         all_tried = tried == len(changes)
         left = f"{tried} of {len(changes)} changes were tried, in the time of planning; {MORE}"
@@ -169,7 +171,7 @@ class CureSearch:
         return f"no single change cures the {scope}; {TESTED if all_tried else left}"
 
     def _gained(
-        self, change: Change, asked: Poses, failing: Indices, least: int, hopes: _Hopes
+        self, change: Change, commanded: Poses, failing: Indices, least: int, hopes: _Hopes
     ) -> int:
         """Return the number of views that a change cures, 0 unless above ``least`` and no loss."""
         gained, holder = 0, None
@@ -182,10 +184,10 @@ class CureSearch:
                 return 0
             holder = Holder(model, self.motion, roll_free=change.roll_free)
             if (arm := change.arm) is not None:  # the changed arm alone may show that it is no use
-                own = holder.can((asked.source, asked.detector)[arm], arm)
+                own = holder.can((commanded.source, commanded.detector)[arm], arm)
                 if (own & hopes.alone[1 - arm]).sum() <= least:
                     return 0
-            gained = int(holder.held(change.scaled(asked)).sum())
+            gained = int(holder.held(change.scaled(commanded)).sum())
             if gained <= least:
                 return 0
         assert holder is not None
@@ -227,10 +229,10 @@ def _changes(cell: Cell, roll_free: tuple[bool, bool]) -> Iterator[Change]:
         if section.standoff_mm + forward_mm <= 0:
             continue
         place = (np.array(section.base_position_mm, dtype=np.float64) + shift_mm).tolist()
-        told = section.standoff_mm + forward_mm if forward_mm else place
-        moved = section.model_copy(update={key: told if forward_mm else tuple(place)})
+        value = section.standoff_mm + forward_mm if forward_mm else place
+        moved = section.model_copy(update={key: value if forward_mm else tuple(place)})
         changed = cell.model_copy(update={f"{side}_arm": moved})
-        words = f"cell.{side}_arm.{key}: {told}"
+        words = f"cell.{side}_arm.{key}: {value}"
         yield Change(words, changed, roll_free, arm, shift_mm, forward_mm)
     for scale in RADII:
         words = f"trajectory.sod_mm and sdd_mm times {scale:g}"

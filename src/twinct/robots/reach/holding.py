@@ -90,22 +90,22 @@ class Holder:
         """
         branches = Branches(self.cell, arm, self.motion.ik, self._seed)
         room, rolls = Feasible(self.cell, SIDES[arm]), self._rolls[arm]
-        found = branches.of(poses, self._starts)
+        configurations = branches.of(poses, self._starts)
         if branches.roll_sign != 1:  # the last joint does not only roll the tool
             return self._rolled(branches, room, poses, arm)
         low, high = self.cell.joint_ranges[self.cell.arm_joints[arm]][-1]
-        count, kept = np.zeros(len(found.pose), int), []
+        count, clear_parts = np.zeros(len(configurations.pose), int), []
         for roll in rolls:
             open_ = np.flatnonzero(count < ROLLS_KEPT)
-            joints = found.joints[open_].copy()
+            joints = configurations.joints[open_].copy()
             joints[:, -1] = (joints[:, -1] + roll + np.pi) % (2 * np.pi) - np.pi
             if roll == 0:  # the original value, which is inside the range
-                joints[:, -1] = found.joints[open_, -1]
+                joints[:, -1] = configurations.joints[open_, -1]
             good = (joints[:, -1] >= low) & (joints[:, -1] <= high)
             good[good] = room.clear(self.placed(joints[good], arm), self.least_mm)
             count[open_] += good
-            kept.append((joints[good], found.pose[open_[good]]))
-        joints, pose = (np.concatenate(parts) for parts in zip(*kept, strict=True))
+            clear_parts.append((joints[good], configurations.pose[open_[good]]))
+        joints, pose = (np.concatenate(parts) for parts in zip(*clear_parts, strict=True))
         order = np.argsort(pose, kind="stable")
         return Configurations(joints[order], pose[order])
 
@@ -113,13 +113,15 @@ class Holder:
         """Check which poses an arm holds, clear of itself and the room; faster than ``alone``."""
         branches = Branches(self.cell, arm, self.motion.ik, self._seed)
         room, held = Feasible(self.cell, SIDES[arm]), np.zeros(len(poses), bool)
-        found = branches.of(poses, self._starts)
+        configurations = branches.of(poses, self._starts)
         # Check one configuration of each pose after the other, until one is clear.
-        turn = np.arange(len(found.pose)) - np.searchsorted(found.pose, found.pose)
+        turn = np.arange(len(configurations.pose)) - np.searchsorted(
+            configurations.pose, configurations.pose
+        )
         for k in range(int(turn.max(initial=-1)) + 1):
-            mine = np.flatnonzero((turn == k) & ~held[found.pose])
-            clear = room.clear(self.placed(found.joints[mine], arm), self.least_mm)
-            held[found.pose[mine[clear]]] = True
+            mine = np.flatnonzero((turn == k) & ~held[configurations.pose])
+            clear = room.clear(self.placed(configurations.joints[mine], arm), self.least_mm)
+            held[configurations.pose[mine[clear]]] = True
         left = np.flatnonzero(~held)
         if len(self._rolls[arm]) > 1 and len(left):
             held[left[np.unique(self.alone(poses[left], arm).pose)]] = True
@@ -135,12 +137,12 @@ class Holder:
 
     def held_by(self, poses: Poses) -> tuple[Flags, Flags]:
         """Return flags of the views that both arms can hold, (p,), and each arm alone, (2, p)."""
-        found = self.alone(poses.source, 0), self.alone(poses.detector, 1)
+        of_arms = self.alone(poses.source, 0), self.alone(poses.detector, 1)
         held, alone = np.zeros(len(poses), bool), np.zeros((2, len(poses)), bool)
-        for flags, of in zip(alone, found, strict=True):
+        for flags, of in zip(alone, of_arms, strict=True):
             flags[of.pose] = True
         for view in np.flatnonzero(alone.all(axis=0)).tolist():
-            held[view] = len(self.pairs(found[0], found[1], view)) > 0
+            held[view] = len(self.pairs(of_arms[0], of_arms[1], view)) > 0
         return held, alone
 
     def _rolled(
@@ -148,9 +150,11 @@ class Holder:
     ) -> Configurations:
         """Compute the result of ``alone`` if the last joint does more than roll the tool."""
         rolls = self._rolls[arm]
-        found = branches.rolled(poses, rolls, self._starts)
-        clear = room.clear(self.placed(found.joints, arm), self.least_mm)
-        return Configurations(found.joints[clear], found.pose[clear] // len(rolls))
+        configurations = branches.rolled(poses, rolls, self._starts)
+        clear = room.clear(self.placed(configurations.joints, arm), self.least_mm)
+        return Configurations(
+            configurations.joints[clear], configurations.pose[clear] // len(rolls)
+        )
 
     def placed(self, joints: Floats, arm: int) -> Floats:
         """Extend configurations of one arm to the whole cell by zeros, (m, n)."""
@@ -175,10 +179,10 @@ class Holder:
         # Diagonal order, so that no configuration has to wait for all pairs of another.
         i, j = np.indices((len(a), len(b))).reshape(2, -1)
         order = np.argsort(i + j, kind="stable")
-        joints, found = np.hstack([a[i[order]], b[j[order]]]), []
+        joints, pairs_found = np.hstack([a[i[order]], b[j[order]]]), []
         for start in range(0, len(joints), PAIRS_AT_ONCE):
             part = joints[start : start + PAIRS_AT_ONCE]
-            found.append(part[self._cross.clear(part, self.least_mm)])
-            if sum(map(len, found)) >= enough:
+            pairs_found.append(part[self._cross.clear(part, self.least_mm)])
+            if sum(map(len, pairs_found)) >= enough:
                 break
-        return np.vstack([joints[:0], *found])
+        return np.vstack([joints[:0], *pairs_found])

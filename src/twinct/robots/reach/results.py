@@ -94,8 +94,8 @@ def draw_sphere(reach: Reach, path: Path, radius: int = 0, title: str = "") -> N
             ("detector (panel opposite)", reach.detector[radius]),
         )
     ]
-    told = "" if reach.connected is None else f", {100 * joined.mean():.1f} % connected by paths"
-    share = f"both: {100 * both.mean():.1f} %{told}"
+    ways = "" if reach.connected is None else f", {100 * joined.mean():.1f} % connected by paths"
+    share = f"both: {100 * both.mean():.1f} %{ways}"
     panels += [
         (share, both, (reach.clearance_mm[radius], "clearance, mm", most_mm)),
         (

@@ -128,13 +128,13 @@ def reach(
     centre = np.zeros(3) if isocentre_mm is None else np.array(isocentre_mm, dtype=np.float64)
     towards = fibonacci_directions(directions)
     holder = Holder(cell, motion, seed=seed)
-    found = [
+    results = [
         _at(
             holder, towards, poses_of(towards, sod, odd_mm, centre, cell.panel), connected, progress
         )
         for sod in radii.tolist()
     ]
-    rows: dict[str, Any] = {name: np.stack([one[name] for one in found]) for name in found[0]}
+    rows: dict[str, Any] = {name: np.stack([one[name] for one in results]) for name in results[0]}
     if not connected:
         rows["connected"] = None
     return Reach(centre, towards, radii, odd_mm, **rows)
@@ -149,8 +149,8 @@ def _at(
     of_arms = [
         holder.alone(matrices, arm) for arm, matrices in enumerate((poses.source, poses.detector))
     ]
-    for flags, found in zip(alone, of_arms, strict=True):
-        flags[found.pose] = True
+    for flags, result in zip(alone, of_arms, strict=True):
+        flags[result.pose] = True
     clearance, ranges = Clearance(cell), cell.joint_ranges
     gaps, margin = np.full((2, count), np.nan)
     joints = np.full((count, len(ranges)), np.nan)

@@ -24,9 +24,9 @@ BUILT_IN: dict[str, ErrorTerm] = {
 
 def terms_of(uncertainty: Uncertainty) -> list[tuple[ErrorTerm, Any]]:
     """Return the terms that make executed poses deviate, each with its settings."""
-    found: list[tuple[ErrorTerm, Any]] = []
+    terms: list[tuple[ErrorTerm, Any]] = []
     for term in (*BUILT_IN.values(), *ERROR_TERMS.values()):
         settings = getattr(uncertainty, term.section or term.name, None)
         if settings is not None and any(settings.sizes):
-            found.append((term, settings))
-    return found
+            terms.append((term, settings))
+    return terms

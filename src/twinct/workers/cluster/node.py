@@ -121,8 +121,8 @@ def _own_folder() -> Path:
     path = Path(tempfile.gettempdir()).absolute() / f"twinct-studies-{os.getuid()}"
     with contextlib.suppress(FileExistsError):
         path.mkdir(mode=0o700)
-    found = path.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
+    status = path.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
         raise InputError(
             f"{path}: another user may write there; remove it, or set TWINCT_CACHE to a folder of "
             "your own"

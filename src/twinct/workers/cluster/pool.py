@@ -257,12 +257,12 @@ class RayPool(Pool):
     def _compare(self) -> None:
         """Raise if a node has other versions."""
         problems: list[str] = []
-        for found in self._each_node(node.look):
-            if isinstance(found, Exception):
-                problems.append(f"a node is refused: it does not answer ({_line(found)})")
-            elif found[1] != self._terms.versions:
+        for other in self._each_node(node.look):
+            if isinstance(other, Exception):
+                problems.append(f"a node is refused: it does not answer ({_line(other)})")
+            elif other[1] != self._terms.versions:
                 problems.append(
-                    f"node {found[0]} is refused: it has {found[1]}; needed: {self._terms.versions}"
+                    f"node {other[0]} is refused: it has {other[1]}; needed: {self._terms.versions}"
                 )
         if problems:
             raise InputError(problems)
@@ -273,7 +273,7 @@ class RayPool(Pool):
 
         task = self._ray.remote(num_cpus=0, max_retries=0)(function)
         with self._speaking():
-            asked = [
+            references = [
                 task.options(
                     scheduling_strategy=NodeAffinitySchedulingStrategy(n["NodeID"], soft=False)
                 ).remote(*arguments)
@@ -281,15 +281,15 @@ class RayPool(Pool):
                 if n["Alive"]
             ]
         failures = self._ray.exceptions
-        found: list[Any] = []
-        for reference in asked:
+        results: list[Any] = []
+        for reference in references:
             try:
-                found.append(self._ray.get(reference, timeout=ASK_S))
+                results.append(self._ray.get(reference, timeout=ASK_S))
             except (failures.TaskUnschedulableError, failures.NodeDiedError):
                 continue  # Ray lists a lost node for some more seconds
             except failures.RayError as error:
-                found.append(error)
-        return found
+                results.append(error)
+        return results
 
     def _look(self) -> None:
         """Raise if Ray does not answer; Ray itself waits a minute, and then ends the process."""
@@ -335,14 +335,14 @@ def _in_own_folder() -> Iterator[None]:
 def _quiet() -> Iterator[None]:
     """Suppress the terminal output of Ray's C++ part during a block."""
     sys.stderr.flush()
-    kept = os.dup(2)
+    stderr = os.dup(2)
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), 2)
     try:
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 def _answers(address: str) -> bool:
