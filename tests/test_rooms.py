@@ -178,6 +178,7 @@ warnings.simplefilter("error")
 names = ["from twinct.scan import Workshop", "SimulationBuilder(None).asked"]
 names += ["from twinct.recon import FoundImplant", "DamagedError([], []).found"]
 names += ["from twinct.workers import Parcel", "from twinct.workers import Made"]
+names += ["from twinct.report import StudyAxis"]
 for old in ("import twinct.motion.way", *names):
     try:
         exec(old)
@@ -205,6 +206,7 @@ def test_old_names_import_the_same_things_with_a_warning() -> None:
         "DamagedError.found is now DamagedError.damages",
         "twinct.workers.Parcel is now twinct.workers.Artifact",
         "twinct.workers.Made is now twinct.workers.WithArtifacts",
+        "twinct.report.StudyAxis is now twinct.report.study_page.StudyAxis",
         "twinct.robots.motion.path_search twinct.view_planning.planner twinct.core.errors",
         "True",
     ], result.stderr

@@ -149,15 +149,16 @@ def old_names(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
 
     Args:
         module: name of the module.
-        names: new names by the old ones.
+        names: new names by the old ones; with dots, from another module.
     """
 
     def found(name: str) -> Any:
         if name not in names:
             raise AttributeError(f"module {module!r} has no attribute {name!r}")
-        new = names[name]
-        warnings.warn(f"{module}.{name} is now {module}.{new}", DeprecationWarning, stacklevel=2)
-        return getattr(sys.modules[module], new)
+        owner, _, new = names[name].rpartition(".")
+        owner = owner or module
+        warnings.warn(f"{module}.{name} is now {owner}.{new}", DeprecationWarning, stacklevel=2)
+        return getattr(import_module(owner), new)
 
     return found
 

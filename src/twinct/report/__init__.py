@@ -32,7 +32,15 @@ __all__ = [
     "write_report",
 ]
 
+_STUDY = "StudyAxis", "StudyData", "best_trials", "render_study", "write_study"
+
 __getattr__ = old_names(
     __name__,
-    {"FOUND": "ALGORITHM_RESULTS", "found_of": "algorithm_results", "with_found": "with_results"},
+    {
+        "FOUND": "ALGORITHM_RESULTS",
+        "StudyTrial": "twinct.report.repetitions.StudyTrial",
+        "found_of": "algorithm_results",
+        "with_found": "with_results",
+        **{name: f"twinct.report.study_page.{name}" for name in _STUDY},
+    },
 )
