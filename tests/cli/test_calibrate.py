@@ -70,8 +70,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
     arms = {"views": 2, "left_mm": (0.1, 0.1), "predicted_mm": (0.1, 0.1), "misfit": 1.0}
     results = {
         "calibrate_beads": SimpleNamespace(views=[view], problems={}),
-        "calibrate_balls": SimpleNamespace(**told, found=seen),
-        "calibrate_self": SimpleNamespace(**told, found=moved),
+        "calibrate_balls": SimpleNamespace(**told, estimate=seen),
+        "calibrate_self": SimpleNamespace(**told, estimate=moved),
         "calibrate_kinematics": SimpleNamespace(**arms, undetermined=[]),
         "apply_kinematics": None,
     }

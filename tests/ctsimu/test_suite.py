@@ -137,6 +137,6 @@ def test_the_toolbox_runs_as_it_is_but_for_the_edge_it_shears(tmp_path, monkeypa
     monkeypatch.setattr(suite, "verdicts", lambda *_: [])
     for test in ("2D-WE-2", "2D-WE-1", "2D-DW-1"):
         (tmp_path / test).mkdir()
-        suite._judged(test, tmp_path / test)
+        suite._judged(test, tmp_path / test, lambda name: None)
     assert angles["2D-WE-2"] == pytest.approx(3.0, abs=1e-9)
     assert angles["2D-WE-1"] == angles["2D-DW-1"] == pytest.approx(2.996, abs=1e-3)

@@ -129,8 +129,8 @@ def test_axes_exchanged_between_equal_counts_are_found(axes, right, stored):
         read_description({"images": stored(images.transpose(axes)), "geometry": keys})
     )
     first = {tried.candidate for tried in ranking.classes[0]}
-    assert right in first, ranking.told
-    assert first <= mirrored(right, offset=False), ranking.told
+    assert right in first, ranking.notes
+    assert first <= mirrored(right, offset=False), ranking.notes
 
 
 def test_what_is_right_stays_first(stored, circle, tmp_path):

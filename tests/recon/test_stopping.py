@@ -250,7 +250,7 @@ def test_memory_is_as_stated(circle, algorithm, solve):
     solve(A[:1], p[:1])  # compiles
     voxels = math.prod(A.domain_shape)
     more = algorithm.extra_volumes(algorithm.settings(stop="auto"))
-    assert algorithm.volumes + more > 2
+    assert algorithm.volumes + more > 1.5
     assert peak_of(lambda: solve(A, p)) < peak_bytes(algorithm, voxels, p.size, more)
 
 
