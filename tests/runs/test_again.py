@@ -115,7 +115,8 @@ def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> Non
     made = reconstruct_run(folder, keys, geometry="executed", name="one")
     assert made.results == {}
     screw = {"name": "screw", "position_mm": [1.0, 2.0, 3.0]}
-    known = replace(made, name="two", path=made.path.with_name("two"), results={"implants": [screw]})
+    other = {"name": "two", "path": made.path.with_name("two")}
+    known = replace(made, **other, results={"implants": [screw]})
     known.keep(made.volume)
     assert Reconstruction.read(known.path).results == {"implants": [screw]}
     # Those of before have it beside the rest, or nothing of it.
