@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import logging
 import os
@@ -12,11 +13,14 @@ import subprocess
 import sys
 from contextlib import ExitStack
 from functools import partial
+from threading import Thread
+from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
 from waiting import HANG_S
 
+from twinct import cli
 from twinct.cli import main, run_command
 from twinct.core.interruption import keeping
 
@@ -264,3 +268,21 @@ def test_a_signal_after_the_work_does_not_end_the_process_by_itself(
     done = subprocess.run(command, capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == (128 + number if interrupted else 0)
     assert done.stderr == (f"twinct: interrupted: {NOTHING}\n" if interrupted else "")
+
+
+def test_the_event_loop_of_zarr_has_ended_before_the_process_exits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop = asyncio.new_event_loop()
+    thread = Thread(target=loop.run_forever, daemon=True)
+    thread.start()
+    zarrs = SimpleNamespace(loop=[loop], iothread=[thread])
+    monkeypatch.setitem(sys.modules, "zarr.core.sync", zarrs)
+    monkeypatch.setattr(cli, "run_command", lambda argv: 0)
+    monkeypatch.setattr(cli, "hear_lost_signals", lambda: None)
+    monkeypatch.setattr(cli, "end_no_more", lambda: None)
+    monkeypatch.setattr(cli.atexit, "register", lambda function: None)
+    with pytest.raises(SystemExit):
+        cli.main([])
+    assert not thread.is_alive()
+    loop.close()

@@ -30,6 +30,9 @@ EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2
 EXIT_SIGNAL = 128
 """Added to the number of a signal, as shells do: 130 for Ctrl-C, 143 for SIGTERM."""
 
+ZARR_S = 60.0
+"""Longest wait for Zarr's event loop, which stops at once unless the machine is very busy."""
+
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Run one command and end the process; see ``run_command`` for the exit code."""
@@ -48,7 +51,17 @@ def main(argv: Sequence[str] | None = None) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):  # another one ends the process at once
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
+    _stop_zarr()
     sys.exit(code)
+
+
+def _stop_zarr() -> None:
+    """Stop Zarr's event loop: at the exit Zarr waits 0.2 s for its end, then shows a traceback."""
+    sync = sys.modules.get("zarr.core.sync")
+    loop, thread = (sync.loop[0], sync.iothread[0]) if sync is not None else (None, None)
+    if loop is not None and thread is not None:
+        loop.call_soon_threadsafe(loop.stop)
+        thread.join(ZARR_S)
 
 
 def _settle_on_utf8() -> None:
