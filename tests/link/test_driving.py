@@ -148,12 +148,12 @@ def test_a_controller_that_rejects_keeps_both_arms_where_they_are(arms, run) -> 
     until(left.cancelled.is_set, "the cancelling of the other arm")
     assert right.goals
     assert "rejected" in run.recorded()[1]["ended"]
-    assert run.drive.notes[-1] == f"{ACTIONS[0]} was told to stop, and confirmed it"
+    assert run.drive.notes[-1] == f"{ACTIONS[0]} was asked to stop, and confirmed it"
 
 
 def test_controllers_that_answer_too_late_do_not_start(arms, run) -> None:
     both = arms(0, does="silent"), arms(1, does="silent")
-    with pytest.raises(ControllerError, match="did not answer the plan .* both were told to stop"):
+    with pytest.raises(ControllerError, match="did not answer the plan .* both were asked to stop"):
         run(delay_s=0.0)
     for arm in both:
         until(arm.cancelled.is_set, "the cancelling of an arm that accepts too late")

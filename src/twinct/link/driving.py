@@ -125,7 +125,7 @@ class Drive:
         self._at: dict[str, float] = {}
         self._limits: dict[str, str] = {}
         self._sent_ns: dict[str, int] = {}
-        self._heard_at = 0.0
+        self._heard_at: dict[str, float] = {}
         self._newest: dict[tuple[str, ...], Stamp] = {}
         self._backwards: dict[str, int] = {}
         self._start: Stamp | None = None
@@ -173,17 +173,20 @@ class Drive:
         return done()
 
     def _hear_out(self) -> None:
-        """Wait for all that was sent before now: what was sent later comes after it, or silence."""
-        now_ns, topics = time.time_ns(), self._sent_ns.keys() & {*self._settings.joint_states}
-        self._heard_at = self._clock()
+        """Wait for all that was sent before now: what was sent later comes after it, or silence.
+
+        Images come later than their exposures, so other topics than joint states have more time.
+        """
+        now_ns, now = time.time_ns(), self._clock()
+
+        def over(topic: str) -> bool:
+            late_s = 0.0 if topic in self._settings.joint_states else QUIET_S
+            quiet_s = self._clock() - max(now, self._heard_at.get(topic, now))
+            return quiet_s > QUIET_S or self._sent_ns.get(topic, 0) > now_ns + late_s * 1e9
+
         with suppress(KeyboardInterrupt):
-            self._wait(
-                lambda: (
-                    self._clock() - self._heard_at > QUIET_S
-                    or all(self._sent_ns[topic] > now_ns for topic in topics)
-                ),
-                self._settings.patience_s,
-            )
+            topics = {*self._sent_ns, *(self._settings.record if self.sent else ())}
+            self._wait(lambda: all(map(over, topics)), self._settings.patience_s)
 
     def _find(self) -> None:
         """Wait for the controllers and all topics, and listen to these.
@@ -204,6 +207,7 @@ class Drive:
         if not self._wait(lambda: all(map(self._station.kind_of, wanted)), patience):
             absent = [topic for topic in wanted if not self._station.kind_of(topic)]
             raise ControllerError(f"nobody publishes {', '.join(absent)}")
+        heard = {}
         for name in wanted:
             kind = self._station.kind_of(name)
             assert kind is not None
@@ -211,7 +215,11 @@ class Drive:
                 raise InputError(f"{name}: messages of type {kind} cannot be recorded")
             topic = Topic(name, kind.replace("/msg/", "/"), "", 1)
             hear = partial(self._hear, topic)
-            self._station.listen(topic, hear, depth=5000, raw=True, as_published=True)
+            heard[name] = self._station.listen(topic, hear, depth=5000, raw=True, as_published=True)
+        # Discovered publishers send nothing until they are matched too.
+        if not self._wait(lambda: all(s.get_publisher_count() for s in heard.values()), patience):
+            absent = [name for name, s in heard.items() if not s.get_publisher_count()]
+            raise ControllerError(f"nobody can be heard on {', '.join(absent)}")
         for name in self._settings.descriptions:
             if self._station.kind_of(name) == DESCRIPTION.kind:
                 topic = Topic(name, DESCRIPTION.kind.replace("/msg/", "/"), "", 1)
@@ -222,7 +230,7 @@ class Drive:
 
     def _hear(self, topic: Topic, raw: Raw, sender: Sender) -> None:
         self._file.write(topic, topic.kind, raw, sender)
-        self._sent_ns[topic.name], self._heard_at = raw.sent_ns, self._clock()
+        self._sent_ns[topic.name], self._heard_at[topic.name] = raw.sent_ns, self._clock()
         if topic in self._settings.joint_states:
             message = deserialize_message(raw.data, topic.message_class)
             self._at.update(zip(message.name, message.position, strict=False))
@@ -280,7 +288,9 @@ class Drive:
             patience_s = min(patience_s, (start.ns - self._now_ns()) / 1e9 - NOTICE_S)
         if not self._wait(lambda: all(part.answer.done() for part in self._parts), patience_s):
             silent = [p.course.action for p in self._parts if not p.answer.done()]
-            when = "" if alone else f" {NOTICE_S} s before the common start: both were told to stop"
+            when = (
+                "" if alone else f" {NOTICE_S} s before the common start: both were asked to stop"
+            )
             raise ControllerError(f"{', '.join(silent)} did not answer the plan{when}")
         if refused := [p.course.action for p in self._parts if not p.accepted]:
             raise ControllerError(
@@ -334,8 +344,10 @@ class Drive:
                 continue
             answer = asked[part].result() if part in asked and asked[part].done() else None
             name = part.course.action
-            if answer and (answer.goals_canceling or answer.return_code in ENDED):
-                self.notes.append(f"{name} was told to stop, and confirmed it")
+            if answer and answer.goals_canceling:
+                self.notes.append(f"{name} was asked to stop, and confirmed it")
+            elif answer and answer.return_code in ENDED:
+                self.notes.append(f"{name} had ended before a stop came")
             else:
                 self.notes.append(f"{name} did not confirm the stop: stop this arm by hand")
 
