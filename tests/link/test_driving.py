@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -90,7 +91,7 @@ class Run:
         names = names_of(parts, self._program.plan.joint_names)
         file = DriveFile(self.path, self._scenario, self._program.plan, names)
         further = {} if clock is None else {"clock": clock}
-        choices = {"patience_s": HANG_S} | choices
+        choices = {"patience_s": HANG_S, "delay_s": HANG_S} | choices
         drive = self.drive = Drive(self.station, parts, DriveSettings(**choices), file, **further)
         try:
             drive.run()
@@ -147,6 +148,28 @@ def test_a_controller_that_rejects_keeps_both_arms_where_they_are(arms, run) -> 
     until(left.cancelled.is_set, "the cancelling of the other arm")
     assert right.goals
     assert "rejected" in run.recorded()[1]["ended"]
+    assert run.drive.notes[-1] == f"{ACTIONS[0]} was asked to stop, and confirmed it"
+
+
+def test_controllers_that_answer_too_late_do_not_start(arms, run) -> None:
+    both = arms(0, does="silent"), arms(1, does="silent")
+    with pytest.raises(ControllerError, match="did not answer the plan .* both were asked to stop"):
+        run(delay_s=0.0)
+    for arm in both:
+        until(arm.cancelled.is_set, "the cancelling of an arm that accepts too late")
+
+
+def test_a_controller_that_goes_on_is_named(arms, run) -> None:
+    arms(0, does="stubborn"), arms(1, does="reject")
+    with pytest.raises(ControllerError, match="rejected the plan"):
+        run()
+    assert f"{ACTIONS[0]} did not confirm the stop: stop this arm by hand" in run.drive.notes
+
+
+def test_stamps_that_run_backwards_are_named(arms, run) -> None:
+    arms(0, stamps=-1), arms(1)
+    drive = run()
+    assert re.match(r"\d{3,} messages on /joint_states have stamps that do not", drive.notes[-1])
 
 
 def test_an_abort_is_named_and_stops_the_other_arm(arms, run) -> None:

@@ -111,7 +111,8 @@ class Driven:
         )
         station = Station("twinct_drive", domain)
         try:
-            Drive(station, parts, DriveSettings(record=(IMAGE,), patience_s=HANG_S), file).run()
+            settings = DriveSettings(record=(IMAGE,), patience_s=HANG_S, delay_s=HANG_S)
+            Drive(station, parts, settings, file).run()
         finally:
             file.close()
             station.close()

@@ -78,3 +78,5 @@ def test_images_whose_stamps_run_backwards_are_named_and_left_out() -> None:
     )
     with pytest.raises(InputError, match=r"one clock\? The first of 1 comes 9.000 s after"):
         _usable(track, np.array([9.0]), 0.0)
+    with pytest.raises(InputError, match="after the first joint state; stamps of a run backwards"):
+        _usable(track, np.array([9.0]), 0.0, ("stamps of a run backwards",))

@@ -24,6 +24,9 @@ from twinct.link.made_types import action_type
 from twinct.link.participant import Station
 
 NANO = 1_000_000_000
+HALF = ("abort", "silent", "stubborn")
+"""They stop half-way; a stubborn one goes on after a stop."""
+
 LAG_S, RATE_HZ, NOISE_DEG = 0.008, 500, 0.001
 
 
@@ -49,9 +52,11 @@ class StandIn:
         topic: str = "/joint_states",
         images: tuple[str, Callable[[], list[tuple[float, np.ndarray]]]] | None = None,
         description: str | None = None,
+        stamps: int = 1,
         seed: int = 1,
     ) -> None:
         self.joints, self.home, self.does = list(joints), list(home), does
+        self._stamps = stamps  # -1: they run backwards
         self.lag_s, self.noise = lag_s, np.radians(noise_deg)
         self.goals: list[Any] = []
         self.cancelled = Event()
@@ -95,6 +100,7 @@ class StandIn:
 
     def _say(self, time_s: float, position: Sequence[float]) -> None:
         message = JointState(name=self.joints, position=list(map(float, position)))
+        time_s = time_s if self._stamps > 0 else 2e9 - time_s % 1e9
         sec, nanosec = divmod(round(time_s * NANO), NANO)
         message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
         self._told.publish(message)
@@ -110,6 +116,8 @@ class StandIn:
     def _cancel(self, handle: Any) -> CancelResponse:
         del handle
         self.cancelled.set()
+        if self.does == "stubborn":
+            return CancelResponse.REJECT
         for held in self._held:
             held.set_result(None)
         return CancelResponse.ACCEPT
@@ -124,7 +132,7 @@ class StandIn:
         path = scipy.interpolate.BPoly.from_derivatives(times, state)
         self.true_at = lambda t: path(np.clip(np.asarray(t) - self.lag_s, 0, times[-1]))
         begin = trajectory.header.stamp.sec + trajectory.header.stamp.nanosec / NANO
-        end = times[-1] * (0.5 if self.does in ("abort", "silent") else 1) + 0.2
+        end = times[-1] * (0.5 if self.does in HALF else 1) + 0.2
         ticks = np.arange(-0.2, end, 1 / RATE_HZ)
         readings = self.true_at(ticks)
         readings += self._random.normal(0, self.noise, readings.shape)
@@ -135,7 +143,7 @@ class StandIn:
                 self._shown.publish(_image((begin or 1000) + since_s, pixels))
         self._since, self.home = (begin or 1000) + end, self.true_at(end).tolist()
         self._timer.reset()
-        if self.does == "silent":
+        if self.does in ("silent", "stubborn"):
             held = Future(executor=self._station._executor)
             self._held.append(held)
             await held

@@ -130,8 +130,9 @@ def _drive(
             else:
                 say(f"{out} holds what was heard until then", warning=True)
             raise
-    for sentence in run.notes:
-        say(sentence, warning=True)
+        finally:
+            for sentence in () if run is None else run.notes:
+                say(sentence, warning=True)
     heard = ", ".join(f"{count} of {topic}" for topic, count in file.heard.items())
     say(f"the controllers followed the plan; wrote {out} with {heard}")
 

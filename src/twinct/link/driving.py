@@ -35,6 +35,12 @@ FOREVER_S = 1e9
 QUIET_S = 1.0
 """After a silence of this length, no message of the motion is on its way."""
 
+NOTICE_S = 0.5
+"""Time before a common start at which both controllers must have accepted, or neither starts."""
+
+ENDED = (2, 3)
+"""Answers to a stop that find no goal, or one that has ended, of ``action_msgs/srv/CancelGoal``."""
+
 
 @dataclass(frozen=True)
 class DriveSettings:
@@ -71,8 +77,12 @@ class _Part:
         return self.answer is not None and self.answer.done() and self.answer.result().accepted
 
     @property
+    def ended(self) -> bool:
+        return self.result is not None and self.result.done()
+
+    @property
     def failed(self) -> str | None:
-        if self.result is None or not self.result.done():
+        if not self.ended:
             return None
         got = self.result.result()
         return verdict(got.status, got.result)
@@ -82,7 +92,7 @@ class Drive:
     """One plan, sent to the controllers of both arms.
 
     Attributes:
-        notes: sentences for users, on what could not be checked.
+        notes: sentences for users, on what could not be checked, who was stopped, and bad stamps.
     """
 
     def __init__(
@@ -115,7 +125,9 @@ class Drive:
         self._at: dict[str, float] = {}
         self._limits: dict[str, str] = {}
         self._sent_ns: dict[str, int] = {}
-        self._heard_at = 0.0
+        self._heard_at: dict[str, float] = {}
+        self._newest: dict[tuple[str, ...], Stamp] = {}
+        self._backwards: dict[str, int] = {}
         self._start: Stamp | None = None
         self.notes: list[str] = []
 
@@ -145,6 +157,11 @@ class Drive:
 
     def _finish(self, ended: str) -> None:
         self._hear_out()
+        for topic, count in self._backwards.items():
+            self.notes.append(
+                f"{count} messages on {topic} have stamps that do not increase: twinct import "
+                "leaves these out"
+            )
         longest_s = max(part.course.duration_s for part in self._parts)
         start = {} if self._start is None else {"start_ns": str(self._start.ns)}
         self._file.finish(ended=ended, duration_s=repr(longest_s), **start)
@@ -156,17 +173,20 @@ class Drive:
         return done()
 
     def _hear_out(self) -> None:
-        """Wait for all that was sent before now: what was sent later comes after it, or silence."""
-        now_ns, topics = time.time_ns(), self._sent_ns.keys() & {*self._settings.joint_states}
-        self._heard_at = self._clock()
+        """Wait for all that was sent before now: what was sent later comes after it, or silence.
+
+        Images come later than their exposures, so other topics than joint states have more time.
+        """
+        now_ns, now = time.time_ns(), self._clock()
+
+        def over(topic: str) -> bool:
+            late_s = 0.0 if topic in self._settings.joint_states else QUIET_S
+            quiet_s = self._clock() - max(now, self._heard_at.get(topic, now))
+            return quiet_s > QUIET_S or self._sent_ns.get(topic, 0) > now_ns + late_s * 1e9
+
         with suppress(KeyboardInterrupt):
-            self._wait(
-                lambda: (
-                    self._clock() - self._heard_at > QUIET_S
-                    or all(self._sent_ns[topic] > now_ns for topic in topics)
-                ),
-                self._settings.patience_s,
-            )
+            topics = {*self._sent_ns, *(self._settings.record if self.sent else ())}
+            self._wait(lambda: all(map(over, topics)), self._settings.patience_s)
 
     def _find(self) -> None:
         """Wait for the controllers and all topics, and listen to these.
@@ -187,6 +207,7 @@ class Drive:
         if not self._wait(lambda: all(map(self._station.kind_of, wanted)), patience):
             absent = [topic for topic in wanted if not self._station.kind_of(topic)]
             raise ControllerError(f"nobody publishes {', '.join(absent)}")
+        heard = {}
         for name in wanted:
             kind = self._station.kind_of(name)
             assert kind is not None
@@ -194,7 +215,11 @@ class Drive:
                 raise InputError(f"{name}: messages of type {kind} cannot be recorded")
             topic = Topic(name, kind.replace("/msg/", "/"), "", 1)
             hear = partial(self._hear, topic)
-            self._station.listen(topic, hear, depth=5000, raw=True, as_published=True)
+            heard[name] = self._station.listen(topic, hear, depth=5000, raw=True, as_published=True)
+        # Discovered publishers send nothing until they are matched too.
+        if not self._wait(lambda: all(s.get_publisher_count() for s in heard.values()), patience):
+            absent = [name for name, s in heard.items() if not s.get_publisher_count()]
+            raise ControllerError(f"nobody can be heard on {', '.join(absent)}")
         for name in self._settings.descriptions:
             if self._station.kind_of(name) == DESCRIPTION.kind:
                 topic = Topic(name, DESCRIPTION.kind.replace("/msg/", "/"), "", 1)
@@ -205,10 +230,15 @@ class Drive:
 
     def _hear(self, topic: Topic, raw: Raw, sender: Sender) -> None:
         self._file.write(topic, topic.kind, raw, sender)
-        self._sent_ns[topic.name], self._heard_at = raw.sent_ns, self._clock()
-        if topic in self._settings.joint_states and self._start is None:
+        self._sent_ns[topic.name], self._heard_at[topic.name] = raw.sent_ns, self._clock()
+        if topic in self._settings.joint_states:
             message = deserialize_message(raw.data, topic.message_class)
             self._at.update(zip(message.name, message.position, strict=False))
+            names, stamp = tuple(message.name), Stamp.of(message.header.stamp)
+            if stamp <= self._newest.get(names, Stamp(-1, 0)):
+                self._backwards[topic.name] = self._backwards.get(topic.name, 0) + 1
+            else:
+                self._newest[names] = stamp
 
     def _check(self) -> None:
         """Check the drivers' limits, and that the arms stand at the start.
@@ -244,7 +274,8 @@ class Drive:
             Time at which the motion starts.
 
         Raises:
-            ControllerError: a controller rejected its goal, or did not answer.
+            ControllerError: a controller rejected its goal, or did not answer: one of two, in time
+                for the other to be stopped before it starts.
         """
         alone = len(self._parts) == 1
         start = stamp_after(self._now_ns(), 0 if alone else self._settings.delay_s)
@@ -252,12 +283,15 @@ class Drive:
             goal = self._action.Goal(**part.course.goal(Stamp(0, 0) if alone else start))
             part.answer = part.client.send_goal_async(goal)
         self._start = start
-        answered = self._wait(
-            lambda: all(part.answer.done() for part in self._parts), self._settings.patience_s
-        )
-        if not answered:
+        patience_s = self._settings.patience_s
+        if not alone:
+            patience_s = min(patience_s, (start.ns - self._now_ns()) / 1e9 - NOTICE_S)
+        if not self._wait(lambda: all(part.answer.done() for part in self._parts), patience_s):
             silent = [p.course.action for p in self._parts if not p.answer.done()]
-            raise ControllerError(f"{', '.join(silent)} did not answer the plan")
+            when = (
+                "" if alone else f" {NOTICE_S} s before the common start: both were asked to stop"
+            )
+            raise ControllerError(f"{', '.join(silent)} did not answer the plan{when}")
         if refused := [p.course.action for p in self._parts if not p.accepted]:
             raise ControllerError(
                 f"{', '.join(refused)} rejected the plan: its log states why; the arms stay where "
@@ -284,8 +318,7 @@ class Drive:
         )
         for part in self._parts:
             if why := part.failed:
-                others = "" if len(self._parts) == 1 else "; a stop was sent to the other arm"
-                raise ControllerError(f"{part.course.action} {why}{others}")
+                raise ControllerError(f"{part.course.action} {why}")
         for part in self._parts:
             name = part.course.action
             if not part.result.done():
@@ -294,11 +327,31 @@ class Drive:
                 raise ControllerError(f"{name} stopped half-way: it {how}")
 
     def _cancel(self) -> None:
-        """Tell controllers that have not ended to stop, and wait for their answers."""
-        busy = [p for p in self._parts if p.accepted and not (p.result and p.result.done())]
-        with suppress(ControllerError):
-            cancelled = [part.answer.result().cancel_goal_async() for part in busy]
-            self._wait(lambda: all(a.done() for a in cancelled), self._settings.patience_s)
+        """Tell controllers that have not ended to stop, also those that accept only now."""
+        sent = [p for p in self._parts if p.answer is not None and not p.ended]
+        cancelled: dict[_Part, Any] = {}
+
+        def all_stop() -> bool:
+            for part in sent:
+                if part.accepted and part not in cancelled:
+                    cancelled[part] = part.answer.result().cancel_goal_async()
+            answers = [*(part.answer for part in sent), *cancelled.values()]
+            return all(answer.done() for answer in answers)
+
+        self._wait(all_stop, self._settings.patience_s)
+        for part in sent:
+            if part.answer.done() and not part.accepted:
+                continue
+            answer = (
+                cancelled[part].result() if part in cancelled and cancelled[part].done() else None
+            )
+            name = part.course.action
+            if answer and answer.goals_canceling:
+                self.notes.append(f"{name} was cancelled to stop, and confirmed it")
+            elif answer and answer.return_code in ENDED:
+                self.notes.append(f"{name} had ended before a stop came")
+            else:
+                self.notes.append(f"{name} did not confirm the stop: stop this arm by hand")
 
 
 def names_of(courses: Sequence[Course], model: Sequence[str]) -> Mapping[str, str]:

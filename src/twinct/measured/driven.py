@@ -144,11 +144,11 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
     images_s = (np.array(heard.images_ns, np.int64) - epoch_ns) / 1e9
     latency_s = choice.latency_ms / 1000
     if choice.estimate_latency:
-        good, _ = _usable(track, images_s, latency_s)
+        good, _ = _usable(track, images_s, latency_s, notes)
         few = good[:: max(1, len(good) // MOST_FOR_LATENCY)]
         pixels = list(_pixels(paths, choice, fields, set(few.tolist()), scenario.detector.panel))
         latency_s = _latency_s(scenario, track, images_s, few, pixels, latency_s)
-    used, lost = _usable(track, images_s, latency_s)
+    used, lost = _usable(track, images_s, latency_s, notes)
     lag_ms = _lag_ms(heard, track, epoch_ns)
     time_s = images_s[used] - latency_s
     position, speed, _ = track.at(time_s)
@@ -168,9 +168,15 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
 
 
 def _usable(
-    track: JointTrack, images_s: Floats, latency_s: float
+    track: JointTrack, images_s: Floats, latency_s: float, left_out: tuple[str, ...] = ()
 ) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the images whose joints are known, and sentences on the others.
+
+    Args:
+        track: the joints.
+        images_s: stamps of the images, (images,).
+        latency_s: time from exposures to stamps.
+        left_out: sentences on joint states that were left out, for the message.
 
     Raises:
         InputError: there is none.
@@ -190,6 +196,7 @@ def _usable(
         raise InputError(
             "no image has joint states about its time: are both stamped by one clock? The first of "
             f"{len(images_s)} comes {after_s:.3f} s after the first joint state"
+            + "".join(f"; {note}" for note in left_out)
         )
     return used, tuple(notes)
 
