@@ -14,8 +14,8 @@ QUESTIONS = yaml.safe_load((Path(__file__).parent / "questions.yaml").read_text(
 ANCHORS = runpy.run_path(str(ROOT / "tools" / "check_links.py"))["anchors"]
 
 
-def test_there_are_sixty_questions() -> None:
-    assert len({one["question"] for one in QUESTIONS}) == 60
+def test_no_question_is_lost_or_asked_twice() -> None:
+    assert len({one["question"] for one in QUESTIONS}) == 65
 
 
 @pytest.mark.parametrize("one", QUESTIONS, ids=lambda one: one["question"])

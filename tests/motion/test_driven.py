@@ -176,7 +176,9 @@ def test_where_no_way_is_found_one_over_home_is(
 def test_a_start_that_touches_is_named(cell: CellModel, plan: MotionPlan) -> None:
     folded = plan.home.copy()
     folded[2] = 3.0  # the elbow
-    with pytest.raises(TrajectoryError, match=r"start: source_\w+ and source_\w+ overlap by \d"):
+    with pytest.raises(
+        TrajectoryError, match=r"start: (the source arm's [a-z0-9 ]+?( and )?){2} overlap by \d"
+    ):
         path_home(cell, PLANNED, folded, plan.home, NOT_KNOWN)
 
 
@@ -191,10 +193,13 @@ def test_a_time_limit_too_short_is_named_before_anything_moves(
 
 
 def test_arms_are_known_by_their_bodies_too() -> None:
-    assert arms_in("table and detector_wrist_2 overlap by 3 mm") == ["detector"]
+    assert arms_in("the table and the detector arm's wrist 2 overlap by 3 mm") == ["detector"]
     assert arms_in("source arm: out of reach") == ["source"]
-    assert arms_in("source_forearm and detector_panel overlap") == ["source", "detector"]
-    assert arms_in("specimen and source overlap by 2 mm; source and table overlap") == ["source"]
-    both = "specimen and source come within 2 mm; specimen and detector_panel overlap"
+    assert arms_in("the source arm's forearm and the detector panel overlap") == [
+        "source",
+        "detector",
+    ]
+    assert arms_in("the specimen and the source overlap by 2 mm") == ["source"]
+    both = "the source and the table come within 2 mm; the detector panel and the table overlap"
     assert arms_in(both) == ["source", "detector"]
     assert arms_in("no path found, source or not") == []

@@ -111,7 +111,7 @@ def test_a_panel_in_table_or_specimen_is_refused(
     with pytest.raises(TrajectoryError) as caught:
         plan_motion(cell, Motion(), [target])
     assert any(
-        p.startswith("view 0: ") and "detector_panel" in p and other in p and "overlap by" in p
+        p.startswith("view 0: ") and "detector panel" in p and other in p and "overlap by" in p
         for p in caught.value.problems
     ), caught.value.problems
 

@@ -223,14 +223,16 @@ def test_driven_into_table_or_specimen_the_panel_touches_it(
     simulation = RobotSimulation(cell, motion, plan)
     simulation.move(0, free)
     with pytest.raises(
-        TargetRefusedError, match=rf"would collide: .*(detector_panel|{other})"
+        TargetRefusedError, match=rf"would collide: .*(detector panel|{other})"
     ) as no:
         simulation.move(1, inside)
     assert no.value.arms == ("detector",)
     goal = Kinematics(cell, motion.ik).follow(simulation.joints, inside)[0].joints
     deepest = []
     clearance = Clearance(cell)
-    with pytest.raises(TargetRefusedError, match="detector_panel touches|touches detector_panel"):
+    with pytest.raises(
+        TargetRefusedError, match="detector panel touches|touches the detector panel"
+    ):
         simulation.drive(goal, inside, lambda data: deepest.append(clearance.at(data).distance_mm))
     assert ("detector", other) in simulation.watch.contacts
     assert -15 < min(deepest) < 0.5  # held up at the surface: unhindered it would be in by 50 mm

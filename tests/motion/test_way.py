@@ -121,7 +121,7 @@ def test_out_of_reach_and_in_the_table_are_told_with_views(
     reach, table = list(caught.value.problems)
     assert reach.startswith("view 1: source arm: out of reach by ")
     assert 300 < float(reach.split("reach by ")[1].split(" mm")[0]) < 1500
-    assert table.startswith("view 1: ") and "detector_panel" in table and "overlap by" in table
+    assert table.startswith("view 1: ") and "detector panel" in table and "overlap by" in table
 
 
 def test_arms_in_each_others_way_are_told(cell: CellModel) -> None:

@@ -249,8 +249,8 @@ def test_metal_is_white_and_leaves_the_rest_grey(report, densest: float, end: fl
 
 def test_the_nearest_bodies_are_named(report, undrawn) -> None:
     assert "nearest are" not in render_report(report)
-    named = replace(report, nearest=("table", "source_forearm"))
-    assert "nearest are table and source_forearm" in render_report(named)
+    named = replace(report, nearest=("table", "the source arm's forearm"))
+    assert "is between table and the source arm&#39;s forearm" in render_report(named)
 
 
 def test_known_implants_are_told_of_each_reconstruction(report, undrawn) -> None:

@@ -46,6 +46,7 @@ Port = Annotated[int, tyro.conf.arg(help="Port of the page; 0: any free port.")]
 Network = Annotated[
     Flag,
     tyro.conf.arg(
-        help="Allow a --host other than loopback: for all who know the page's address, unencrypted."
+        help="Let other machines open the page (--host) if they know its address. "
+        "Nothing is encrypted."
     ),
 ]

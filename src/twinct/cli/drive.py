@@ -44,7 +44,7 @@ def drive(
     Args:
         out: Recording to write, which must not exist; twinct import reads it.
         source: Controller of the source arm, such as /left/arm_controller/follow_joint_trajectory.
-        detector: Controller of the detector arm; both start at one time.
+        detector: Controller of the detector arm; both start together.
         both: Controller of both arms, instead of two.
         source_prefix: Prefix of the joint names of the source arm's driver.
         detector_prefix: Prefix of the joint names of the detector arm's driver.

@@ -248,7 +248,7 @@ def report(
     """Evaluate a finished run again and rewrite its metrics.json and report.html.
 
     --set evaluation.KEY=VALUE adds measurements in its volumes; none is reconstructed again. For
-    a measured scan, all volumes are judged again, as far as that needs no truth.
+    a measured scan, all volumes are judged again by the figures that need no truth.
 
     Args:
         folder: Folder of twinct run --out, or of twinct import of a measured scan.
@@ -295,7 +295,7 @@ def compare(
     """Compare finished runs on one page: slices, figures, pose errors, times, and their scenarios.
 
     Slices show the same places in the same windows; differences refer to the first run. Measured
-    scans are compared with each other, without any figure of a truth.
+    scans are compared with each other, by the figures that need no truth.
 
     Args:
         folders: Folders of twinct run --out, or DIR/reconstructions/NAME for results of
@@ -368,7 +368,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct a finished run again, beside its volume, and show both in its report.
 
-    Or reconstruct a measured scan, and judge the volume as far as that needs no truth.
+    Or reconstruct a measured scan, and judge the volume by the figures that need no truth.
 
     Args:
         folder: Folder of twinct run --out, or of twinct import of a measured scan.

@@ -21,7 +21,7 @@ def predict(
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
-    """Render a scan again and show what is left of its images, view by view.
+    """Render a scan again and show how its images differ, view by view.
 
     The even views are reconstructed and predict the odd ones; with --mesh, the mesh predicts all
     views. Poses are those of a geometry, the beam is the scenario's. The residuals show what

@@ -8,7 +8,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class ArmsRecording:
-    """Recording of real arms: what in it is what.
+    """Recording of real arms: its topics, its scenario and its flat images.
 
     Attributes:
         scenario: Scenario of the scan, whose arms and specimen are kept (default: the one that
@@ -20,7 +20,7 @@ class ArmsRecording:
         detector_prefix: Prefix of the joint names of the detector arm's driver.
         flat: Files of flat images, whose mean counts; raw images need them.
         dark: Files of dark images.
-        flip: rows or columns of the images that run the other way than v and u.
+        flip: rows or columns of the images that run opposite to v and u.
         latency_ms: Time from the middle of an exposure to its image's stamp, on the joints' clock.
         estimate_latency: Estimate that time from the images of the scenario's specimen.
     """

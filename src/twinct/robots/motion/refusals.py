@@ -11,6 +11,16 @@ from twinct.robots.cell import Gap
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.strength import TORQUE_SHARE
 
+_WORDS = {
+    "source": "the source",
+    "detector": "the detector panel",
+    "specimen": "the specimen",
+    "holder": "the specimen's holder",
+    "table": "the table",
+    "floor": "the floor",
+}
+"""Names of bodies that are no links of an arm, in messages."""
+
 
 def far_problems(side: str, far: Mapping[int, tuple[float, float]]) -> list[str]:
     """Return messages for views out of an arm's reach, with the distance in mm and degrees."""
@@ -74,13 +84,18 @@ def gap_text(gap: Gap, required_mm: float) -> str:
 
 
 def readable(body: str) -> str:
-    """Return the name of a body in messages."""
-    return {"detector": "detector_panel"}.get(body, body)
+    """Return the name of a body in words, such as "the source arm's forearm"."""
+    side, _, piece = body.partition("_")
+    if side in SIDES and piece:
+        return f"the {side} arm's {piece.replace('_', ' ')}"
+    return _WORDS.get(body, body)
 
 
 def arms_in(text: str) -> list[str]:
     """Return the arms that a message names, directly or by one of their bodies."""
-    return [side for side in SIDES if re.search(rf"\b{side}(_| arm| and | overlap| come )", text)]
+    return [
+        side for side in SIDES if re.search(rf"\b{side}( arm| panel| and | overlap| come )", text)
+    ]
 
 
 def runs(views: Iterable[int]) -> list[tuple[int, int]]:
