@@ -347,7 +347,7 @@ class Drive:
             )
             name = part.course.action
             if answer and answer.goals_canceling:
-                self.notes.append(f"{name} was cancelled to stop, and confirmed it")
+                self.notes.append(f"{name} was asked to stop, and confirmed it")
             elif answer and answer.return_code in ENDED:
                 self.notes.append(f"{name} had ended before a stop came")
             else:
