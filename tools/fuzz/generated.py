@@ -74,24 +74,25 @@ def mutants(draw: st.DrawFn, schema: Schema, scenarios: list[dict[str, Any]]) ->
 def _change(
     draw: st.DrawFn, schema: Schema, data: dict[str, Any], key: tuple[str | int, ...], how: str
 ) -> None:
+    """Change one value; values are copied, as later changes may reach into them."""
     around, name = at(data, key[:-1]), key[-1]
     old = around[name]
     match how:
         case "near" if isinstance(old, int | float) and not isinstance(old, bool):
             around[name] = number_near(draw(st.randoms(use_true_random=False)), old)
         case "schema":
-            around[name] = draw(schema.at(key))
+            around[name] = copy.deepcopy(draw(schema.at(key)))
         case "section":
             section = draw(st.sampled_from(schema.sections))
-            data[section] = draw(schema.at((section,)))
+            data[section] = copy.deepcopy(draw(schema.at((section,))))
         case "out":
             del around[name]
         case "add" if isinstance(old, dict):
-            old[draw(ADDED)] = draw(NASTY)
+            old[draw(ADDED)] = copy.deepcopy(draw(NASTY))
         case "rename" if isinstance(around, dict):
             around[f"{name}x"] = around.pop(name)
         case _:
-            around[name] = draw(NASTY)
+            around[name] = copy.deepcopy(draw(NASTY))
 
 
 @st.composite
