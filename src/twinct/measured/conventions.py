@@ -156,7 +156,11 @@ def try_conventions(description: Measured, observers: Observers = ()) -> Ranking
             for order in orders:
                 stored = order.read()
                 for candidate in order.candidates:
-                    tried.append(_tried(description, candidate, order, stored))
+                    try:
+                        tried.append(_tried(description, candidate, order, stored))
+                    except InputError:  # no scanner has this geometry: its grid meets the source
+                        if not any(candidate):
+                            raise
                     step()
     tried.sort(key=lambda one: one.residual_rel)
     return Ranking(tuple(_classes(tried)))
