@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         for number in (signal.SIGINT, signal.SIGTERM):  # another one ends the process at once
             if signal.getsignal(number) is not signal.SIG_IGN:
                 signal.signal(number, signal.SIG_DFL)
-    _stop_zarr()
+    atexit.register(_stop_zarr)  # registered after Zarr's own, called before it
     sys.exit(code)
 
 
