@@ -299,6 +299,7 @@ def test_zeros_are_no_air_and_a_body_without_air_is_a_box(tmp_path: Path) -> Non
     mask = tmp_path / "mask.nii"
     nibabel.save(nibabel.Nifti1Image(where.astype(np.uint8), truth.affine), mask)
     assert build(path, mask={"path": str(mask)}).bounds[1, 0] > 0
+    assert build(path, above_hu=0.0).bounds[1, 0] > 0
     inner = Truth(np.where(truth.values > 500, 900.0, 40.0), truth.affine)
     size = np.ptp(build(write(tmp_path / "inner.nii", inner)).bounds, axis=0)
     assert size == pytest.approx(np.array(SHAPE) * SPACING, abs=3.5)

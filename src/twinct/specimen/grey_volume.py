@@ -135,7 +135,8 @@ def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -
             f"{where}: no value exceeds surface_hu {shape.surface_hu:g}; its values lie between "
             f"{low:g} and {high:g} HU"
         )
-    selected = shape.mask or shape.keep == "labelled" or (shape.above_hu or AIR_HU) >= 0
+    above_hu = AIR_HU if shape.above_hu is None else shape.above_hu
+    selected = shape.mask or shape.keep == "labelled" or above_hu >= 0
     if low == 0 and not selected and (share := float(np.mean(image.values == 0))) > BLANK:
         raise SpecimenError(
             f"{where}: {share:.0%} of its values are 0, and none is below, so that 0 is air, which "
