@@ -133,6 +133,7 @@ def test_the_toolbox_runs_as_it_is_but_for_the_edge_it_shears(tmp_path, monkeypa
         turned.rotate_2D_xy(np.radians(3.0))
         angles[test] = np.degrees(np.arctan2(turned.y(), turned.x()))
 
+    monkeypatch.setattr(suite, "render", Mock())  # the edges do not depend on the images
     monkeypatch.setattr(suite, "_toolbox", lambda: toolbox)
     monkeypatch.setattr(suite, "verdicts", lambda *_: [])
     for test in ("2D-WE-2", "2D-WE-1", "2D-DW-1"):
