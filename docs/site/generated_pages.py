@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import re
 import warnings
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ EXAMPLE = re.compile(r"\[([^\]]+)\]\((?:\.\./)+examples/((?:tutorials|gallery)/\
 MARKER = re.compile(r"^<!-- generated: (\w+) -->$", re.MULTILINE)
 
 
+@functools.cache
 def command_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     with warnings.catch_warnings():  # tyro offers no other way to the parser

@@ -13,6 +13,7 @@ from twinct.exchange import write_bundle
 from twinct.recon import Projector, sart
 
 itk = pytest.importorskip("itk", reason="needs the extra rtk")
+pytestmark = pytest.mark.tutorial  # loading RTK takes 12 s, once for all such tests
 
 POINT_PX = 1e-9
 """Float64 on both sides; measured 1e-13."""
@@ -70,7 +71,6 @@ def test_rtk_projects_the_volume_to_the_images_of_the_files(
     assert np.sqrt(np.mean(difference**2)) < PROJECTION * asked.max()
 
 
-@pytest.mark.tutorial
 @pytest.mark.process
 def test_rtk_reconstructs_what_we_reconstruct(folder, bundle, grid, corner_object) -> None:
     """From the files, in a process of its own, as a user does."""

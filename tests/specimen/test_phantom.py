@@ -222,7 +222,7 @@ def test_convex_parts_hold_a_solid_and_leave_its_hollow_free():
 def test_skin_and_plate_are_bodies_of_their_own():
     """The arms may go beside the neck, and under the plate, where the hull of all is closed."""
     told = load_scenario(SCENARIOS / "patient_head.yaml").specimen.model_dump(mode="json")
-    told["parts"][0]["shape"] |= {"voxel_mm": 4}
+    told["parts"][0]["shape"] |= {"voxel_mm": 6}
     specimen = build_specimen(Specimen.model_validate(told))
     skin, plate = (np.asarray(part.mesh.vertices) for part in specimen.parts)
     *heads, table = specimen.hulls
@@ -244,10 +244,10 @@ def test_patients_lie_on_their_tables_with_a_safety_distance(name):
     assert scenario.trajectory.views == 200
     assert scenario.motion.clearance_mm + scenario.specimen.safety_mm >= 30
     told = scenario.specimen.model_dump(mode="json")
-    told["parts"][0]["shape"] |= {"voxel_mm": 4}
+    told["parts"][0]["shape"] |= {"voxel_mm": 6}
     patient, table = build_specimen(Specimen.model_validate(told)).parts
     gap = patient.mesh.bounds[0, 1] - table.mesh.bounds[1, 1]
-    assert 0 <= gap < 4
+    assert 0 <= gap < 6
     assert table.material.mu_per_mm(80) * 4 > 0.1
     wide = np.ptp(table.mesh.bounds, axis=0)
     assert wide[0] > 0.9 * np.ptp(patient.mesh.bounds, axis=0)[0]
