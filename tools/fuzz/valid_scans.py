@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[2]
 SMALL = (
     *("trajectory.views=3", "reconstruction.grid={voxels: 12, voxel_mm: 12}"),
     *("specimen.parts=[{shape: {kind: sphere, radius_mm: 50}}]", "reconstruction.iterations=1"),
+    "xray.engine=mesh",  # gVXR takes two seconds to load
 )
 SCANS = {
     "gantry": (
