@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,8 @@ def longest_arc(
         )
 
 
-class _Orbit(NamedTuple):
+@dataclass(frozen=True)
+class _Orbit:
     """Circle or arc that was refused.
 
     Attributes:
