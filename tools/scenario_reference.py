@@ -113,10 +113,11 @@ ZIGZAG = Family(Zigzag, views)
 point is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of `task`
 or `evaluation`, or the value of `--to`. The other kinds:
 
-- [an algorithm](reconstruction.md#an-algorithm-of-your-own): settings, a function, an `Algorithm`
+- [an algorithm](howto/own_algorithm.md#choose-it-by-name-in-a-scenario): settings, a function, an
+  `Algorithm`
 - [an objective of a plan](planning.md#add-an-objective): keys, a measure, an `Objective`
 - [a kind of figures](figures.md#add-a-figure): settings, a formula, a `FigureKind`
-- [an X-ray engine](physics.md#another-x-ray-engine): a class, an `EngineChoice`
+- [an X-ray engine](engines.md#another-x-ray-engine): a class, an `EngineChoice`
 - [an export format](exchange.md#add-a-format): a function, a script, a `Format`
 
 Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is built

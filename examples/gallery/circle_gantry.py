@@ -3,7 +3,7 @@ A circle without arms
 =====================
 
 ``scenarios/circle_gantry.yaml``. Source and panel are exactly where the trajectory says, all the
-way round. For those who study reconstruction; no robots package is needed.
+way round. It suits studies of reconstruction, and needs no robots package.
 """
 
 from twinct import load_scenario, reconstruct, simulate

@@ -69,13 +69,13 @@ axis.legend()
 
 # %%
 # The levels differ, too: the tube's photons have less energy than 80 keV on average, and water
-# attenuates them more. The dark band between bone and aluminium stays: one material is corrected,
-# and these are others.
+# attenuates them more. The dark band between bone and aluminium stays, because only one material is
+# corrected.
 #
 # Photons
 # -------
 #
-# With ``noise: {kind: quantum}`` the number of photons counts. For a tube, it follows from
+# With ``noise: {kind: quantum}`` the number of photons matters. For a tube, it follows from
 # ``current_ma`` times ``exposure_ms``. The scintillator's response says which share of them the
 # detector absorbs.
 

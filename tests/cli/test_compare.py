@@ -41,7 +41,7 @@ def test_runs_of_before_are_compared(
         (["local", "none", "nor"], "page.html", ["none holds no", "nor holds no"]),
         (["local", "ros2"], "page.pdf", ["a page must be an HTML file: name it page.html"]),
         (["local", "ros2"], ".", ["this is a folder"]),
-        (["local", "ros2"], "mine.html", ["the file there is no page of twinct"]),
+        (["local", "ros2"], "mine.html", ["twinct did not write the file there"]),
     ],
 )
 def test_each_bad_input_is_one_message(

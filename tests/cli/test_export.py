@@ -300,9 +300,9 @@ def test_water_that_no_voxel_reaches_is_doubted(with_volume: Path, capfd) -> Non
 @pytest.mark.parametrize(
     ("more", "said"),
     [
-        (["--to", "dicom"], "--to dicom: a format of volumes; name one with --volume"),
-        (["--to", "rtk", "--water", "0.02"], "--water: only of a volume"),
-        (["--to", "rtk", "--values", "hounsfield"], "--values hounsfield: only of a volume"),
+        (["--to", "dicom"], "--to dicom: a format of volumes: name a volume with --volume"),
+        (["--to", "rtk", "--water", "0.02"], "--water: applies to volumes only"),
+        (["--to", "rtk", "--values", "hounsfield"], "--values hounsfield: applies to volumes only"),
         (["--to", "dicom", "--volume", "fast"], "unknown; choose from again, volume"),
         (["--to", "rtk", "--volume", "volume"], "volume format rtk: unknown; choose from dicom"),
         (["--to", "dicom", "--volume", "volume", "--geometry", "executed"], "--geometry: not of"),

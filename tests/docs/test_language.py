@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -85,6 +86,24 @@ def test_a_program_of_the_gallery_holds_none(program: Path) -> None:
 def test_a_generated_page_holds_none(made: Callable[[], str]) -> None:
     found = _hits(made())
     assert not found, "\n".join(found)
+
+
+def test_no_error_message_holds_one() -> None:
+    raised = (
+        text
+        for source in sorted((ROOT / "src").rglob("*.py"))
+        for node in ast.walk(ast.parse(source.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Raise) and node.exc is not None
+        for text in _texts(node.exc)
+    )
+    found = [hit for text in raised for hit in _hits(text)]
+    assert not found, "\n".join(found)
+
+
+def _texts(raised: ast.expr) -> Iterator[str]:
+    for node in ast.walk(raised):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
 
 
 @pytest.mark.parametrize(

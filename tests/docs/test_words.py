@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from code_blocks import FENCE, PAGES, ROOT
 
+from twinct.recon.algorithms import BUILT_IN
 from twinct.runs import export_scan
 from twinct.scenario import Scenario, load_scenario
 from twinct.scenario.digests import declared
@@ -147,9 +148,27 @@ CLAIMS = [
         "integrating",
     ),
     ("physics.md", "`detector.scatter`: off by default", _key("detector.scatter"), None),
-    ("physics.md", "`gvxr`, the default", _key("xray.engine"), "gvxr"),
+    ("engines.md", "`gvxr`, the default", _key("xray.engine"), "gvxr"),
     ("ros.md", "`motion.scheme: planned`, the default", _key("motion.scheme"), "planned"),
 ]
+
+
+def test_memory_and_resume_of_each_algorithm_are_those_of_the_code() -> None:
+    page = (ROOT / "docs" / "reconstruction.md").read_text(encoding="utf-8")
+    rows = re.findall(
+        r"^\| `(\w+)` \|.*\| (.*) \| (continues|starts again) \|$", page, re.MULTILINE
+    )
+    stated = {
+        name: (
+            float(memory.split()[0]),
+            float((re.findall(r"([\d.]+) x", memory) or [0])[0]),
+            resume == "continues",
+        )
+        for name, memory, resume in rows
+    }
+    code = {name: (one.volumes, one.projections, one.resumes) for name, one in BUILT_IN.items()}
+    assert stated == {name: code[name] for name in stated}
+    assert code.keys() - stated.keys() == {"rtk_sart"}
 
 
 @pytest.mark.parametrize(

@@ -183,10 +183,14 @@ def test_wrong_projections_and_masks(name, change, message, scan):
 
 
 def test_the_algorithm_of_the_page_works(scan):
-    page = (Path(__file__).parents[2] / "docs" / "reconstruction.md").read_text(encoding="utf-8")
-    code = page.split("## An algorithm of your own")[1].split("```python\n")[1].split("```")[0]
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "own_algorithm.md").read_text(
+        encoding="utf-8"
+    )
+    code = (
+        page.split("## Choose it by name in a scenario")[1].split("```python\n")[1].split("```")[0]
+    )
     found = {"__name__": "own"}
-    exec(compile(code, "docs/reconstruction.md", "exec", dont_inherit=True), found)
+    exec(compile(code, "own_algorithm.md", "exec", dont_inherit=True), found)
     own = found["LANDWEBER"]
     A, p = scan
     problem = Problem(projector=A, line_integrals=p, transmission=np.exp(-p))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 
 import numpy as np
+import pytest
 import yaml
 
 from twinct.robots.reach import Holder, Poses
-from twinct.runs.longest_arc import _split, _stretches, longest_arc
+from twinct.runs.longest_arc import _orbit, _split, _stretches, longest_arc
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 
@@ -28,12 +29,17 @@ def builder(**trajectory: object) -> SimulationBuilder:
     )
 
 
-def test_the_arc_that_is_named_is_planned_and_consists_of_views_of_the_circle() -> None:
-    circle = builder(kind="circle", views=24, centre_longitude_deg=100)
+def _lost(circle: SimulationBuilder) -> list[int]:
     asked = circle.requested
     poses = Poses.of(asked.source_poses(), asked.detector_poses())
     held = Holder(circle.cell, circle.scenario.motion, roll_free=circle.roll_free).held(poses)
-    told = longest_arc(circle, np.flatnonzero(~held).tolist())
+    return np.flatnonzero(~held).tolist()
+
+
+def test_the_arc_that_is_named_is_planned_and_consists_of_views_of_the_circle() -> None:
+    circle = builder(kind="circle", views=24, centre_longitude_deg=100)
+    asked = circle.requested
+    told = longest_arc(circle, _lost(circle))
     assert told is not None
     found = re.search(r"trajectory: (\{.*\})", told)
     assert found is not None
@@ -45,8 +51,32 @@ def test_the_arc_that_is_named_is_planned_and_consists_of_views_of_the_circle() 
     assert far.max() < 1e-3
 
 
-def test_only_circles_have_one() -> None:
-    assert longest_arc(builder(kind="arc", views=3), [0]) is None
+@pytest.mark.parametrize("wide", [360, 300])
+def test_a_wide_arc_has_one_that_consists_of_its_views(wide: float) -> None:
+    whole = builder(kind="arc", views=25, longitude_range_deg=wide, centre_longitude_deg=100)
+    said = longest_arc(whole, _lost(whole))
+    assert said is not None
+    found = re.search(r"trajectory: (\{.*\})", said)
+    assert found is not None
+    arc = builder(**yaml.safe_load(found[1])).requested.source
+    assert 8 < len(arc) < 25
+    far = np.linalg.norm(arc[:, None] - whole.requested.source[None], axis=2).min(axis=1)
+    assert far.max() < 1e-3
+
+
+def test_only_circles_and_arcs_have_one() -> None:
+    assert longest_arc(builder(kind="sinusoid", views=3), [0]) is None
+
+
+def test_an_arc_is_cut_at_its_lost_views_and_at_blocked_ways() -> None:
+    arc = _orbit(builder(kind="arc", views=10, longitude_range_deg=180))
+    turn = _orbit(builder(kind="arc", views=9, longitude_range_deg=360))
+    assert arc is not None
+    assert turn is not None
+    assert arc.stretches({2, 5}, ()) == [range(2), range(3, 5), range(6, 10)]
+    assert arc.stretches((), [4]) == [range(4), range(4, 10)]
+    assert turn.stretches({3, 8}, ()) == [range(1, 3), range(4, 8)]
+    assert turn.stretches((), [3, 6]) == [range(3, 3), range(3, 6), range(6, 11)]
 
 
 def test_stretches_go_on_past_the_last_view() -> None:

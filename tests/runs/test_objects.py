@@ -103,7 +103,7 @@ def test_wrong_objects_are_refused_where_they_come_in(gantry: Scenario) -> None:
         twinct.simulate(gantry, specimen=hole)
     with pytest.raises(ScenarioError, match=r"^resum: unknown key"):
         twinct.run(gantry, "nowhere", resum=True)
-    with pytest.raises(InputError, match="builder: it has a scenario of its own; seed"):
+    with pytest.raises(InputError, match="builder: it has its own scenario: change seed"):
         twinct.simulate(gantry, builder=SimulationBuilder(gantry), seed=2)
 
 

@@ -52,9 +52,9 @@ def calibrate_circle(
         first, last = calibration.residuals
         if last >= first:
             raise CalibrationError(
-                f"the views agree no better in the geometry that was found (spread {last:.4g}) "
-                f"than in the believed one ({first:.4g}), which is kept; nothing is written. The "
-                "object should lie within the panel in all views, and have fine structure"
+                f"the geometry found is no better than the believed one, which is kept (spread of "
+                f"differences {last:.4g}, {first:.4g} before). The object should lie within the "
+                "panel in all views, and have fine structure"
             )
         made_by = {"model": "circle", "believed": scan.reported.digest, **asdict(prior)}
         geometry = NamedGeometry(name, PosePairs.from_geometry(calibration.geometry), made_by)

@@ -57,13 +57,11 @@ def import_(
 
     if any(map(is_measured, files)):
         if len(files) > 1:
-            raise InputError(
-                f"{len(files)} sources: a measured scan has one; {files[1]} is another"
-            )
+            raise InputError(f"{len(files)} sources: a measured scan has one; omit {files[1]}")
         (_try_conventions if try_ else _import_measured)(Path(*files), out)
         return
     if try_:
-        raise InputError(f"--try: only for a measured scan; {', '.join(map(str, files))} is none")
+        raise InputError(f"--try: only for a measured scan, not for {', '.join(map(str, files))}")
     if _import_driven(files, out, arms):
         return
     from twinct.runs import import_scan
@@ -200,7 +198,7 @@ def _refuse_volumes(to: str, values: str | None, water: float | None, air: float
 
     of_scan, of_volume = formats(), volume_formats()
     if to in of_volume and to not in of_scan:
-        raise InputError(f"--to {to}: a format of volumes; name one with --volume")
+        raise InputError(f"--to {to}: a format of volumes: name a volume with --volume")
     if to not in of_scan and to not in of_scan.broken:
         raise InputError(
             f"--to {quoted(to)}: unknown; choose from {', '.join(of_scan)} for the scan, or from "
@@ -208,7 +206,7 @@ def _refuse_volumes(to: str, values: str | None, water: float | None, air: float
         )
     for name, value in (("--water", water), ("--air", air), (f"--values {values}", values)):
         if value is not None and value not in _SCAN_VALUES:
-            raise InputError(f"{name}: only of a volume; name one with --volume")
+            raise InputError(f"{name}: applies to volumes only: name one with --volume")
 
 
 def _export_volume(
@@ -226,7 +224,7 @@ def _export_volume(
 
     if geometry is not None or values in _SCAN_VALUES:
         name = "--geometry" if geometry is not None else f"--values {values}"
-        raise InputError(f"{name}: not of a volume (--volume {volume})")
+        raise InputError(f"{name}: does not apply to a volume (--volume {volume})")
     if water is not None and values == "attenuation":
         raise InputError(f"--water {water:g}: defines HU, but --values is attenuation")
     if water is None and air is not None:
@@ -387,7 +385,7 @@ def reconstruct(
         _reconstruct_measured(folder, geometry, as_, set_, halves=halves)
         return
     if halves:
-        raise InputError("--halves: only for a measured scan; this one is judged by its truth")
+        raise InputError("--halves: only for a measured scan; this scan is simulated")
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_run(folder, set_, geometry=geometry, name=as_, observers=audience)
     rmse, near = (percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))

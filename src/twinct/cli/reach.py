@@ -290,9 +290,9 @@ def _remedies(
         if not error.views:
             return [], []  # its message says what to change
         lost = () if isinstance(error, NoPathError) else error.views
-    views = PATH_VIEWS if np.isfinite(most) else None
-    if lost and (arc := longest_arc(builder, lost, views)):
-        words.append(arc)
+        views = PATH_VIEWS if np.isfinite(most) else None
+        if arc := longest_arc(builder, lost, views, blocked=error.views):
+            words.append(arc)
     search = CureSearch(
         scenario.cell,
         builder.cell,

@@ -66,8 +66,8 @@ def _volumes(path: Path) -> list[tuple[Folder, MeasuredVolume]]:
     folder = Folder(scan_folder(path))
     if not is_measured_scan(folder.path):
         raise InputError(
-            f"{path} is no measured scan, but another one is; a simulated run is judged by its "
-            "truth, so that they have no figures in common"
+            f"{path} is a simulated run: its figures need a truth, so it cannot be compared with a "
+            "measured scan"
         )
     if folder.path is not path and (path / JUDGEMENT).is_file():
         check_files(path)

@@ -111,7 +111,7 @@ class Images(Files):
     def _corrections_fit(self) -> Images:
         given = [k for k in ("flats", "darks", "white") if getattr(self, k)]
         if self.values != "intensities" and given:
-            raise ValueError(f"{', '.join(given)}: only values: intensities are divided by them")
+            raise ValueError(f"{', '.join(given)}: allowed only with values: intensities")
         if self.flats and self.white is not None:
             raise ValueError("flats and white: give one of them")
         if self.values == "intensities" and not (self.flats or self.white or self.air):
@@ -121,7 +121,7 @@ class Images(Files):
             )
         for name, several in (("flats", self.flats), ("darks", self.darks)):
             if len(several) > 1 and any(one.view is None for one in several):
-                raise ValueError(f"{name}: each of several needs its view")
+                raise ValueError(f"{name}: several entries need a view each")
         return self
 
 

@@ -96,7 +96,7 @@ def import_measured(
     scenario = _scenario(description, folder, geometry, bad=bool(images.bad.any()))
     if not views_needed(geometry, coarse(scenario.reconstruction.volume_grid)):
         raise InputError(
-            "grid: no view sees its voxels; leave grid out, and it holds what they see"
+            "grid: no view sees its voxels; without grid, the volume holds all that the views see"
         )
     check_space(folder.path, scenario, len(geometry))
     with ExitStack() as stack:
@@ -176,7 +176,7 @@ def _scenario(
     description: Measured, folder: Folder, geometry: ScanGeometry, *, bad: bool
 ) -> Scenario:
     if taken := [key for key in _RESERVED if key in description.scenario]:
-        raise InputError(f"scenario.{taken[0]}: the import states this section itself")
+        raise InputError(f"scenario.{taken[0]}: the import writes this section itself: remove it")
     panel, further = geometry.panel, dict(description.scenario)
     detector = {
         **dict(further.pop("detector", {})),

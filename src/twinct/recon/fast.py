@@ -21,7 +21,7 @@ nothing of the volume has to be homogeneous. If both are unknown, the total
 variation is lowered once, at the end, as strongly as the ``noise`` of the volume's homogeneous
 parts requires, and not at all where there are none.
 
-docs/reconstruction.md gives the reasons for these numbers.
+docs/algorithms.md gives the reasons for these numbers.
 """
 
 from __future__ import annotations

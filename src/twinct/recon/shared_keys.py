@@ -38,7 +38,7 @@ Stop = Annotated[
     StopName | None,
     Field(
         description="auto: stop before the first pass that makes the volume worse, as far as the "
-        "algorithm can tell (docs/reconstruction.md); the number of passes is then the maximum."
+        "algorithm can tell (docs/algorithms.md); the number of passes is then the maximum."
     ),
 ]
 Nonnegative = Annotated[bool, Field(description="Whether voxels are kept at 0 or above.")]

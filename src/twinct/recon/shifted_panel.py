@@ -87,7 +87,7 @@ def shifted_panel(geometry: ScanGeometry, centre: Floats, fan: Floats) -> Shifte
         raise InputError(
             f"fdk: the axis projects to column {column[view]:.1f} of view {view}; a shifted panel "
             f"of {panel.columns} columns must see at least {LEAST_OVERLAP * panel.columns:.3g} "
-            "columns on either side of it"
+            "columns on either side of this column"
         )
     missing = math.ceil(float(np.abs(2 * off).max()))
     near_first = bool(off.mean() < 0)

@@ -95,7 +95,7 @@ def scenario_with(
         InputError: a key or its value is wrong; the builder's scenario has other values.
     """
     if keys and builder:
-        raise InputError(f"builder: it has a scenario of its own; {', '.join(keys)}: change that")
+        raise InputError(f"builder: it has its own scenario: change {', '.join(keys)} there")
     if isinstance(scenario, Scenario):
         return scenario.with_(keys) if keys else scenario
     return load_scenario(scenario, keys)

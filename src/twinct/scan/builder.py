@@ -73,8 +73,8 @@ class SimulationBuilder:
             return self.given_specimen
         if self.scenario.specimen.unknown:
             raise InputError(
-                "specimen.unknown: of a measured scan nothing can be simulated, and there is no "
-                "truth to judge by; 'twinct reconstruct' makes and judges its volumes"
+                "specimen.unknown: a measured scan has no known specimen, so it cannot be "
+                "simulated and has no truth; 'twinct reconstruct' makes and judges its volumes"
             )
         from twinct.specimen.known_names import require_known_names
 

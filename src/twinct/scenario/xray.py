@@ -11,6 +11,6 @@ class Xray(Section):
     engine: str = setting(
         "gvxr",
         "Engine that renders the images: gvxr, mesh (our own rays), cuda_mesh (the rays of "
-        "mesh, on a CUDA card), or one of another package, see docs/physics.md.",
+        "mesh, on a CUDA card), or one of another package, see docs/engines.md.",
         source="the paper",
     )

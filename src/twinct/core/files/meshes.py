@@ -146,7 +146,7 @@ def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
             "mesh editor"
         )
     if not mesh.is_winding_consistent or not mesh.volume > 0:
-        raise SpecimenError(f"{where} has triangles whose inside and outside cannot be told apart")
+        raise SpecimenError(f"{where} has triangles whose inside and outside are not clear")
     return mesh
 
 

@@ -168,7 +168,7 @@ def check_page(path: Path, option: str = "--out") -> None:
     _check_file(path, "an HTML file", "a page", ".html", option)
     if no_file(path) == "" and path.stat().st_size and MADE_BY.encode() not in _head_of(path):
         raise ScanExistsError(
-            f"{option} {path}: the file there is no page of twinct: choose another name"
+            f"{option} {path}: twinct did not write the file there: choose another name"
         )
 
 

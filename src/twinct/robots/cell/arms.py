@@ -149,8 +149,8 @@ def _menagerie_file(name: str, key: str) -> Path:
             ) from None
         except mujoco_menagerie.MenagerieError as error:
             raise ScenarioError(
-                f"{key}.model: MuJoCo Menagerie's {quoted(name)} cannot be had: {error}; without a "
-                "network, set MENAGERIE_ROOT to a copy of MuJoCo Menagerie, a folder with one "
+                f"{key}.model: MuJoCo Menagerie's {quoted(name)} is not available: {error}; with "
+                "no network, set MENAGERIE_ROOT to a copy of MuJoCo Menagerie, a folder with one "
                 "folder for each model"
             ) from error
         if folder.is_file():
