@@ -305,7 +305,10 @@ def test_water_that_no_voxel_reaches_is_doubted(with_volume: Path, capfd) -> Non
         (["--to", "rtk", "--values", "hounsfield"], "--values hounsfield: applies to volumes only"),
         (["--to", "dicom", "--volume", "fast"], "unknown; choose from again, volume"),
         (["--to", "rtk", "--volume", "volume"], "volume format rtk: unknown; choose from dicom"),
-        (["--to", "dicom", "--volume", "volume", "--geometry", "executed"], "--geometry: not of"),
+        (
+            ["--to", "dicom", "--volume", "volume", "--geometry", "executed"],
+            "--geometry: does not apply",
+        ),
         (["--to", "dicom", "--volume", "volume", "--air", "0"], "--air 0: HU need --water"),
         (
             ["--to", "nifti", "--volume", "volume", "--values", "attenuation", "--water", "0.02"],

@@ -168,7 +168,7 @@ def test_report_judges_again_and_compare_shows_no_figure_of_a_truth(
     for folders, words in (
         (one, "1 volume: at least two"),
         ([*one, *one], "given twice"),
-        ([*one, str(tmp_path)], "is no measured scan"),
+        ([*one, str(tmp_path)], "is not a measured scan"),
     ):
         assert run_command(["compare", *folders, "--out", str(page)]) == 2
         assert words in capfd.readouterr().err

@@ -66,8 +66,8 @@ def _volumes(path: Path) -> list[tuple[Folder, MeasuredVolume]]:
     folder = Folder(scan_folder(path))
     if not is_measured_scan(folder.path):
         raise InputError(
-            f"{path} is a simulated run: its figures need a truth, so it cannot be compared with a "
-            "measured scan"
+            f"{path} is not a measured scan, so it cannot be compared with one; a simulated run is "
+            "judged by its truth"
         )
     if folder.path is not path and (path / JUDGEMENT).is_file():
         check_files(path)
