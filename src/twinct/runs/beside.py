@@ -14,7 +14,7 @@ from twinct.report.style import Picture
 
 def stored_predictions(folder: Path) -> list[tuple[str, Picture]]:
     """Return the predictions of ``twinct predict`` in a folder: in words, with their pictures."""
-    pictures = []
+    pictures: list[tuple[str, Picture]] = []
     for path in sorted(folder.glob("[!.]*/prediction.json")):
         data = read_json(path)
         words = (
@@ -38,11 +38,12 @@ def drive_times(file: Path) -> dict[str, Any]:
     with library_errors(str(file)):
         figures: dict[str, Any] = {"lag_ms": data["lag_ms"], "latency_ms": data["latency_ms"]}
         if "planned_s" in data:
-            late_ms = 1000 * np.subtract(data["taken_s"], data["planned_s"])
+            planned_s, taken_s = (np.array(data[of], float) for of in ("planned_s", "taken_s"))
+            late_ms = 1000 * (taken_s - planned_s)
             figures["late_ms"] = {
-                name: float(of(late_ms))
-                for name, of in (("mean", np.mean), ("std", np.std), ("max", np.max))
+                "mean": late_ms.mean(),
+                "std": late_ms.std(),
+                "max": late_ms.max(),
             }
-            for name in ("planned_s", "taken_s"):
-                figures[name] = float(np.ptp(data[name]))
+            figures["planned_s"], figures["taken_s"] = np.ptp(planned_s), np.ptp(taken_s)
     return {"drive": figures}
