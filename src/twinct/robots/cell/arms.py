@@ -149,7 +149,7 @@ def _menagerie_file(name: str, key: str) -> Path:
             ) from None
         except mujoco_menagerie.MenagerieError as error:
             raise ScenarioError(
-                f"{key}.model: MuJoCo Menagerie's {quoted(name)} cannot be had: {error}; without a "
+                f"{key}.model: MuJoCo Menagerie's {quoted(name)} is not here: {error}; without a "
                 "network, set MENAGERIE_ROOT to a copy of MuJoCo Menagerie, a folder with one "
                 "folder for each model"
             ) from error
