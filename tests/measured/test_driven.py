@@ -32,6 +32,7 @@ from twinct.robots.calibrated_arms import CalibratedArms, Change
 from twinct.robots.cell import nominal_chains
 from twinct.robots.programs import Program, program_of
 from twinct.runs import Folder
+from twinct.runs.beside import drive_times
 from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scan.encoder_model import poses_of_joints
 from twinct.scenario import Scenario, load_scenario
@@ -152,6 +153,10 @@ def test_executed_poses_and_lag(driven: Driven, choice: ArmsRecording, tmp_path:
     assert scan.scenario.cell == driven.scenario.cell
     assert scan.scenario.specimen == driven.scenario.specimen
     assert off_mm(scan.believed, driven.poses) < 0.05
+    assert off_mm(scan.commanded, driven.builder.commanded_poses) < 1e-6
+    times = drive_times(Folder(tmp_path / "out").drive)["drive"]
+    assert times["late_ms"]["mean"] == pytest.approx(1000 * LAG_S, abs=0.5)
+    assert times["late_ms"]["std"] < 0.1
     true = np.clip(driven._images[3], DARK, LIGHT)
     np.testing.assert_allclose(scan.transmission[3], (true - DARK) / (LIGHT - DARK), atol=1e-6)
 

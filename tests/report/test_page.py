@@ -274,6 +274,23 @@ def test_known_implants_are_told_of_each_reconstruction(report, undrawn) -> None
     assert "Known implants" not in render_report(report, undrawn)
 
 
+def test_predictions_stand_beside_measurements(report, undrawn) -> None:
+    title = "Prediction beside measurement"
+    assert title not in render_report(report, undrawn)
+    predicted = figures.Picture(b"predicted", "image/png")
+    shown = render_report(replace(report, predictions=[("own volume", predicted)]), undrawn)
+    assert title in shown and predicted.data_uri in shown and "own volume" in shown
+    late_ms = {"mean": 8.004, "std": 0.3, "max": 9.5}
+    drive = {"lag_ms": 8.001, "latency_ms": 12.0, "late_ms": late_ms}
+    drive |= {"planned_s": 7.25, "taken_s": 7.251}
+    shown = render_report(replace(report, metrics={**report.metrics, "drive": drive}), undrawn)
+    for value in ("8.00 ms", "8.00 ± 0.30 ms", "9.50 ms", "7.250 s", "7.251 s", "12.00 ms"):
+        assert value in shown
+    drive = {"lag_ms": None, "latency_ms": 12.0}
+    shown = render_report(replace(report, metrics={**report.metrics, "drive": drive}), undrawn)
+    assert "12.00 ms" in shown and "planned" not in shown.partition(title)[2].partition("<h2>")[0]
+
+
 def test_how_fast_the_tools_move_is_said(report, undrawn) -> None:
     speeds = {"source": {"mean": 80.0, "max": 125.2}, "detector": {"mean": 70.0, "max": 90.0}}
     told = replace(report, metrics={**report.metrics, "tool_speed_mm_s": speeds})

@@ -1,13 +1,13 @@
 """Scans that real arms made: joint states and images of their drivers, and the user's scenario.
 
 The executed poses of a view are those of the cell's kinematics, calibrated if the scenario names a
-calibration, at the joints that the drivers reported about the time of its image.
+calibration, at the joints that the drivers reported about the time of its image. If the images fit
+the plan that was sent, its poses are the commanded ones.
 """
 
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -22,12 +22,13 @@ from twinct.core.files.boundary import library_errors
 from twinct.core.files.images import read_image
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
-from twinct.core.files.writing import draft_of, passing_folder, storage_errors
+from twinct.core.files.writing import draft_of, passing_folder, storage_errors, write_json
 from twinct.core.foreign_text import quoted
 from twinct.core.renamed import old_attribute
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
+from twinct.measured.sent_plan import UNFIT, SentPlan
 from twinct.runs import Folder
 from twinct.scan import ScanStore, SimulationBuilder, line_integrals
 from twinct.scan.encoder_model import poses_of_joints
@@ -37,6 +38,8 @@ from twinct.trajectory import write_views
 Floats = NDArray[np.float64]
 
 VIEWS_FILE = "views.csv"
+
+DRIVE_FORMAT = "twinct driven 1"
 
 RAW = {"mono16": ("u2", 1), "16UC1": ("u2", 1), "mono8": ("u1", 1), "8UC1": ("u1", 1)}
 """Type of the numbers of raw images by their encoding."""
@@ -149,22 +152,45 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         pixels = list(_pixels(paths, choice, fields, set(few.tolist()), scenario.detector.panel))
         latency_s = _latency_s(scenario, track, images_s, few, pixels, latency_s)
     used, lost = _usable(track, images_s, latency_s, notes)
-    lag_ms = _lag_ms(heard, track, epoch_ns)
     time_s = images_s[used] - latency_s
     position, speed, _ = track.at(time_s)
     poses, panel = poses_of_joints(scenario, position), scenario.detector.panel
+    commanded, drive, unfit = _planned(_sent(heard, track, epoch_ns), time_s, poses)
+    drive["latency_ms"] = 1000 * latency_s
     images = _pixels(paths, choice, fields, set(used.tolist()), panel)
     with storage_errors(out), ExitStack() as stack:
         out.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
         draft = draft_of(folder.scan)
         stack.enter_context(passing_folder(draft))
-        write_views(out / VIEWS_FILE, poses.geometry(panel))
+        write_views(out / VIEWS_FILE, commanded.geometry(panel))
         scenario = _placed(scenario, out / VIEWS_FILE)
-        _write(draft, scenario, joints, poses, (position, speed, time_s), images)
+        numbers = position, speed, time_s
+        _write(draft, scenario, joints, (commanded, poses), numbers, images)
         folder.write_scenario(scenario)
+        write_json(folder.drive, drive)
         draft.rename(folder.scan)
-    return Driven(scenario, 1000 * latency_s, lag_ms, (*notes, *lost), len(used))
+    notes = (*notes, *lost, *unfit)
+    return Driven(scenario, 1000 * latency_s, drive["lag_ms"], notes, len(used))
+
+
+def _planned(
+    sent: SentPlan | None, time_s: Floats, poses: PosePairs
+) -> tuple[PosePairs, dict[str, Any], tuple[str, ...]]:
+    """Return commanded poses, the content of the drive's file, and sentences on what is unknown.
+
+    Args:
+        sent: the plan, if any.
+        time_s: times of the exposures, (images,).
+        poses: executed poses, which stand in where no plan fits.
+    """
+    drive: dict[str, Any] = {"format": DRIVE_FORMAT, "lag_ms": None}
+    if sent is None:
+        return poses, drive, ()
+    drive["lag_ms"] = 1000 * sent.lag_s
+    if (views := sent.views_at(time_s)) is None:
+        return poses, drive, (UNFIT,)
+    return sent.commanded(views), {**drive, **sent.beside(views, time_s)}, ()
 
 
 def _usable(
@@ -284,27 +310,16 @@ def _names(heard: _Heard, choice: ArmsRecording, scenario: Scenario) -> dict[str
     return names
 
 
-def _lag_ms(heard: _Heard, track: JointTrack, epoch_ns: int) -> float | None:
-    """Return the time by which the arms followed the plan that ``twinct drive`` sent, if any."""
-    from tempfile import TemporaryDirectory
-
+def _sent(heard: _Heard, track: JointTrack, epoch_ns: int) -> SentPlan | None:
+    """Return the plan that ``twinct drive`` sent, if any."""
     from twinct.link.recording.drive_file import OUTCOME
     from twinct.link.recording.recorder import PLAN
-    from twinct.robots.motion import load_plan
 
     if PLAN not in heard.files or "start_ns" not in heard.notes.get(OUTCOME, {}):
         return None
     start_ns, duration_s = (heard.noted(OUTCOME, key) for key in ("start_ns", "duration_s"))
-    where = "the plan in the recording"
-    with TemporaryDirectory(prefix="twinct-") as name, library_errors(where):
-        (file := Path(name) / PLAN).write_bytes(heard.files[PLAN])
-        try:
-            plan = load_plan(file)
-        except InputError as error:
-            raise InputError(str(error).replace(str(file), where)) from None
-        if not 0 < duration_s < math.inf:
-            raise ValueError(f"executed in {duration_s} s")
-        return 1000 * track.lag_s(plan, (start_ns - epoch_ns) / 1e9, duration_s / plan.duration_s)
+    with library_errors("the outcome in the recording"):
+        return SentPlan.of(heard.files[PLAN], (start_ns - epoch_ns) / 1e9, duration_s, track)
 
 
 def _placed(scenario: Scenario, views: Path) -> Scenario:
@@ -321,16 +336,17 @@ def _write(
     path: Path,
     scenario: Scenario,
     joints: tuple[str, ...],
-    poses: PosePairs,
+    poses: tuple[PosePairs, PosePairs],
     numbers: tuple[Floats, Floats, Floats],
     images: Iterator[NDArray[np.float32]],
 ) -> None:
-    """Write the store: executed poses are those of the joints, and so are the commanded ones."""
-    store = ScanStore.create(path, scenario, poses, joints, 0)
+    """Write the store with its commanded and its executed poses."""
+    commanded, executed = poses
+    store = ScanStore.create(path, scenario, commanded, joints, 0)
     still, none = scenario.specimen.world_from_specimen, np.zeros(0)
     for view, (image, position, speed, time_s) in enumerate(zip(images, *numbers, strict=True)):
         reached = Reached(
-            executed=PosePairs.at(*poses[view], still),
+            executed=PosePairs.at(*executed[view], still),
             joint_names=joints,
             position=position,
             velocity=speed,

@@ -28,8 +28,8 @@ from twinct.report import (
     with_results,
     write_measured_report,
 )
-from twinct.report.style import Picture
 from twinct.runs import Folder, load_scan, reconstruct
+from twinct.runs.beside import stored_predictions
 from twinct.runs.folder import as_yaml, refuse_other_keys
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction import timed_volume
@@ -296,7 +296,7 @@ def write_page(scan: Scan, folder: Folder, volumes: Mapping[str, MeasuredVolume]
         geometry,
         shown,
         columns,
-        _predictions(folder.predictions),
+        stored_predictions(folder.predictions),
     )
     reconstructions = {
         one.name: {
@@ -311,17 +311,3 @@ def write_page(scan: Scan, folder: Folder, volumes: Mapping[str, MeasuredVolume]
         folder.metrics,
         plain({"views": len(scan), "truth": None, "reconstructions": reconstructions}),
     )
-
-
-def _predictions(folder: Path) -> list[tuple[str, Picture]]:
-    """Return the predictions in a folder: in words, with their pictures."""
-    pictures = []
-    for path in sorted(folder.glob("[!.]*/prediction.json")):
-        data = read_json(path)
-        words = (
-            f"{path.parent.name}: {data['in_words']}; residual {100 * data['residual_rel']:.2f} %"
-        )
-        picture = path.with_name("prediction.png")
-        if not no_file(picture):
-            pictures.append((words, Picture(picture.read_bytes(), "image/png")))
-    return pictures

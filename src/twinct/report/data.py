@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import Floats, Panel, VolumeGrid
 from twinct.geometry.wire import PosePairs
+from twinct.report.style import Picture
 from twinct.scenario import Scenario
 
 
@@ -70,6 +71,7 @@ class ReportData:
         reference: name of the material with this attenuation.
         room_png: picture of the robot cell, or None.
         others: further reconstructions.
+        predictions: predicted views in words, and their picture.
         mas: tube load of each view, (views,), mAs; None: the scenario's for all.
         motion: the patient's motion in words; empty if nothing moves.
         nearest: the two bodies that come closest to each other in the plan; empty if unknown.
@@ -89,6 +91,7 @@ class ReportData:
     room_png: bytes | None = None
     nearest: tuple[str, ...] = ()
     others: Sequence[Another] = ()
+    predictions: Sequence[tuple[str, Picture]] = ()
     mas: Floats | None = None
     motion: str = ""
 

@@ -106,6 +106,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         curves=curve_pictures(columns, report.reference),
         implants=_implants(metrics),
         others=[(f"slices {other.name}", other) for other in report.others],
+        predictions=[(words, picture.data_uri) for words, picture in report.predictions],
         stages=_stages(metrics["seconds"]),
         nearest=" and ".join(report.nearest),
         arms=scenario.cell.kind == "arms",

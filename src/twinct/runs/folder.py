@@ -40,6 +40,7 @@ class Folder:
         scenario: the scenario as it was run, defaults included.
         inputs: meshes and views that the scenario took from a program's memory.
         views: views of a scan that was imported from another tool's recording.
+        drive: times of a plan that real arms followed, and of their images.
         imported: picture of a measured scan that was imported.
         tried: picture of a measured scan with several conventions.
         seconds: timing of an unfinished run.
@@ -62,6 +63,7 @@ class Folder:
     scenario = Below("scenario.yaml")
     inputs = Below("inputs")
     views = Below("views.csv")
+    drive = Below("drive.json")
     imported = Below("imported.png")
     tried = Below("tried.png")
     seconds = Below("seconds.json")

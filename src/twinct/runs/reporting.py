@@ -35,6 +35,7 @@ from twinct.report import (
     plain,
     write_report,
 )
+from twinct.runs.beside import drive_times, stored_predictions
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.known_motion import as_reconstructed, motion_in_words, moving_figures
 from twinct.runs.reconstruction_folder import Reconstruction, stored_reconstructions
@@ -133,7 +134,11 @@ def write_results(
     """
     scenario, others = builder.scenario, stored_reconstructions(folder.reconstructions)
     with timing.stage("report") if isinstance(timing, Seconds) else nullcontext():
-        data = replace(_report_data(scan, builder, results), others=_others(others.values()))
+        data = replace(
+            _report_data(scan, builder, results),
+            others=_others(others.values()),
+            predictions=stored_predictions(folder.predictions),
+        )
         pictures = draw_pictures(data)
     if isinstance(timing, Seconds):
         timing = timing.finished()
@@ -161,6 +166,7 @@ def write_results(
         geometries=_geometries(scan),
         reference_material=builder.specimen.reference_name,
         files=folder.file_digests(),
+        **drive_times(folder.drive),
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
