@@ -143,7 +143,7 @@ def test_without_a_network_the_way_out_is_named(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.delenv("MENAGERIE_ROOT", raising=False)
     monkeypatch.setattr(library, "get", get)
-    with pytest.raises(ScenarioError, match=r"no route to host; without a network, set MENAGERIE"):
+    with pytest.raises(ScenarioError, match=r"no route to host; with no network, set MENAGERIE"):
         load_arm(SourceArm(model="menagerie:panda"), "cell.source_arm")
 
 

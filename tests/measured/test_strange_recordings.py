@@ -71,7 +71,7 @@ def test_names_that_are_not_those_of_the_joints(joints: Any) -> None:
 def test_an_outcome_without_times(outcome: dict[str, str]) -> None:
     heard = driven._Heard(files={PLAN: b""}, notes={OUTCOME: {"duration_s": "[]"} | outcome})
     with pytest.raises(InputError, match="in the note 'twinct drive outcome'|the plan in the"):
-        driven._lag_ms(heard, None, 0)  # type: ignore[arg-type]
+        driven._sent(heard, None, 0)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("word", ["nan", "1_0", "\u0661", "x", ""])
