@@ -32,7 +32,7 @@ from twinct.robots.calibrated_arms import CalibratedArms, Change
 from twinct.robots.cell import nominal_chains
 from twinct.robots.programs import Program, program_of
 from twinct.runs import Folder
-from twinct.runs.beside import drive_times
+from twinct.runs.predicted_and_measured import drive_times
 from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scan.encoder_model import poses_of_joints
 from twinct.scenario import Scenario, load_scenario
@@ -159,6 +159,27 @@ def test_executed_poses_and_lag(driven: Driven, choice: ArmsRecording, tmp_path:
     assert times["late_ms"]["std"] < 0.1
     true = np.clip(driven._images[3], DARK, LIGHT)
     np.testing.assert_allclose(scan.transmission[3], (true - DARK) / (LIGHT - DARK), atol=1e-6)
+
+
+def test_its_report_sets_prediction_beside_measurement(
+    driven: Driven, choice: ArmsRecording, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    import_driven([driven.path], out, choice)
+    small = "reconstruction={grid: {voxels: 12, voxel_mm: 10}, iterations: 1}"
+    scenario = str(out / "scenario.yaml")
+    for command in (
+        ["run", scenario, "--out", str(out), "--resume", "--link", "local", "--set", small],
+        ["predict", str(out)],
+        ["report", str(out)],
+    ):
+        assert run_command(command) == 0, capfd.readouterr().err
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["drive"]["lag_ms"] == pytest.approx(1000 * LAG_S, abs=0.5)
+    assert 0 < metrics["pose_error"]["source"]["position_mm"]["max"] < 0.05
+    page = (out / "report.html").read_text(encoding="utf-8")
+    beside = page.partition("<h2>Prediction beside measurement</h2>")[2].partition("<h2>")[0]
+    assert "arms behind the plan" in beside and "Predicted views and residuals" in beside
 
 
 def test_latency_of_the_images(driven: Driven, choice: ArmsRecording, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
 from twinct.measured.sent_plan import SentPlan
 from twinct.robots.motion import MotionPlan
-from twinct.runs.beside import drive_times, stored_predictions
+from twinct.runs.predicted_and_measured import drive_times, stored_predictions
 
 TIME_S = np.array([0.0, 1.0, 2.0, 4.0, 5.0])
 LAG_S, START_S = 0.008, 10.0

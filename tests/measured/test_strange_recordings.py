@@ -17,6 +17,7 @@ from twinct.link.recording.bag import Bag
 from twinct.link.recording.drive_file import NOTE, OUTCOME
 from twinct.link.recording.recorder import PLAN, SCENARIO
 from twinct.measured import driven, import_driven
+from twinct.measured.joint_track import JointTrack
 from twinct.scenario import load_scenario
 
 CHOICE = ArmsRecording()
@@ -71,7 +72,7 @@ def test_names_that_are_not_those_of_the_joints(joints: Any) -> None:
 def test_an_outcome_without_times(outcome: dict[str, str]) -> None:
     heard = driven._Heard(files={PLAN: b""}, notes={OUTCOME: {"duration_s": "[]"} | outcome})
     with pytest.raises(InputError, match="in the note 'twinct drive outcome'|the plan in the"):
-        driven._sent(heard, None, 0)  # type: ignore[arg-type]
+        driven._sent(heard, JointTrack((), ()), 0)
 
 
 @pytest.mark.parametrize("word", ["nan", "1_0", "\u0661", "x", ""])

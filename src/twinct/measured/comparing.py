@@ -85,7 +85,7 @@ def _compared(
     store = ScanStore(folder.scan)
     section = SECTIONS[str(one.settings["algorithm"])].model_validate(dict(one.settings))
     keys = {"geometry": one.geometry}
-    scenario: Scenario = folder.scenario_of_run(planned=True).model_copy(
+    scenario: Scenario = folder.scenario_of_run().model_copy(
         update={"reconstruction": section.model_copy(update=keys)}
     )
     volume = one.volume

@@ -41,7 +41,7 @@ from twinct.report import plain
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction_folder import free_name
-from twinct.scan import Scan, ScanStore, SimulationBuilder
+from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.specimen import BuiltSpecimen
 from twinct.specimen.size import specimen_size
@@ -197,7 +197,7 @@ def _scenario(
         if one.partition("=")[0].partition(".")[0] not in SECTIONS:
             known = ", ".join(SECTIONS)
             raise InputError(f"--set {one}: a prediction changes only keys of {known}")
-    scenario = folder.scenario_of_run(changes, planned=ScanStore(folder.scan).plan is not None)
+    scenario = folder.scenario_of_run(changes)
     parts = scenario.specimen.model_dump(mode="json")["parts"]
     if mesh is not None:
         if why := no_file(Path(mesh)):

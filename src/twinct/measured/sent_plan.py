@@ -21,7 +21,10 @@ from twinct.measured.joint_track import JointTrack
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
 
-UNFIT = "the images are not one for each of the plan's views: commanded poses are the executed ones"
+UNFIT = (
+    "the images do not fit the views of the plan one by one: the executed poses also stand for the "
+    "commanded ones"
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,9 +29,9 @@ from twinct.report import (
     write_measured_report,
 )
 from twinct.runs import Folder, load_scan, reconstruct
-from twinct.runs.beside import stored_predictions
 from twinct.runs.folder import as_yaml, refuse_other_keys
 from twinct.runs.log import logged_to
+from twinct.runs.predicted_and_measured import stored_predictions
 from twinct.runs.reconstruction import timed_volume
 from twinct.runs.reconstruction_folder import (
     JUDGEMENT,
@@ -157,7 +157,7 @@ def reconstruct_measured(
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "reconstruction")
     scan = load_scan(folder.path)
-    scenario = folder.scenario_of_run(overrides, planned=True)
+    scenario = folder.scenario_of_run(overrides)
     scan = replace(scan, scenario=scenario)
     which = geometry or scenario.reconstruction.geometries[0]
     scan.poses(which)
@@ -226,7 +226,7 @@ def measured_volumes(folder: Path) -> dict[str, MeasuredVolume]:
 def is_measured_scan(path: Path) -> bool:
     """Return True if a folder holds a scan of an unknown specimen."""
     file = Folder(path).scenario
-    return file.is_file() and Folder(path).scenario_of_run(planned=True).specimen.unknown
+    return file.is_file() and Folder(path).scenario_of_run().specimen.unknown
 
 
 def _made(

@@ -85,13 +85,14 @@ class Folder:
         """Files that a finished run always has."""
         return self.scan, self.volume, self.metrics, self.report
 
-    def scenario_of_run(self, overrides: tuple[str, ...] = (), *, planned: bool) -> Scenario:
+    def scenario_of_run(self, overrides: tuple[str, ...] = ()) -> Scenario:
         """Return the scenario that the run was made with, with some keys changed.
 
-        Scans of early versions are not ``planned``; their scenario does not state the reactive
-        motion scheme, so it is added.
+        Scenarios of early versions do not state the scheme of motion, which was ``reactive`` then.
         """
-        scheme = () if planned else ("motion.scheme=reactive",)
+        motion = self._stated().get("motion")
+        early = isinstance(motion, dict) and "scheme" not in motion
+        scheme = ("motion.scheme=reactive",) if early else ()
         return load_scenario(self.scenario, (*scheme, *overrides), resolved=True)
 
     def write_scenario(self, scenario: Scenario) -> None:
@@ -142,12 +143,14 @@ class Folder:
         """Return True if a run was judged with the section ``evaluation`` of a scenario."""
         if not self.scenario.is_file():
             return True
-        stored = read_file(self.scenario, "scenario").value
-        stored = (
-            cast("dict[str, Any]", stored).get("evaluation") if isinstance(stored, dict) else None
-        )
         requested = scenario.evaluation
+        stored = self._stated().get("evaluation")
         return stored == (requested and requested.model_dump(mode="json"))
+
+    def _stated(self) -> dict[str, Any]:
+        """Return what the scenario's file states, unchecked."""
+        stated = read_file(self.scenario, "scenario").value
+        return cast("dict[str, Any]", stated) if isinstance(stated, dict) else {}
 
     def volume_digest(self, scenario: Scenario) -> str:
         """Return the digest of all inputs of the volume, derived geometries included."""

@@ -199,7 +199,7 @@ def finished_run(folder: Folder) -> Run:
     if missing := [p.name for p in needed if not p.exists()]:
         raise InputError(f"{folder.path} holds no finished run: {', '.join(missing)} missing")
     store = ScanStore(folder.scan)
-    scenario = folder.scenario_of_run(planned=store.plan is not None)
+    scenario = folder.scenario_of_run()
     run = Run(scenario, folder)
     if run.volume.extras["note"] not in (_note_of(folder, scenario), _note_of_0_1(store, folder)):
         raise InputError(
@@ -233,8 +233,7 @@ def rewrite_report(
     made = finished_run(folder)
     if changed := folder.replaced(folder.volume):  # a truth is made again
         raise InputError([f"{problem}; {again_in_words(folder)}" for problem in changed])
-    planned = ScanStore(folder.scan).plan is not None
-    scenario = folder.scenario_of_run(overrides, planned=planned) if overrides else made.scenario
+    scenario = folder.scenario_of_run(overrides) if overrides else made.scenario
     return _judged_again(made, scenario, observers)
 
 

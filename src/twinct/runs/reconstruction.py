@@ -216,7 +216,7 @@ def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:
         raise InputError(
             f"{folder.path} is not a run folder; expected scenario.yaml and scan.zarr in it"
         )
-    return folder.scenario_of_run(overrides, planned=ScanStore(folder.scan).plan is not None)
+    return folder.scenario_of_run(overrides)
 
 
 def _with_geometry(scenario: Scenario, which: str) -> Scenario:

@@ -35,9 +35,9 @@ from twinct.report import (
     plain,
     write_report,
 )
-from twinct.runs.beside import drive_times, stored_predictions
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.known_motion import as_reconstructed, motion_in_words, moving_figures
+from twinct.runs.predicted_and_measured import drive_times, stored_predictions
 from twinct.runs.reconstruction_folder import Reconstruction, stored_reconstructions
 from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing

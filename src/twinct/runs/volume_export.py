@@ -72,7 +72,7 @@ def export_volume(
     folder = Folder(Path(path))
     file = _file_of(folder, volume)
     out = _free_path(folder, volume, to, out)
-    scenario = folder.scenario_of_run(planned=True)
+    scenario = folder.scenario_of_run()
     with audience_of(observers) as audience, audience.stage("export", 1) as step:
         exported = Volume.read(file)
         require_space(out.parent, exported.array.nbytes, "the export needs")

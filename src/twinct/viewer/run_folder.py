@@ -74,7 +74,7 @@ class RunFolder:
 
     def _of_scenario(self) -> Show:
         """Return the state of a run without a stored view."""
-        scenario = self.paths.scenario_of_run(planned=True)
+        scenario = self.paths.scenario_of_run()
         commanded = PosePairs.from_geometry(SimulationBuilder(scenario).requested)
         return Show(self.paths.path.name, scenario, commanded, state="no view is stored yet")
 
@@ -115,7 +115,7 @@ class RunFolder:
 
     def _scenario(self, store: ScanStore) -> Scenario:
         if self.paths.scenario.is_file():
-            return self.paths.scenario_of_run(planned=store.plan is not None)
+            return self.paths.scenario_of_run()
         return store.scenario
 
     def _commanded_of(self, store: ScanStore) -> PosePairs:

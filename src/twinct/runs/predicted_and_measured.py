@@ -1,4 +1,4 @@
-"""Prediction beside measurement, for the report: a plan that real arms followed, rendered views."""
+"""Predictions beside measurements, for the report: times of a plan, and rendered views."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def stored_predictions(folder: Path) -> list[tuple[str, Picture]]:
     pictures: list[tuple[str, Picture]] = []
     for path in sorted(folder.glob("[!.]*/prediction.json")):
         data = read_json(path)
-        words = (
-            f"{path.parent.name}: {data['in_words']}; residual {100 * data['residual_rel']:.2f} %"
-        )
+        with library_errors(str(path)):
+            residual = 100 * data["residual_rel"]
+            words = f"{path.parent.name}: {data['in_words']}; residual {residual:.2f} %"
         picture = path.with_name("prediction.png")
         if not no_file(picture):
             pictures.append((words, Picture(picture.read_bytes(), "image/png")))
