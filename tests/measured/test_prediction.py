@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -232,12 +231,9 @@ def test_an_interrupted_prediction_keeps_its_reconstruction(scan, monkeypatch) -
     assert [p.name for p in (folder / "predictions").iterdir()] == ["volume"]
 
 
-def test_the_scan_of_a_breathing_patient_is_predicted_by_its_own_volume(
-    monkeypatch, tmp_path
-) -> None:
+def test_the_scan_of_a_breathing_patient_is_predicted_by_its_own_volume(tmp_path) -> None:
     folder = Folder(tmp_path)
     folder.write_scenario(load_scenario("patient_breathing"))
-    monkeypatch.setattr(prediction, "ScanStore", lambda _: SimpleNamespace(plan=None))
     made = prediction._scenario(folder, (), None, None)
     assert made.specimen.unknown
     assert (made.specimen.reference, made.specimen.motion) == ("", None)
