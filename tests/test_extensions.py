@@ -7,12 +7,14 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import nibabel
 import numpy as np
 import pytest
+from shell import Shell
 
 from twinct.core.extensions import Offers, offers
 from twinct.core.settings import Section
@@ -128,21 +130,18 @@ def scenario(tmp_path: Path) -> Path:
     return file
 
 
-def twinct(installed: Path, *arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    paths = [str(installed), *filter(None, [os.environ.get("PYTHONPATH")])]
-    return subprocess.run(
-        [sys.executable, "-m", "twinct", *arguments],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-    )
+@pytest.fixture
+def twinct(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
+    """Commands of a process that finds both distributions."""
+    with Shell(tmp_path_factory.mktemp("streams"), installed) as shell:
+        yield shell
 
 
 @pytest.mark.tutorial
 @pytest.mark.process
 @pytest.mark.ros
-def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) -> None:
-    checked = twinct(installed, "check", scenario)
+def test_a_foreign_scenario_is_checked_and_run(twinct: Shell, scenario: Path) -> None:
+    checked = twinct("check", scenario)
     assert checked.returncode == 0, checked.stderr
     assert "landweber" in checked.stdout and "zigzag" in checked.stdout
     assert "'hopeless' of hopeless 0.3 cannot be used: OSError: its library is gone" in (
@@ -150,15 +149,15 @@ def test_a_foreign_scenario_is_checked_and_run(installed: Path, scenario: Path) 
     )
     # Over ROS 2 its nodes find it, too.
     out = scenario.parent / "out"
-    done = twinct(installed, "run", scenario, "--out", out, "--link", "ros2")
+    done = twinct("run", scenario, "--out", out, "--link", "ros2")
     assert done.returncode == 0, done.stderr
-    exported = twinct(installed, "export", out, "--to", "plugin")
+    exported = twinct("export", out, "--to", "plugin")
     assert exported.returncode == 0, exported.stderr
     assert (out / "export-plugin" / "scan.npz").is_file()
-    refused = twinct(installed, "export", out, "--to", "useless")
+    refused = twinct("export", out, "--to", "useless")
     assert refused.returncode == 2
     assert "--to useless: 'useless' of hopeless 0.3 cannot be used: OSError" in refused.stderr
-    schema = json.loads(twinct(installed, "schema").stdout)
+    schema = json.loads(twinct("schema").stdout)
     assert "LandweberReconstruction" in schema["$defs"] and "Zigzag" in schema["$defs"]
 
 
@@ -177,24 +176,24 @@ def task(tmp_path: Path) -> Path:
 
 @pytest.mark.tutorial
 @pytest.mark.process
-def test_views_are_planned_for_a_foreign_objective(installed: Path, task: Path) -> None:
-    checked = twinct(installed, "check", task)
+def test_views_are_planned_for_a_foreign_objective(twinct: Shell, task: Path) -> None:
+    checked = twinct("check", task)
     assert checked.returncode == 0, checked.stderr
-    planned = twinct(installed, "plan", task, "--out", task.parent / "out", "--jobs", "1")
+    planned = twinct("plan", task, "--out", task.parent / "out", "--jobs", "1")
     assert planned.returncode == 0, planned.stderr
     assert "level, deg" in planned.stdout
     told = json.loads((task.parent / "out" / "plan.json").read_text())["goals"]
     assert told["level"]["weight"] == -1.0
     assert told["level"]["planned"] < 0.5 * told["level"]["spread_evenly"]
-    alone = twinct(installed, "check", task, "--set", "task.completeness=null")
+    alone = twinct("check", task, "--set", "task.completeness=null")
     assert alone.returncode == 2
     assert "metal, dose, moving and level alone would choose the same view" in alone.stderr
 
 
 @pytest.mark.tutorial
 @pytest.mark.process
-def test_who_names_a_broken_objective_is_told_why(installed: Path, task: Path) -> None:
-    refused = twinct(installed, "check", task, "--set", "task.worst={}")
+def test_who_names_a_broken_objective_is_told_why(twinct: Shell, task: Path) -> None:
+    refused = twinct("check", task, "--set", "task.worst={}")
     assert refused.returncode == 2
     assert "--set task.worst={}: task.worst: 'worst' of hopeless 0.3 cannot be used: " in (
         refused.stderr
@@ -243,7 +242,7 @@ figures: [image.tails.middle.tail_rel]
 @pytest.mark.tutorial
 @pytest.mark.process
 def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
-    installed: Path, tmp_path: Path
+    twinct: Shell, tmp_path: Path
 ) -> None:
     file, out = tmp_path / "tails.yaml", tmp_path / "out"
     file.write_text(
@@ -255,24 +254,24 @@ def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
         "  regions: [{name: middle, shape: {kind: sphere, radius_mm: 30}}]\n"
         "  tails: [{region: middle}]\n"
     )
-    refused = twinct(installed, "check", file, "--set", "evaluation.tails.0.region=centre")
+    refused = twinct("check", file, "--set", "evaluation.tails.0.region=centre")
     assert refused.returncode == 2
     assert "evaluation.tails.0.region: unknown region 'centre'; the only one is" in refused.stderr
-    assert twinct(installed, "check", file).returncode == 0
-    done = twinct(installed, "run", file, "--out", out, "--link", "local")
+    assert twinct("check", file).returncode == 0
+    done = twinct("run", file, "--out", out, "--link", "local")
     assert done.returncode == 0, done.stderr
     image = json.loads((out / "metrics.json").read_text())["image"]
     assert image["tails"]["middle"]["tail_rel"] > image["regions"]["middle"]["rmse_rel"] > 0
     assert "<td>largest errors</td>" in (out / "report.html").read_text(encoding="utf-8")
     study = tmp_path / "study.yaml"
     study.write_text(STUDY.format(file=file))
-    searched = twinct(installed, "study", study, "--out", tmp_path / "searched", "--jobs", "1")
+    searched = twinct("study", study, "--out", tmp_path / "searched", "--jobs", "1")
     assert searched.returncode == 0, searched.stderr
     assert (tmp_path / "searched" / "journal.jsonl").read_text().count("tail_rel") == 2
     page = (tmp_path / "searched" / "study.html").read_text(encoding="utf-8")
     assert "largest errors, middle" in page and "Best trials" in page, "lower is better"
     # Unused, it leaves no trace: the scenario can be read where it is not installed.
-    unused = twinct(installed, "report", out, "--set", "evaluation.tails=[]")
+    unused = twinct("report", out, "--set", "evaluation.tails=[]")
     assert unused.returncode == 0, unused.stderr
     assert "tails" not in (out / "scenario.yaml").read_text() + (out / "metrics.json").read_text()
 
@@ -290,16 +289,16 @@ def without_gvxr(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.mark.tutorial
 @pytest.mark.process
 @pytest.mark.usefixtures("without_gvxr")
-def test_another_engine_images_a_whole_scan_without_gvxr(installed: Path, scenario: Path) -> None:
+def test_another_engine_images_a_whole_scan_without_gvxr(twinct: Shell, scenario: Path) -> None:
     out, blurred = scenario.parent / "out", "source.focal_spot={kind: square, size_mm: 1}"
     command = ["run", scenario, "--out", out, "--link", "local", "--set"]
-    refused = twinct(installed, *command, "xray.engine=gvxr")
+    refused = twinct(*command, "xray.engine=gvxr")
     assert refused.returncode != 0 and "gVXR cannot be loaded: blocked" in refused.stderr
     changes = ["xray.engine=analytic", "--set", blurred, "--set", "source.focal_spot.samples=2"]
-    checked = twinct(installed, "check", scenario, "--set", *changes)
+    checked = twinct("check", scenario, "--set", *changes)
     assert checked.returncode == 0, checked.stderr
     assert "analytic" in checked.stdout
-    done = twinct(installed, *command, *changes, "--resume")
+    done = twinct(*command, *changes, "--resume")
     assert done.returncode == 0, done.stderr
     assert "rendered by analytic" in (out / "report.html").read_text(encoding="utf-8")
 
@@ -314,11 +313,11 @@ def test_another_engine_images_a_whole_scan_without_gvxr(installed: Path, scenar
     ],
 )
 def test_who_names_an_engine_that_cannot_be_used_is_told_why(
-    installed: Path, scenario: Path, engine: str, reason: str
+    twinct: Shell, scenario: Path, engine: str, reason: str
 ) -> None:
     change, out = ("--set", f"xray.engine={engine}"), scenario.parent / "out"
     for command in (["check", scenario], ["run", scenario, "--out", out, "--link", "local"]):
-        refused = twinct(installed, *command, *change)
+        refused = twinct(*command, *change)
         assert refused.returncode == 2
         place = f"--set xray.engine={engine}: xray.engine: "
         assert f"{place}{reason} (allowed: gvxr, mesh, cuda_mesh, analytic)" in refused.stderr
@@ -327,23 +326,23 @@ def test_who_names_an_engine_that_cannot_be_used_is_told_why(
 
 @pytest.mark.tutorial
 @pytest.mark.process
-def test_who_names_a_broken_one_is_told_why(installed: Path, scenario: Path) -> None:
+def test_who_names_a_broken_one_is_told_why(twinct: Shell, scenario: Path) -> None:
     given = "reconstruction.algorithm=hopeless", "trajectory.kind=nowhere", "evaluation.hidden=[]"
     given += "uncertainty.wobble={}", "cell.source_arm.model=lame"
-    refused = twinct(installed, "check", scenario, *(f"--set={one}" for one in given))
+    refused = twinct("check", scenario, *(f"--set={one}" for one in given))
     assert refused.returncode == 2
     for place in (f"{one}: " for one in given):
         [line] = [line for line in refused.stderr.splitlines() if f"--set {place}" in line]
         assert "of hopeless 0.3 cannot be used: OSError: its library is gone" in line
     (scenario.parent / "start.npy").unlink()
-    refused = twinct(installed, "check", scenario)
+    refused = twinct("check", scenario)
     assert refused.returncode == 2
     assert f"{scenario}:3: reconstruction.path: no file at {scenario.parent}" in refused.stderr
 
 
 @pytest.mark.tutorial
 @pytest.mark.process
-def test_a_foreign_part_is_checked_imaged_and_judged(installed: Path, tmp_path: Path) -> None:
+def test_a_foreign_part_is_checked_imaged_and_judged(twinct: Shell, tmp_path: Path) -> None:
     file, out = tmp_path / "ring.yaml", tmp_path / "out"
     file.write_text(
         f"extends: {HERE}/same_bytes/small.yaml\n"
@@ -357,9 +356,9 @@ def test_a_foreign_part_is_checked_imaged_and_judged(installed: Path, tmp_path: 
         ("kind=ghost", "'ghost' of hopeless 0.3 cannot be used: OSError"),
         ("closed=false", "of kind ring: its surface is open"),
     ):
-        refused = twinct(installed, "check", file, "--set", f"specimen.parts.0.shape.{change}")
+        refused = twinct("check", file, "--set", f"specimen.parts.0.shape.{change}")
         assert refused.returncode == 2 and reason in refused.stderr, refused.stderr
-    done = twinct(installed, "run", file, "--out", out, "--link", "local")
+    done = twinct("run", file, "--out", out, "--link", "local")
     assert done.returncode == 0, done.stderr
     truth = nibabel.load(out / "truth.nii")
     volume = truth.get_fdata().sum() / truth.get_fdata().max() * np.prod(truth.header.get_zooms())
@@ -377,7 +376,7 @@ figures: [image.rmse_rel]
 @pytest.mark.tutorial
 @pytest.mark.process
 def test_a_foreign_error_is_checked_drawn_propagated_and_varied(
-    installed: Path, tmp_path: Path
+    twinct: Shell, tmp_path: Path
 ) -> None:
     file, out = tmp_path / "sag.yaml", tmp_path / "out"
     file.write_text(
@@ -387,14 +386,14 @@ def test_a_foreign_error_is_checked_drawn_propagated_and_varied(
         "xray: {engine: mesh}\n"
         "uncertainty: {sag: {mm: 2, spread: 0}, source: {sigma_mm: 0}, detector: {sigma_mm: 0}}\n"
     )
-    refused = twinct(installed, "check", file, "--set", "uncertainty.sag.spread=2")
+    refused = twinct("check", file, "--set", "uncertainty.sag.spread=2")
     assert refused.returncode == 2 and "uncertainty.sag.spread" in refused.stderr
-    assert twinct(installed, "check", file).returncode == 0
-    told = twinct(installed, "uncertainty", file, "--draws", "2", "--out", out / "told")
+    assert twinct("check", file).returncode == 0
+    told = twinct("uncertainty", file, "--draws", "2", "--out", out / "told")
     assert told.returncode == 0, told.stderr
     [term] = json.loads((out / "told" / "uncertainty.json").read_text())["terms"]
     assert term["term"] == "sag, mean"
-    done = twinct(installed, "run", file, "--out", out / "run", "--link", "local")
+    done = twinct("run", file, "--out", out / "run", "--link", "local")
     assert done.returncode == 0, done.stderr
     # A level beam sinks by 2 mm; the path rises to 5 deg.
     found = json.loads((out / "run" / "metrics.json").read_text())["pose_error"]["source"][
@@ -404,19 +403,19 @@ def test_a_foreign_error_is_checked_drawn_propagated_and_varied(
     assert found["mean"] == pytest.approx(2.0, rel=0.01)
     study = tmp_path / "study.yaml"
     study.write_text(SAG_STUDY.format(file=file))
-    varied = twinct(installed, "study", study, "--out", out / "study", "--jobs", "1")
+    varied = twinct("study", study, "--out", out / "study", "--jobs", "1")
     assert varied.returncode == 0, varied.stderr
     assert "uncertainty.sag.mm" in (out / "study" / "study.html").read_text(encoding="utf-8")
     # Unused, it leaves no trace: the scenario can be read where it is not installed.
     unused = "--set", "uncertainty.sag=null"
-    done = twinct(installed, "run", file, "--out", out / "none", "--link", "local", *unused)
+    done = twinct("run", file, "--out", out / "none", "--link", "local", *unused)
     assert done.returncode == 0, done.stderr
     assert "sag" not in (out / "none" / "scenario.yaml").read_text()
 
 
 @pytest.mark.tutorial
 @pytest.mark.process
-def test_a_foreign_arm_is_checked_and_moved(installed: Path, tmp_path: Path) -> None:
+def test_a_foreign_arm_is_checked_and_moved(twinct: Shell, tmp_path: Path) -> None:
     file, out = tmp_path / "six.yaml", tmp_path / "out"
     file.write_text(
         f"extends: {HERE}/same_bytes/small.yaml\n"
@@ -424,12 +423,12 @@ def test_a_foreign_arm_is_checked_and_moved(installed: Path, tmp_path: Path) -> 
         "xray: {engine: mesh}\n"
         "cell: {source_arm: {model: six}}\n"
     )
-    refused = twinct(installed, "check", file, "--set", "cell.source_arm.model=sixx")
+    refused = twinct("check", file, "--set", "cell.source_arm.model=sixx")
     assert refused.returncode == 2
     assert "did you mean 'six'? (known: ur10e, lbr_iiwa14, six, and menagerie" in refused.stderr
-    checked = twinct(installed, "check", file)
+    checked = twinct("check", file)
     assert checked.returncode == 0, checked.stderr
-    done = twinct(installed, "run", file, "--out", out, "--link", "local")
+    done = twinct("run", file, "--out", out, "--link", "local")
     assert done.returncode == 0, done.stderr
     assert json.loads((out / "metrics.json").read_text())["clearance_mm"]["min"] > 12
     assert "model: six" in (out / "scenario.yaml").read_text()

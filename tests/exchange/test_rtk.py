@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import runpy
-import subprocess
 import sys
 
 import numpy as np
@@ -13,7 +12,7 @@ from twinct.exchange import write_bundle
 from twinct.recon import Projector, sart
 
 itk = pytest.importorskip("itk", reason="needs the extra rtk")
-pytestmark = pytest.mark.tutorial  # loading RTK takes 12 s, once for all such tests
+pytestmark = pytest.mark.tutorial  # loading RTK takes 10 s, once for all such tests
 
 POINT_PX = 1e-9
 """Float64 on both sides; measured 1e-13."""
@@ -71,14 +70,14 @@ def test_rtk_projects_the_volume_to_the_images_of_the_files(
     assert np.sqrt(np.mean(difference**2)) < PROJECTION * asked.max()
 
 
-@pytest.mark.process
-def test_rtk_reconstructs_what_we_reconstruct(folder, bundle, grid, corner_object) -> None:
-    """From the files, in a process of its own, as a user does."""
-    out = folder.parent / "volume.npy"
-    arguments = [sys.executable, str(folder / "load.py"), "--iterations", "3", "--out", str(out)]
-    result = subprocess.run(arguments, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    assert "46 views" in result.stdout
+def test_rtk_reconstructs_what_we_reconstruct(
+    folder, bundle, grid, corner_object, monkeypatch, capsys
+) -> None:
+    """From the files, as a user's command does."""
+    script, out = str(folder / "load.py"), folder.parent / "volume.npy"
+    monkeypatch.setattr(sys, "argv", [script, "--iterations", "3", "--out", str(out)])
+    runpy.run_path(script, run_name="__main__")
+    assert "46 views" in capsys.readouterr().out
     theirs = np.load(out)
     ours = sart(Projector(bundle.geometry, grid), bundle.images, iterations=3, relaxation=0.3)
     scale = corner_object.max()

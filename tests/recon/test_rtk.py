@@ -49,6 +49,7 @@ def test_rtk_gives_the_same_volume_in_the_same_place(ball):
     assert difference < AGREEMENT
 
 
+@pytest.mark.tutorial
 def test_default_order_is_ours(ball):
     pytest.importorskip("itk", reason="needs the extra rtk")
     views, grid, p = ball

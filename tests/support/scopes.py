@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,8 +25,11 @@ FIRST = (
 )
 """Scopes that take longest: they start first, so that no worker works alone at the end."""
 
-LAST = "test_rtk.py"
-"""Files that load ITK: they come last in one worker, as gVXR aborted once after them."""
+LAST = "RTK"
+"""Scope of the tests that load RTK. One worker loads it, which takes 10 s, and loads it last:
+gVXR aborted once after it."""
+
+_RTK = re.compile(r"/test_rtk\.py::|::test_(\w+_)?rtk(_\w+)?$")
 
 
 class Scopes(LoadFileScheduling):
@@ -36,9 +40,9 @@ class Scopes(LoadFileScheduling):
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        file = super()._split_scope(nodeid)
-        if Path(file).name == LAST:
+        if _RTK.search(nodeid):
             return LAST
+        file = super()._split_scope(nodeid)
         return next((TOGETHER[part] for part in Path(file).parts if part in TOGETHER), file)
 
     def _assign_work_unit(self, node: WorkerController) -> None:
