@@ -37,7 +37,7 @@ From the zoo (benchmarks/zoo.py): two passes of ``fast``, ten of ``sart``.
 
 @dataclass(frozen=True)
 class Unexplained:
-    """What a volume leaves of the line integrals of rays through the grid, beyond their noise.
+    """Rest of the line integrals of rays through the grid that a volume leaves, beyond their noise.
 
     Attributes:
         share: root mean square of p - A x beyond the noise, relative to that of p.

@@ -22,9 +22,11 @@ from twinct.core.foreign_text import whole_number
 from twinct.geometry import VolumeGrid
 from twinct.recon.steps import Step
 from twinct.recon.volume import Volume
-from twinct.runs.model_doubts import OF_RAYS
 
 log = logging.getLogger(__name__)
+
+OF_RAYS = "unexplained", "warnings"
+"""Extras of a volume that say how well it fits its projections."""
 
 
 @dataclass

@@ -33,10 +33,6 @@ STILL_FALLS = 0.9
 """Ratio of the last two residuals below which further passes would lower it much."""
 
 
-OF_RAYS = "unexplained", "warnings"
-"""Extras of a volume that say how well it fits its projections."""
-
-
 def doubt_of_grid(
     A: Projector, integrals: NDArray[np.float32], pixels: NDArray[np.bool_] | None
 ) -> str | None:

@@ -33,7 +33,6 @@ from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, wi
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
-from twinct.runs.model_doubts import doubt_of_grid, judged_by_rays
 from twinct.runs.truth import held_bytes
 from twinct.scan import Scan
 from twinct.scenario import (
@@ -180,6 +179,8 @@ def _reconstruct(
         name = _stage(algorithm, geometry, which)
         course = _Course(done, residuals, watch, (algorithm.name, which))
         volume = _solved(algorithm, problem, section, course, saved, name, audience)
+    from twinct.runs.model_doubts import judged_by_rays  # only here: few modules at the start
+
     volume, doubt = judged_by_rays(
         _counted(volume, section, done), A, integrals, scan, pixels, residuals
     )
@@ -266,6 +267,8 @@ def _corrected(
     if section.around is not None:
         integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
     else:
+        from twinct.runs.model_doubts import doubt_of_grid  # only here, as in ``_reconstruct``
+
         _warn(audience, doubt_of_grid(A, integrals, pixels), warnings)
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
