@@ -26,7 +26,7 @@ from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, TUNING, Made
 from twinct.recon import cgls, fast, sart, without_surroundings
 from twinct.recon.denoise import lower_variation
 from twinct.recon.surroundings import signs_beyond
-from twinct.runs.volumes import MUCH_BESIDE, UNEQUAL
+from twinct.runs.model_doubts import MUCH_BESIDE, UNEQUAL
 
 PASSES, RELAXATIONS = 20, (0.1, 0.3, 1.0)
 DENOISED = (1, 2, 3, 4, 6, 8, 12, 16, 20)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 from zoo import without_rest
-from zoo_scans import HELD_OUT, MATERIALS, METALS, TUNING, Made, spectrum
+from zoo_scans import HELD_OUT, MATERIALS, TUNING, Made, spectrum
 
 from twinct.core.errors import InputError
 from twinct.recon import sart, without_metal
@@ -47,12 +47,8 @@ class Corrected:
             PhotonSpectrum(energies, weights / energies, absolute=False),
             PhotonResponse.integrating(),
         )
-        heaviest = max(made.mu_of.values())
-        metal = made.truth > 0.5 * heaviest
-        if not set(made.names) & set(METALS):
-            metal[:] = False
-        far = ndimage.distance_transform_edt(~metal) * made.grid.voxel[0]
-        self.at_metal = made.near & (far <= AT_METAL_MM) if metal.any() else None
+        far = ndimage.distance_transform_edt(~made.metal) * made.grid.voxel[0]
+        self.at_metal = made.near & (far <= AT_METAL_MM) if made.metal.any() else None
 
     def alone(self, p):
         """Line integrals of the grid."""

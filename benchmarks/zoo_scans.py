@@ -166,6 +166,7 @@ class Made:
         counts: photons of each pixel; None without noise.
         truth: attenuation, 1/mm.
         mu: attenuation of the densest material that is no metal.
+        metal: voxels that hold metal.
         near: voxels that are judged.
     """
 
@@ -190,13 +191,13 @@ class Made:
         shares = zoo_shapes.fractions(self.shapes, self.names, self.grid, fine)
         mus = np.array([self.mu_of[name] for name in self.names], np.float32)
         self.truth = np.tensordot(mus, shares, axes=1)
-        metal = np.zeros(self.grid.shape, bool)
+        self.metal = np.zeros(self.grid.shape, bool)
         for name, share in zip(self.names, shares, strict=True):
-            metal |= (share > 0) & (name in METALS)
+            self.metal |= (share > 0) & (name in METALS)
         self.mu = max(mu for name, mu in self.mu_of.items() if name not in METALS)
         far = ndimage.distance_transform_edt(self.truth < 0.1 * self.mu) * self.grid.voxel[0]
         seen = region_of_interest(self.geometry, self.grid)
-        self.near = (far <= NEAR_MM) & seen & ~metal
+        self.near = (far <= NEAR_MM) & seen & ~self.metal
 
     def _paths(self):
         """Yield each view's path lengths, (materials, rows * columns * samples^2)."""

@@ -151,12 +151,17 @@ def _page(topic: Topic) -> str:
 
 
 def _table(records: list[dict[str, str]]) -> list[str]:
-    """Return one table of records, and the commands that measure them, folded away."""
+    """Return one table of records, and the commands that measure them, folded away.
+
+    Where every record states its seeds, there is a column for them.
+    """
     commands = list(dict.fromkeys(record["command"] for record in records))
-    lines = ["| | measured quantity | asked for | measured | command |", "|---|---|---|---|---|"]
+    names = ["what", "asked", "measured"] + ["seeds"] * all("seeds" in record for record in records)
+    titles = {"what": "measured quantity", "asked": "asked for"}
+    head = ["", *(titles.get(name, name) for name in names), "command"]
+    lines = [f"| {' | '.join(head)} |".replace("|  |", "| |"), "|---" * len(head) + "|"]
     for record in records:
-        cells = [record["what"], record["asked"], record["measured"]]
-        shown = " | ".join(cell.replace("|", r"\|") for cell in cells)
+        shown = " | ".join(record.get(name, "").replace("|", r"\|") for name in names)
         number = commands.index(record["command"]) + 1
         lines.append(f"| {MARKS[record['met']]} | {shown} | {number} |")
     listed = [f"{number}. `{command}`" for number, command in enumerate(commands, 1)]

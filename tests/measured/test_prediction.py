@@ -16,8 +16,8 @@ from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.measured import prediction, reconstruct_measured
 from twinct.measured.prediction import predict
-from twinct.measured.residuals import residuals_of
 from twinct.observers import IterationDone, Observer
+from twinct.recon.residuals import residuals_of
 from twinct.runs.folder import Folder
 from twinct.scenario import load_scenario
 from twinct.specimen.materials import material

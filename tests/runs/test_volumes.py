@@ -10,9 +10,11 @@ from waiting import HANG_S
 
 from twinct.core import card
 from twinct.core.errors import InputError, MemoryShortageError
+from twinct.geometry import ScanGeometry
 from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
+from twinct.recon.unexplained import unexplained
 from twinct.runs import (
     line_integrals,
     reconstruct,
@@ -277,3 +279,44 @@ def test_an_object_beyond_the_grid_is_named_with_its_cure(scan, caplog):
     reconstruct(scan(**slab, surroundings={"margin_mm": 60, "voxel_mm": 10, "iterations": 1}))
     reconstruct(scan())
     assert "beyond the grid" not in caplog.text
+
+
+def moved(geometry, millimetres):
+    """The geometry with each view's panel off by some of these."""
+    off = np.random.default_rng(1).normal(0, millimetres, (len(geometry), 2))
+    panel = geometry.detector + off[:, :1] * geometry.u + off[:, 1:] * geometry.v
+    return ScanGeometry(geometry.source, panel, geometry.u, geometry.v, geometry.panel)
+
+
+def test_a_volume_that_does_not_explain_its_projections_is_named(scan, caplog):
+    """Right poses leave what edges of voxels leave; wrong ones are the first cause named."""
+    right = scan(iterations=8)
+    fitted = reconstruct(right)
+    assert fitted.extras["unexplained"]["share"] < 2 * fitted.extras["unexplained"]["edges"]
+    assert "warnings" not in fitted.extras and "explain" not in caplog.text
+    wrong = reconstruct(right, geometry=moved(views_of(right.scenario), 12.0))
+    assert wrong.extras["unexplained"]["share"] > 4 * fitted.extras["unexplained"]["share"]
+    (warning,) = wrong.extras["warnings"]
+    assert warning in caplog.text
+    causes = warning.partition("cures: ")[2].split("; ")
+    assert "twinct calibrate" in causes[0]
+    assert any("reconstruction.beam_hardening" in cause for cause in causes[1:])
+
+
+def test_noise_that_is_known_is_not_taken_for_a_wrong_model(scan):
+    clean = scan(iterations=8)
+    photons = 100.0
+    rng = np.random.default_rng(2)
+    noisy = np.maximum(rng.poisson(photons * clean.transmission), 0.5) / np.float32(photons)
+    one = replace(clean, transmission=noisy.astype(np.float32))
+    A, p = (
+        Projector(views_of(clean.scenario), clean.scenario.reconstruction.volume_grid),
+        -np.log(one.transmission),
+    )
+    volume = reconstruct(clean).array
+    rest = unexplained(A, p, volume, one.transmission, photons=np.full(12, photons))
+    blind = unexplained(A, p, volume, one.transmission, photons=np.full(12, np.inf))
+    assert blind.share > 2 * rest.share
+    assert rest.noise == pytest.approx(blind.share, rel=0.1)
+    full = np.ones(p.shape, np.float32)
+    assert unexplained(A, p + 1, volume, full) is None  # no air shows the noise

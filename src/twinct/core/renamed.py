@@ -28,6 +28,7 @@ RENAMED = {
     "twinct.files.below": "twinct.core.files.folder_paths",
     "twinct.gantry": "twinct.robots.gantry",
     "twinct.link.recording.definitions": "twinct.link.definitions",
+    "twinct.measured.residuals": "twinct.recon.residuals",
     "twinct.memory": "twinct.core.memory",
     "twinct.motion": "twinct.robots.motion",
     "twinct.motion.detour": "twinct.robots.motion.path_planner",

@@ -33,10 +33,10 @@ from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.measured.predicted_mesh import check_seen
 from twinct.measured.prediction_picture import show_prediction
-from twinct.measured.residuals import CAUSES, Residuals, residuals_of
 from twinct.measured.volume_folder import is_measured_scan, measured_volumes, write_page
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon import Projector
+from twinct.recon.residuals import CAUSES, Residuals, residuals_of
 from twinct.report import plain
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.log import logged_to

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.files.pictures import show
-from twinct.measured.residuals import CAUSES, Residuals
+from twinct.recon.residuals import CAUSES, Residuals
 
 _IMAGE_INCH = 2.0
 """Width of one image in the picture; the picture is as high as three of them need."""

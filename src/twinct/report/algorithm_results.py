@@ -14,6 +14,8 @@ ALGORITHM_RESULTS = (
     "prior",
     "denoising",
     "regularisation",
+    "unexplained",
+    "warnings",
 )
 """Extras of a volume that ``metrics.json`` and the report list."""
 
@@ -44,4 +46,5 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
         source = {"photons": "from the photons", "air": "from air in the projections"}
         why = source.get(strength["from"], "since the noise is unknown")
         words.append(f"regularisation {strength['strength']:.2g}, {why}")
+    words += [f"warning: {one}" for one in data.get("warnings", ())]
     return f"{in_words}: {', '.join(words)}" if words else in_words

@@ -208,13 +208,14 @@ def _setting(report: ReportData) -> dict[str, str]:
     scenario = report.scenario
     grid = scenario.reconstruction.volume_grid
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
+    apart = {**report.metrics, "warnings": ()}  # they stand above the figures
     return {
         "Specimen": ", ".join(f"{p.label} ({_made_of(p)})" for p in scenario.specimen.parts),
         **({"Motion": report.motion} if report.motion else {}),
         "Trajectory": f"{scenario.trajectory.kind}, {counted(report.metrics['views'], 'view')}",
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),
-        "Reconstruction": with_results(scenario.reconstruction.in_words, report.metrics),
+        "Reconstruction": with_results(scenario.reconstruction.in_words, apart),
         "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
     }
 

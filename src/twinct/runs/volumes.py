@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
 import math
-import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -18,12 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError
-from twinct.core.files.boundary import no_file
-from twinct.core.files.plain_json import json_of
-from twinct.core.files.writing import complete, storage_errors
-from twinct.core.foreign_text import whole_number
 from twinct.core.interruption import keeping
-from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.geometry import ScanGeometry
 from twinct.observers import Audience, IterationDone, Observers, audience_of
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.algorithms import algorithms
@@ -31,14 +25,9 @@ from twinct.recon.known_components import implant_bytes
 from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
 from twinct.recon.projector import Projector, check_grid
-from twinct.recon.steps import Step
-from twinct.recon.surroundings import (
-    check_margin,
-    signs_beyond,
-    surroundings_bytes,
-    without_surroundings,
-)
+from twinct.recon.surroundings import check_margin, surroundings_bytes, without_surroundings
 from twinct.recon.volume import Volume
+from twinct.runs.checkpoints import Checkpoints, Follower
 from twinct.runs.checks import check_engine
 from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, without_implants_of
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
@@ -58,12 +47,6 @@ from twinct.scenario import (
 
 log = logging.getLogger(__name__)
 
-
-MUCH_BESIDE = 0.2
-"""Share of the attenuation on rays beside the grid from which the user is warned."""
-
-UNEQUAL = 2.0
-"""Ratio of the views' mean attenuation in the grid from which the user is warned."""
 
 Function = Callable[[Projector, NDArray[np.float32]], ArrayLike]
 """``f(A, y)``: from the projector and line integrals to a volume (z, y, x), 1/mm."""
@@ -167,33 +150,21 @@ def _reconstruct(
         scan, poses, pixels = gated_scan(scan, poses, pixels, views)
     grid = section.volume_grid
     folder = checkpoints if algorithm.resumes else None
-    saved = _Checkpoints(folder, f"{which}-{_digest(scan, poses, pixels)[:16]}" if folder else "")
+    saved = Checkpoints(folder, f"{which}-{_digest(scan, poses, pixels)[:16]}" if folder else "")
     done, x0, residuals = saved.newest(grid)
     watch = watch or (lambda number, residual: None)
     for number, residual in enumerate(residuals, start=1):
         watch(number, residual)
     iterations: int = getattr(section, "iterations", 1)
-    finished = None
-    if x0 is not None and done >= iterations:
-        finished = _counted(Volume(x0, grid), section, done)
-        if section.metal is None:
-            return finished
+    finished = x0 if done >= iterations else None
+    if finished is not None and section.metal is None:
+        if (results := saved.results()) is not None:
+            return _counted(Volume(finished, grid, results), section, done)
     A = projector_of(scan, poses, grid)
-    integrals, metal = _corrected(scan, A, algorithm, pixels, audience)
-    if finished is not None and metal:
-        return metal.put_back(finished)
-    if done:
-        section = section.model_copy(update={"iterations": iterations - done})
-    updates, name = algorithm.updates(section, len(scan)), _stage(algorithm, geometry, which)
-
-    def on_iteration(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
-        watch(iteration, residual)
-        if audience.wants(IterationDone):
-            course = iteration, iterations, residual, Volume(volume.copy(), grid)
-            audience.tell(IterationDone(algorithm.name, which, *course))
-
-    stage = audience.stage(name, iterations * updates, done * updates)
-    with keeping(lambda: saved.in_words(iterations)), stage as tick:
+    integrals, metal, warnings = _corrected(scan, A, algorithm, pixels, audience)
+    if finished is not None:
+        volume = Volume(finished, grid)
+    else:
         problem = Problem(
             projector=A,
             line_integrals=integrals,
@@ -204,11 +175,68 @@ def _reconstruct(
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
-            callback=(follower := _Follower(tick, saved, on_iteration, done, residuals)),
         )
-        volume = _counted(algorithm.solve(problem, section), section, done)
-        follower.finish((iterations - done) * updates)
+        name = _stage(algorithm, geometry, which)
+        course = _Course(done, residuals, watch, (algorithm.name, which))
+        volume = _solved(algorithm, problem, section, course, saved, name, audience)
+    from twinct.runs.model_doubts import judged_by_rays  # only here: few modules at the start
+
+    volume, doubt = judged_by_rays(
+        _counted(volume, section, done), A, integrals, scan, pixels, residuals
+    )
+    _warn(audience, doubt, warnings)
+    if warnings:
+        volume = replace(volume, extras={**volume.extras, "warnings": warnings})
+    saved.keep_results(volume)
     return metal.put_back(volume) if metal else volume
+
+
+@dataclass(frozen=True)
+class _Course:
+    """Passes of a reconstruction: those already done, their residuals, and who hears of them."""
+
+    done: int
+    residuals: list[float]
+    watch: Callable[[int, float], None]
+    named: tuple[str, str]
+
+
+def _solved(
+    algorithm: Algorithm[Any],
+    problem: Problem,
+    section: Reconstruction,
+    course: _Course,
+    saved: Checkpoints,
+    name: str,
+    audience: Audience,
+) -> Volume:
+    """Return the volume of an algorithm, with progress, events and checkpoints."""
+    iterations: int = getattr(section, "iterations", 1)
+    done, grid = course.done, problem.projector.grid
+    if done:
+        section = section.model_copy(update={"iterations": iterations - done})
+    updates = algorithm.updates(section, len(problem.projector))
+
+    def on_iteration(iteration: int, residual: float, volume: NDArray[np.float32]) -> None:
+        course.watch(iteration, residual)
+        if audience.wants(IterationDone):
+            now = iteration, iterations, residual, Volume(volume.copy(), grid)
+            audience.tell(IterationDone(*course.named, *now))
+
+    stage = audience.stage(name, iterations * updates, done * updates)
+    with keeping(lambda: saved.in_words(iterations)), stage as tick:
+        follower = Follower(tick, saved, on_iteration, done, course.residuals)
+        volume = algorithm.solve(replace(problem, callback=follower), section)
+        follower.finish((iterations - done) * updates)
+    return volume
+
+
+def _warn(audience: Audience, warning: str | None, warnings: list[str]) -> None:
+    """Tell the user and the log a warning, if there is one, and add it to a list."""
+    if warning:
+        log.warning(warning)
+        audience.say(warning, warning=True)
+        warnings.append(warning)
 
 
 def _stage(algorithm: Algorithm[Any], geometry: str | ScanGeometry | None, which: str) -> str:
@@ -223,10 +251,10 @@ def _corrected(
     algorithm: Algorithm[Any],
     pixels: NDArray[np.bool_] | None,
     audience: Audience,
-) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None]:
-    """Return the line integrals as the scenario corrects them, and the metal that is put back."""
+) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None, list[str]]:
+    """Return the line integrals as the scenario corrects them, metal to put back, and warnings."""
     scenario, section = scan.scenario, scan.scenario.reconstruction
-    integrals = scan.line_integrals()
+    integrals, warnings = scan.line_integrals(), list[str]()
     metal: WithoutMetal | WithoutImplants | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
@@ -239,37 +267,16 @@ def _corrected(
     if section.around is not None:
         integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
     else:
-        _warn_beyond(A, integrals, pixels, audience)
+        from twinct.runs.model_doubts import doubt_of_grid  # only here, as in ``_reconstruct``
+
+        _warn(audience, doubt_of_grid(A, integrals, pixels), warnings)
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
             images = integrals, whole, A, pixels
             metal = metal_replaced(scan, section.metal, *images, lambda _: tick())
         integrals = metal.line_integrals
-        if doubt := doubts(metal):
-            log.warning(doubt)
-            audience.say(doubt, warning=True)
-    return integrals, metal
-
-
-def _warn_beyond(
-    A: Projector,
-    integrals: NDArray[np.float32],
-    pixels: NDArray[np.bool_] | None,
-    audience: Audience,
-) -> None:
-    """Warn if the projections show that the object reaches beyond the grid."""
-    beside, ratio = signs_beyond(A, integrals, pixels)
-    if beside <= MUCH_BESIDE and ratio <= UNEQUAL:
-        return
-    warning = (
-        f"the object reaches beyond the grid: {100 * beside:.0f} % of its attenuation is on rays "
-        f"that miss the grid, and the mean that a view shows in the grid varies by a factor of "
-        f"{ratio:.1f}; remove what lies around with "
-        "reconstruction.surroundings={margin_mm: ...}, a margin up to the object's end, or use a "
-        "larger reconstruction.grid"
-    )
-    log.warning(warning)
-    audience.say(warning, warning=True)
+        _warn(audience, doubts(metal), warnings)
+    return integrals, metal, warnings
 
 
 def _poses(scan: Scan, which: str) -> ScanGeometry:
@@ -416,85 +423,3 @@ def _digest(scan: Scan, poses: ScanGeometry, mask: NDArray[np.bool_] | None) -> 
         digest.update(repr((array.shape, array.dtype.str)).encode())
         digest.update(np.ascontiguousarray(array).data)
     return digest.hexdigest()
-
-
-@dataclass
-class _Follower:
-    """Callback of an algorithm: reports progress, sums up residuals, writes checkpoints."""
-
-    tick: Callable[[], None]
-    checkpoints: _Checkpoints
-    on_iteration: Callable[[int, float, NDArray[np.float32]], None]
-    done: int
-    residuals: list[float]
-    square: float = field(default=0.0, init=False)
-    rays: int = field(default=0, init=False)
-    ticks: int = field(default=0, init=False)
-
-    def finish(self, updates: int) -> None:
-        """End the progress: an algorithm may stop early, or need fewer levels than it may have."""
-        for _ in range(self.ticks, updates):
-            self.tick()
-
-    def __call__(self, step: Step) -> None:
-        self.tick()
-        self.ticks += 1
-        self.square += step.rays * step.residual**2
-        self.rays += step.rays
-        if step.update + 1 < step.updates:
-            return
-        number = self.done + step.iteration + 1
-        residual = math.sqrt(self.square / self.rays) if self.rays else 0.0
-        self.square, self.rays = 0.0, 0
-        log.info("iteration %d: residual %.5f", number, residual)
-        if math.isnan(residual):
-            return
-        self.residuals.append(residual)
-        self.checkpoints.keep(number, step.volume, self.residuals)
-        self.on_iteration(number, residual, step.volume)
-
-
-@dataclass(frozen=True)
-class _Checkpoints:
-    """Checkpoints of a reconstruction on disk; only the newest one is stored."""
-
-    folder: Path | None
-    name: str
-
-    def newest(self, grid: VolumeGrid) -> tuple[int, NDArray[np.float32] | None, list[float]]:
-        """Return the number of finished iterations, their volume and their residuals."""
-        for file in self._files():
-            if no_file(file):  # a pipe, perhaps, which would block
-                continue
-            try:
-                with np.load(file) as content:
-                    volume, residuals = content["volume"], json_of(str(content["residuals"]))
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-                log.warning("%s is not readable and is ignored", file)
-                continue
-            done = whole_number(file.stem.rpartition("-")[2])
-            if done is not None and volume.shape == grid.shape:
-                return done, volume, residuals
-        return 0, None, []
-
-    def keep(self, iterations: int, volume: NDArray[np.float32], residuals: list[float]) -> None:
-        """Write a checkpoint, then remove the older ones."""
-        if self.folder is None:
-            return
-        with storage_errors(self.folder):
-            self.folder.mkdir(parents=True, exist_ok=True)
-            older = self._files()
-            final = self.folder / f"{self.name}-{iterations:04d}.npz"
-            with complete(final) as draft:
-                np.savez(draft, volume=volume, residuals=json.dumps(residuals))
-            for file in older:
-                if file != final:
-                    file.unlink()
-
-    def in_words(self, iterations: int) -> str:
-        """Return the number of iterations on disk in words; empty if there is none."""
-        done = [file.stem.rpartition("-")[2] for file in self._files()[:1]]
-        return f"{self.folder} keeps {int(done[0])} of {iterations} iterations" if done else ""
-
-    def _files(self) -> list[Path]:
-        return sorted(self.folder.glob(f"{self.name}-*.npz"), reverse=True) if self.folder else []

@@ -87,7 +87,7 @@ def residuals_of(
     given = measured - predicted
     given[~counts] = 0
     moved = given.copy()
-    shifts = []
+    shifts: list[tuple[float, float]] = []
     for view, q in enumerate(predicted):
         shift, explained = _fitted(_motions(q), moved[view], counts[view])
         moved[view] -= explained

@@ -1,0 +1,109 @@
+"""Signs that the model of the rays does not fit the projections: warnings that name the cures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.recon.projector import Projector
+from twinct.recon.surroundings import signs_beyond
+from twinct.recon.unexplained import Unexplained, unexplained
+from twinct.recon.volume import Volume
+from twinct.scan import Scan
+
+MUCH_BESIDE = 0.2
+"""Share of the attenuation on rays beside the grid from which the user is warned."""
+
+UNEQUAL = 2.0
+"""Ratio of the views' mean attenuation in the grid from which the user is warned."""
+
+MUCH_UNEXPLAINED = 0.06
+"""Share of the line integrals left unexplained from which the user is warned, if noise is less."""
+
+MUCH_FOR_EDGES = 2.0
+"""Ratio of this share to what edges usually leave below which there is no warning."""
+
+EXPLAINED_BY_POSES = 0.75
+"""Ratio of what is left by moved shadows, and all, below which poses or motion are likely wrong."""
+
+STILL_FALLS = 0.9
+"""Ratio of the last two residuals below which further passes would lower it much."""
+
+
+def doubt_of_grid(
+    A: Projector, integrals: NDArray[np.float32], pixels: NDArray[np.bool_] | None
+) -> str | None:
+    """Return a warning if the projections show that the object reaches beyond the grid."""
+    beside, ratio = signs_beyond(A, integrals, pixels)
+    if beside <= MUCH_BESIDE and ratio <= UNEQUAL:
+        return None
+    return (
+        f"the object reaches beyond the grid: {100 * beside:.0f} % of its attenuation is on rays "
+        f"that miss the grid, and the mean that a view shows in the grid varies by a factor of "
+        f"{ratio:.1f}; remove what lies around with "
+        "reconstruction.surroundings={margin_mm: ...}, a margin up to the object's end, or use a "
+        "larger reconstruction.grid"
+    )
+
+
+def judged_by_rays(
+    volume: Volume,
+    A: Projector,
+    integrals: NDArray[np.float32],
+    scan: Scan,
+    pixels: NDArray[np.bool_] | None,
+    course: Sequence[float],
+) -> tuple[Volume, str | None]:
+    """Return a volume with ``unexplained`` in its extras, and a warning if it leaves much.
+
+    Args:
+        volume: the volume.
+        A: the projector.
+        integrals: line integrals that it was made from, (views, rows, columns).
+        scan: the images as measured, and the scenario.
+        pixels: True where a pixel counts.
+        course: residual of each pass; without any, the volume was not fitted to the line
+            integrals, and there is no warning.
+    """
+    rest = unexplained(A, integrals, volume.array, scan.transmission, pixels, _photons(scan))
+    if rest is None:
+        return volume, None
+    volume = replace(volume, extras={**volume.extras, "unexplained": asdict(rest)})
+    usual = max(MUCH_UNEXPLAINED, rest.noise, MUCH_FOR_EDGES * rest.edges)
+    if not course or rest.share <= usual:
+        return volume, None
+    causes = "; ".join(_causes(scan, rest, course))
+    return volume, (
+        f"the volume does not explain the projections: it leaves {100 * rest.share:.0f} % of the "
+        f"line integrals, beyond noise of {100 * rest.noise:.1f} % and {100 * rest.edges:.1f} % "
+        f"that edges in such voxels usually leave. Likely causes, with cures: {causes}"
+    )
+
+
+def _photons(scan: Scan) -> NDArray[np.float64] | None:
+    """Return the photons of a pixel; infinitely many if the images are simulated without noise."""
+    ideal = scan.scenario.detector.noise is None and not scan.scenario.specimen.unknown
+    return np.full(len(scan), np.inf) if ideal else scan.photons
+
+
+def _causes(scan: Scan, rest: Unexplained, course: Sequence[float]) -> list[str]:
+    """Return what may be wrong with the model of the rays, the likeliest first."""
+    scenario = scan.scenario
+    section = scenario.reconstruction
+    hardens = scenario.source.spectrum is not None or scenario.specimen.unknown
+    causes = {
+        "wrong poses or a motion, since moved shadows explain much of it (twinct calibrate, "
+        "reconstruction.motion)": rest.still < EXPLAINED_BY_POSES * rest.share,
+        "too few passes, since the residual still falls (reconstruction.iterations)": len(course)
+        > 1
+        and course[-1] < STILL_FALLS * course[-2],
+        "beam hardening (reconstruction.beam_hardening)": hardens
+        and section.beam_hardening is None,
+        "metal (reconstruction.metal)": section.metal is None,
+        "something around the grid (reconstruction.surroundings)": section.around is None,
+        "too large voxels (reconstruction.grid)": True,
+    }
+    return [cause for cause, likely in causes.items() if likely]
