@@ -13,7 +13,7 @@ from PIL import Image
 
 import twinct.report.page
 from twinct.geometry import Panel
-from twinct.report import figures, render_report, write_report
+from twinct.report import figures, render_report, with_results, write_report
 from twinct.report.page import PAPER_TABLE_1
 
 DOT = figures.Picture(b"a dot", "image/png")
@@ -307,3 +307,12 @@ def test_a_path_of_few_views_stays_on_its_sphere() -> None:
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
     assert steps.max() < 300 * 0.03
     assert steps.sum() == pytest.approx(300 * np.pi, rel=1e-3)
+
+
+def test_warnings_of_a_volume_stand_above_the_figures(report, undrawn):
+    metrics = dict(report.metrics) | {"warnings": ["the volume does not explain the projections"]}
+    words = Page(render_report(replace(report, metrics=metrics))).words
+    warning = "Warning: the volume does not explain the projections."
+    assert words.count(warning) == 1
+    assert words.index(warning) < words.index("views reached")
+    assert "warning: the rest" in with_results("SART", {"warnings": ["the rest"]})
