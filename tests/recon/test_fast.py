@@ -16,6 +16,9 @@ from twinct.recon.fast import Fast
 from twinct.recon.levels import QUIET_SHARE
 from twinct.report import with_results
 
+AROUND_LEFT = 0.1
+"""Share of the line integrals that volume and margin leave."""
+
 
 @pytest.fixture
 def bodies(circle, ellipsoid_integrals):
@@ -252,3 +255,15 @@ def test_nothing_is_denoised_where_the_noise_is_unknown(plates, caplog):
     assert "not denoised" in caplog.text
     np.testing.assert_array_equal(volume, fast(A, p, mask=pixels, denoising=0))
     assert "not denoised, since the noise is unknown" in with_results("fast", volume.extras)
+
+
+def test_predictions_hold_what_lies_around_the_grid(bodies):
+    A, p, _ = bodies
+    views = [0, 20, 40]
+    volume = fast(A, p, denoising=0, predicted_views=views)
+    predicted, alone = volume.extras["predicted"], A[views](volume.array)
+    rest, without = (
+        np.linalg.norm(p[views] - q) / np.linalg.norm(p[views]) for q in (predicted, alone)
+    )
+    assert rest < AROUND_LEFT < 5 * AROUND_LEFT < without
+    assert "predicted" not in fast(A, p, denoising=0).extras

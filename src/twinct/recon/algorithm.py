@@ -6,7 +6,7 @@ the entry points of the group ``twinct.algorithms``.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from inspect import signature
 from typing import Any, Generic, TypeVar
@@ -46,6 +46,8 @@ class Problem:
         exposures: mAs of each view, (views,), in one unit for all; None: equal exposures.
         photons: photons of a pixel in the free beam, by view, (views,); None: unknown.
         alone: the line integrals are those of the grid, without its surroundings.
+        predicted_views: views whose line integrals an algorithm that removes the surroundings
+            itself adds to the volume's extras, as ``predicted``, (views, rows, columns).
     """
 
     projector: Projector
@@ -58,6 +60,7 @@ class Problem:
     exposures: NDArray[np.float64] | None = None
     photons: NDArray[np.float64] | None = None
     alone: bool = False
+    predicted_views: Sequence[int] = ()
 
     @property
     def counts(self) -> NDArray[np.float32]:

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -150,6 +151,7 @@ def fast(
     mask: ArrayLike | None = None,
     photons: ArrayLike | None = None,
     stop: StopName | None = None,
+    predicted_views: Sequence[int] = (),
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals, mostly in larger voxels and pixels.
@@ -176,6 +178,7 @@ def fast(
         stop: ``auto``: end with the last pass at full resolution that improves the volume; see
             ``BestPass``. The relaxation falls over the usual number of passes, and stays in any
             further one.
+        predicted_views: numbers of views to predict.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
             stops.
 
@@ -183,7 +186,8 @@ def fast(
         The volume. Its extras hold, with ``stop``, the number of ``passes`` at full resolution;
         without a given strength, ``denoising``: its ``strength`` in a pass with a relaxation of 1,
         in the unit of ``denoising``, and ``from``, the source of the noise: ``photons``, ``air``,
-        ``volume`` or None.
+        ``volume`` or None; with ``predicted_views``, ``predicted``: their line integrals through
+        the volume and what lies around it, (len(predicted_views), rows, columns).
 
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
@@ -205,8 +209,12 @@ def fast(
     first = min(passes, _usual_passes(A)) if stop else passes
     steps = _Steps(passes, first, coarse_passes, levels, relaxation, margin, floor)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
-    x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
+    level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
     extras: dict[str, Any] = best.extras
+    if len(predicted_views) and whole:
+        extras = extras | {"predicted": level.line_integrals(x, predicted_views)}
+    x = level.whole(x) if whole else interpolated(level.whole(x), level.A.grid, A.grid)
+    del level
     if not whole:
         return Volume(x, A.grid, extras)
     voxel = float(A.grid.voxel.mean())
@@ -317,8 +325,8 @@ def _from_coarse_to_fine(
     steps: _Steps,
     best: BestPass,
     callback: Callback | None = None,
-) -> tuple[Singles, bool]:
-    """Return the volume, and False if the callback stopped it."""
+) -> tuple[Level, Singles, bool]:
+    """Return the last level, its volume without the rest, and False if the callback stopped it."""
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
     done, before = 0, None
@@ -337,12 +345,13 @@ def _from_coarse_to_fine(
             if best.watches and ended and best.is_over(work.array):
                 break
             if listener(0, done, square, rays, work):
-                return interpolated(level.whole(work.array), level.A.grid, A.grid), False
+                return level, work.array, False
             done += 1
+        if factor == 1:
+            return level, work.array, True
         before = level, level.whole(work.array)
         del level, work  # frees the card
-    assert before is not None  # there is a level
-    return before[1], True
+    raise AssertionError("the last factor is 1")
 
 
 def _lowered(A: Projector, work: WorkingVolume, strength: float, floor: float) -> WorkingVolume:

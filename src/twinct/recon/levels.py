@@ -8,6 +8,7 @@ what has less than ``QUIET_SHARE`` of the object's density, keep the coarser res
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,6 +136,14 @@ class Level:
         if self.rest is not None:
             self.rest.add_to(x, self.A.grid)
         return x
+
+    def line_integrals(self, x: Singles, views: Sequence[int]) -> Singles:
+        """Return the line integrals of views through the level's volume and the rest."""
+        images = self.A.within(EVERYWHERE)[list(views)](x)
+        for image, view in zip(images, views, strict=True):
+            if self.rest is not None and (outside := self.rest.at(view, image.shape)) is not None:
+                image += outside
+        return images
 
     def update(
         self, work: WorkingVolume, view: int, relaxation: float, floor: float, wanted: bool

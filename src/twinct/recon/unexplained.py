@@ -31,7 +31,7 @@ MOST_VIEWS = 16
 PER_VOXEL = 0.28
 """Share that edges leave, times the number of voxels on a path.
 
-From the zoo (benchmarks/zoo.py): two passes of ``fast``, ten of ``sart``.
+From one foam of the zoo (benchmarks/zoo.py), with two passes of ``fast`` and ten of ``sart``.
 """
 
 
@@ -52,6 +52,11 @@ class Unexplained:
     still: float
 
 
+def compared_views(views: int) -> range:
+    """Return the numbers of up to 16 views, spread over a scan."""
+    return range(0, views, -(-views // MOST_VIEWS))
+
+
 def unexplained(
     A: Projector,
     line_integrals: NDArray[np.float32],
@@ -59,8 +64,9 @@ def unexplained(
     transmission: NDArray[np.float32],
     mask: Mask | None = None,
     photons: NDArray[np.float64] | None = None,
+    predicted: Singles | None = None,
 ) -> Unexplained | None:
-    """Return what a volume leaves unexplained in up to 16 views; None if the noise is unknown.
+    """Return what a volume leaves unexplained in ``compared_views``; None if the noise is unknown.
 
     Args:
         A: the projector.
@@ -70,17 +76,20 @@ def unexplained(
             left, whatever was done to the line integrals.
         mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
         photons: photons of a pixel in the free beam, (views,); without them, air shows the noise.
+        predicted: line integrals of these views through the volume and what lies around it, (views,
+            rows, columns); by default through the volume alone.
     """
     seen = noise_in_air(line_integrals, mask, photons)
     if seen is None:
         return None
-    views = np.arange(0, len(A), -(-len(A) // MOST_VIEWS))
-    part = A[[int(view) for view in views]]
+    views = np.array(compared_views(len(A)))
+    part = A[list(compared_views(len(A)))]
     measured = np.stack([masked_image(line_integrals, int(view), mask) for view in views])
     counts = counting_rays(part, mask if mask is None or mask.ndim == 2 else mask[views])[0]
     if not measured[counts].any():
         return None
-    rest = residuals_of(views, measured, part(volume), counts)
+    predicted = part(volume) if predicted is None else predicted
+    rest = residuals_of(views, measured, predicted, counts)
     variance = signal = 0.0
     for view, image, there in zip(views, measured, counts, strict=True):
         passed = np.clip(transmission[view][there], math.exp(-DARKEST), 1, dtype=np.float64)

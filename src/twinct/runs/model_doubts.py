@@ -59,6 +59,8 @@ def judged_by_rays(
 ) -> tuple[Volume, str | None]:
     """Return a volume with ``unexplained`` in its extras, and a warning if it leaves much.
 
+    The extra ``predicted`` (see ``Problem.predicted_views``) is taken out.
+
     Args:
         volume: the volume.
         A: the projector.
@@ -68,10 +70,15 @@ def judged_by_rays(
         course: residual of each pass; without any, the volume was not fitted to the line
             integrals, and there is no warning.
     """
-    rest = unexplained(A, integrals, volume.array, scan.transmission, pixels, _photons(scan))
+    extras = dict(volume.extras)
+    predicted = extras.pop("predicted", None)
+    seen = scan.transmission, pixels, _photons(scan)
+    rest = unexplained(A, integrals, volume.array, *seen, predicted)
+    if rest is not None:
+        extras["unexplained"] = asdict(rest)
+    volume = replace(volume, extras=extras)
     if rest is None:
         return volume, None
-    volume = replace(volume, extras={**volume.extras, "unexplained": asdict(rest)})
     usual = max(MUCH_UNEXPLAINED, rest.noise, MUCH_FOR_EDGES * rest.edges)
     if not course or rest.share <= usual:
         return volume, None

@@ -160,6 +160,10 @@ def _reconstruct(
     if finished is not None and section.metal is None:
         if (results := saved.results()) is not None:
             return _counted(Volume(finished, grid, results), section, done)
+    # Only here: few modules at the start.
+    from twinct.recon.unexplained import compared_views
+    from twinct.runs.model_doubts import judged_by_rays
+
     A = projector_of(scan, poses, grid)
     integrals, metal, warnings = _corrected(scan, A, algorithm, pixels, audience)
     if finished is not None:
@@ -172,6 +176,7 @@ def _reconstruct(
             exposures=scan.exposures_rel,
             photons=scan.photons,
             alone=section.around is not None,
+            predicted_views=compared_views(len(A)),
             mask=pixels,
             x0=x0,
             rng=view_rng(scenario.seed, "order of views", 0),
@@ -179,8 +184,6 @@ def _reconstruct(
         name = _stage(algorithm, geometry, which)
         course = _Course(done, residuals, watch, (algorithm.name, which))
         volume = _solved(algorithm, problem, section, course, saved, name, audience)
-    from twinct.runs.model_doubts import judged_by_rays  # only here: few modules at the start
-
     volume, doubt = judged_by_rays(
         _counted(volume, section, done), A, integrals, scan, pixels, residuals
     )
