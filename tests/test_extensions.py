@@ -219,11 +219,11 @@ def test_an_objective_that_does_not_fit_the_task_is_left_out(
 
 
 @pytest.mark.parametrize(
-    ("module", "page"), [("tails", "figures"), ("ring", "specimen"), ("sag", "uncertainty")]
+    ("module", "page"), [("tails", "own_figure"), ("ring", "own_part"), ("sag", "own_error")]
 )
 def test_the_page_shows_the_code_that_is_tested(module: str, page: str) -> None:
     code = (HERE / "extension" / "twinct_tiny" / f"{module}.py").read_text(encoding="utf-8")
-    page = (HERE.parent / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    page = (HERE.parent / "docs" / "howto" / f"{page}.md").read_text(encoding="utf-8")
     assert code.partition("\n\n")[2] in page
     assert len(code.splitlines()) <= 45
 

@@ -115,10 +115,10 @@ or `evaluation`, or the value of `--to`. The other kinds:
 
 - [an algorithm](howto/own_algorithm.md#choose-it-by-name-in-a-scenario): settings, a function, an
   `Algorithm`
-- [an objective of a plan](planning.md#add-an-objective): keys, a measure, an `Objective`
-- [a kind of figures](figures.md#add-a-figure): settings, a formula, a `FigureKind`
-- [an X-ray engine](engines.md#another-x-ray-engine): a class, an `EngineChoice`
-- [an export format](exchange.md#add-a-format): a function, a script, a `Format`
+- [an objective of a plan](howto/own_objective.md): keys, a measure, an `Objective`
+- [a kind of figures](howto/own_figure.md): settings, a formula, a `FigureKind`
+- [an X-ray engine](howto/own_engine.md): a class, an `EngineChoice`
+- [an export format](howto/own_format.md): a function, a script, a `Format`
 
 Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is built
 from them. A key `path`, `file` or `plan` is an input file, in any section: its path is made
