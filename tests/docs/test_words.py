@@ -149,7 +149,7 @@ CLAIMS = [
     ),
     ("physics.md", "`detector.scatter`: off by default", _key("detector.scatter"), None),
     ("engines.md", "`gvxr`, the default", _key("xray.engine"), "gvxr"),
-    ("ros.md", "`motion.scheme: planned`, the default", _key("motion.scheme"), "planned"),
+    ("ros_driving.md", "`motion.scheme: planned`, the default", _key("motion.scheme"), "planned"),
 ]
 
 
