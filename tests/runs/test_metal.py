@@ -64,8 +64,9 @@ def test_without_metal_no_bit_changes(scan):
     listens = Observer(heard.append, lossless=True)
     found = reconstruct(scan(metal_mm=0, metal=NMAR), observers=[listens])
     assert np.array_equal(found.array, reconstruct(scan(metal_mm=0)).array)
-    assert found.extras == {"metal_voxels": 0}
+    assert found.extras["metal_voxels"] == 0
     (told,) = (one.text for one in heard if isinstance(one, Said))
+    assert found.extras["warnings"] == [told]
     assert "reconstruction.metal: no metal was found" in told and "threshold_per_mm" in told
 
 

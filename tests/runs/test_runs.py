@@ -23,6 +23,7 @@ from twinct.runs import (
     truth_of,
     volumes,
 )
+from twinct.runs.checkpoints import Checkpoints
 from twinct.runs.integrals import hardening_corrected
 from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import Scenario, load_scenario, parse_scenario
@@ -143,7 +144,7 @@ def test_a_scan_is_a_function_of_scenario_and_seed(scenario: Scenario, scan: Sca
 
 def test_reconstruction_goes_on_from_its_checkpoint(scan: Scan, tmp_path, monkeypatch) -> None:
     whole = reconstruct(scan)
-    kept = volumes._Checkpoints.keep
+    kept = Checkpoints.keep
 
     def killed(self, iterations, volume, residuals) -> None:
         kept(self, iterations, volume, residuals)
@@ -151,7 +152,7 @@ def test_reconstruction_goes_on_from_its_checkpoint(scan: Scan, tmp_path, monkey
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(volumes._Checkpoints, "keep", killed)
+        patch.setattr(Checkpoints, "keep", killed)
         with pytest.raises(KeyboardInterrupt):
             reconstruct(scan, checkpoints=tmp_path)
     assert [p.name.rpartition("-")[2] for p in tmp_path.iterdir()] == ["0002.npz"]

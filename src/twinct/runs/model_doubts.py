@@ -107,6 +107,7 @@ def _causes(scan: Scan, rest: Unexplained, course: Sequence[float]) -> list[str]
         "too few passes, since the residual still falls (reconstruction.iterations)": len(course)
         > 1
         and course[-1] < STILL_FALLS * course[-2],
+        "a single pass (reconstruction.iterations)": getattr(section, "iterations", 2) == 1,
         "beam hardening (reconstruction.beam_hardening)": hardens
         and section.beam_hardening is None,
         "metal (reconstruction.metal)": section.metal is None,
