@@ -1,11 +1,13 @@
-"""A worker of the tests that crashes fails its test, and all other tests still run."""
+"""Tests are shared out by scope; a worker that crashes fails its test, and all others still run."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from scopes import LAST, scope_of
 from waiting import HANG_S
 
 SUPPORT = Path(__file__).parent / "support"
@@ -52,3 +54,25 @@ def test_a_crash_costs_one_test(tmp_path):
     assert "Fatal Python error: Aborted" in result.stdout
     assert "in test_crash" in result.stdout
     assert f"crashed while running 'test_{FILES // 2}.py::test_crash'" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("test", "scope"),
+    [
+        ("tests/exchange/test_rtk.py::test_it", LAST),
+        ("tests/recon/test_shifted_panel.py::test_rtk_with_its_filter_agrees", LAST),
+        ("tests/xray/test_grey_caster.py::test_caster_agrees_with_rtk", LAST),
+        ("tests/cli/test_export.py::test_it[rtk]", "tests/cli/test_export.py"),
+        ("tests/study/test_deaths.py::test_it", "pools"),
+    ],
+)
+def test_tests_that_load_rtk_share_a_worker(test, scope):
+    assert scope_of(test) == scope
+
+
+def test_no_other_test_loads_rtk():
+    """Each test file that imports ITK has tests that the scope knows."""
+    for file in SUPPORT.parent.rglob("test_*.py"):
+        text = file.read_text(encoding="utf-8")
+        if 'importorskip("itk"' in text and file.name != "test_rtk.py" and file != Path(__file__):
+            assert re.search(r"def test_(\w+_)?rtk(_\w+)?\(", text), file

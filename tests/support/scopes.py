@@ -32,6 +32,14 @@ gVXR aborted once after it."""
 _RTK = re.compile(r"/test_rtk\.py::|::test_(\w+_)?rtk(_\w+)?$")
 
 
+def scope_of(nodeid: str) -> str:
+    """Return the scope of a test: those of one scope run in one worker."""
+    if _RTK.search(nodeid):
+        return LAST
+    file = nodeid.partition("::")[0]
+    return next((TOGETHER[part] for part in Path(file).parts if part in TOGETHER), file)
+
+
 class Scopes(LoadFileScheduling):
     """Give each file to one worker, and all files that start pools, or Ray, to one of them.
 
@@ -40,10 +48,7 @@ class Scopes(LoadFileScheduling):
     """
 
     def _split_scope(self, nodeid: str) -> str:
-        if _RTK.search(nodeid):
-            return LAST
-        file = super()._split_scope(nodeid)
-        return next((TOGETHER[part] for part in Path(file).parts if part in TOGETHER), file)
+        return scope_of(nodeid)
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         waiting = {Path(scope).name: scope for scope in self.workqueue}
