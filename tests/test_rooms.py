@@ -70,7 +70,7 @@ class Walk:
 
 
 POSE = Walk(
-    "The walk of a pose",
+    "Types of a pose on its way",
     8,
     (
         ("trajectory/families.py", "commanded_views"),
@@ -93,7 +93,7 @@ POSE = Walk(
     },
 )
 STUDY_VALUE = Walk(
-    "The walk of a study's value",
+    "Types of a study's value on its way",
     6,
     (
         ("study/design.py", "_choices"),
