@@ -126,14 +126,14 @@ def succeeds(process: subprocess.Popen[str]) -> None:
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twelve trials of two scans; beside it the algorithm, as an installer leaves it."""
+    """Eight trials of two scans; beside it the algorithm, as an installer leaves it."""
     folder = tmp_path_factory.mktemp("study")
     (folder / "patient.py").write_text(PATIENT)
     info = folder / "patient-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: patient\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[twinct.algorithms]\npatient = patient:PATIENT\n")
-    reconstruct = {"key": "reconstruction.relaxation", "label": "r", "values": [0.2, 0.4, 0.6]}
+    reconstruct = {"key": "reconstruction.relaxation", "label": "r", "values": [0.2, 0.6]}
     shared = {"key": "source.current_ma", "label": "current", "values": [10, 20]}
     again = {"number": 2, "key": "uncertainty.seed"}
     told = {"scenario": SCENARIO, "axes": [reconstruct, shared], "repetitions": again}
@@ -146,7 +146,7 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def undisturbed(study: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
     command = Command(study, tmp_path_factory.mktemp("base"))
     try:
-        command.let(12)
+        command.let(8)
         succeeds(command.start())
         return rows(command.out)
     finally:
@@ -174,7 +174,7 @@ def test_a_worker_that_is_killed_is_replaced(command, undisturbed) -> None:
     assert command.at_work(7, rows=5) == second
     os.kill(second, signal.SIGKILL)  # in the middle
     assert command.at_work(8, rows=5) not in (first, second)
-    command.let(7)
+    command.let(3)
     succeeds(process)
     pd.testing.assert_frame_equal(rows(command.out), undisturbed)
     assert not alive(command.mark) and not (command.out / "work").exists()
@@ -192,10 +192,10 @@ def test_drivers_that_end_leave_no_process_and_their_study_goes_on(command, undi
         said = process.communicate(timeout=HANG_S)[1]
         assert process.returncode == code
         assert "Traceback" not in said
-        assert code < 0 or f"{command.out} keeps {ended} of 12 trials; --resume continues" in said
+        assert code < 0 or f"{command.out} keeps {ended} of 8 trials; --resume continues" in said
         until(lambda: not alive(command.mark))
         assert command.ended == ended
     command.let(12)  # more than are needed: it takes none twice
     succeeds(command.start("--resume"))
     pd.testing.assert_frame_equal(rows(command.out), undisturbed)
-    assert command.ended == 12 and not alive(command.mark)  # no trial twice
+    assert command.ended == 8 and not alive(command.mark)  # no trial twice
