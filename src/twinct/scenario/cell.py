@@ -129,7 +129,7 @@ class Arm(Section):
     )
     file: Annotated[Path | None, ReadBy("plan")] = Field(
         default=None,
-        description="Instead of model: MJCF or URDF file of your own arm, see docs/arms.md. Its "
+        description="Instead of model: MJCF or URDF file of your own arm, see docs/arm_files.md. Its "
         "includes and meshes lie in its folder or below, those of a URDF also in ROS packages.",
     )
     base: Annotated[str | None, ReadBy("plan")] = Field(
