@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, TUNING, Made
 
+from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import cgls, fast, sart, without_surroundings
 from twinct.recon.denoise import lower_variation
 from twinct.recon.surroundings import signs_beyond
@@ -220,6 +221,7 @@ def main():
     parser.add_argument("--again", nargs="+", choices=tuple(WAYS), default=[])
     parser.add_argument("--quiet", action="store_true", help="no table")
     options = parser.parse_args()
+    let_idle_threads_sleep()  # they would count as processor time
     options.out.mkdir(parents=True, exist_ok=True)
     lines = Lines(options.out / "zoo.jsonl", options.again)
     cases = HELD_OUT if options.held_out else TUNING

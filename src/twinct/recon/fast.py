@@ -56,9 +56,9 @@ from twinct.recon.working import WorkingVolume
 
 log = logging.getLogger(__name__)
 
-MANY_VIEWS = 2.0
+MANY_VIEWS = 3.0
 """Views per voxel along an axis from which one pass makes the details. Each view counts as often as
-there are pixels in a voxel's shadow."""
+there are pixels in a voxel's shadow. Thin parts in air need the second pass longest."""
 
 QUIET = 0.003
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
@@ -94,8 +94,8 @@ class Fast(AlgorithmSettings):
         ge=1,
         le=1000,
         description="Passes over all views at full resolution. By default 2, or 1 if there are "
-        "twice as many views as voxels along an axis, each view counted as often as there are "
-        "pixels in a voxel's shadow.",
+        "three times as many views as voxels along an axis, each view counted as often as there "
+        "are pixels in a voxel's shadow.",
     )
     coarse_passes: int = Field(
         default=2,

@@ -129,8 +129,8 @@ class Arm(Section):
     )
     file: Annotated[Path | None, ReadBy("plan")] = Field(
         default=None,
-        description="Instead of model: MJCF or URDF file of your own arm, see docs/arm_files.md. Its "
-        "includes and meshes lie in its folder or below, those of a URDF also in ROS packages.",
+        description="Instead of model: MJCF or URDF file of your own arm, see docs/arm_files.md. "
+        "Its includes and meshes lie in its folder or below, those of a URDF also in ROS packages.",
     )
     base: Annotated[str | None, ReadBy("plan")] = Field(
         default=None,
