@@ -15,6 +15,7 @@ from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
 from twinct.recon.unexplained import unexplained
+from twinct.recon.volume import Volume
 from twinct.runs import (
     line_integrals,
     reconstruct,
@@ -23,6 +24,7 @@ from twinct.runs import (
     volumes,
 )
 from twinct.runs.integrals import hardening_corrected
+from twinct.runs.model_doubts import judged_by_rays
 from twinct.runs.volumes import memory_needed
 from twinct.scenario import load_scenario, parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
@@ -301,6 +303,19 @@ def test_a_volume_that_does_not_explain_its_projections_is_named(scan, caplog):
     causes = warning.partition("cures: ")[2].split("; ")
     assert "twinct calibrate" in causes[0]
     assert any("reconstruction.beam_hardening" in cause for cause in causes[1:])
+    assert not any("reconstruction.metal" in cause for cause in causes)
+    assert not any("reconstruction.surroundings" in cause for cause in causes)
+
+
+def test_metal_is_a_cause_where_voxels_are_far_denser_than_the_rest(scan):
+    right = scan(iterations=8)
+    A = Projector(views_of(right.scenario), right.scenario.reconstruction.volume_grid)
+    dense = reconstruct(right).array.copy()
+    dense[10:13, 10:13, 10:13] = 10 * dense.max()
+    for array, is_named in ((dense, True), (np.where(dense < dense.max(), dense, 0), False)):
+        _, doubt = judged_by_rays(Volume(array, A.grid), A, 2 * A(array), right, None, [1.0])
+        assert doubt and "thin as a voxel" in doubt
+        assert ("reconstruction.metal" in doubt) == is_named
 
 
 def test_noise_that_is_known_is_not_taken_for_a_wrong_model(scan):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twinct.recon.projector import Projector
 from twinct.recon.surroundings import signs_beyond
-from twinct.recon.unexplained import Unexplained, unexplained
+from twinct.recon.unexplained import Unexplained, typical_attenuation, unexplained
 from twinct.recon.volume import Volume
 from twinct.scan import Scan
 
@@ -23,6 +23,9 @@ UNEQUAL = 2.0
 MUCH_UNEXPLAINED = 0.06
 """Share of the line integrals left unexplained from which the user is warned, if noise is less."""
 
+PART_OF_NOISE = 0.5
+"""Share relative to the noise below which there is no warning: the noise is not known better."""
+
 MUCH_FOR_EDGES = 2.0
 """Ratio of this share to what edges usually leave below which there is no warning."""
 
@@ -31,6 +34,12 @@ EXPLAINED_BY_POSES = 0.75
 
 STILL_FALLS = 0.9
 """Ratio of the last two residuals below which further passes would lower it much."""
+
+DENSER, FEWEST_VOXELS = 3.0, 27
+"""Ratio to the object's typical attenuation from which so many voxels may be metal."""
+
+SOME_BESIDE = 0.01
+"""Share of the attenuation on rays beside the grid from which something may lie around it."""
 
 
 def doubt_of_grid(
@@ -79,10 +88,11 @@ def judged_by_rays(
     volume = replace(volume, extras=extras)
     if rest is None:
         return volume, None
-    usual = max(MUCH_UNEXPLAINED, rest.noise, MUCH_FOR_EDGES * rest.edges)
+    usual = max(MUCH_UNEXPLAINED, PART_OF_NOISE * rest.noise, MUCH_FOR_EDGES * rest.edges)
     if not course or rest.share <= usual:
         return volume, None
-    causes = "; ".join(_causes(scan, rest, course))
+    beside, _ = signs_beyond(A, integrals, pixels)
+    causes = "; ".join(_causes(scan, rest, course, _has_metal(volume.array), beside > SOME_BESIDE))
     return volume, (
         f"the volume does not explain the projections: it leaves {100 * rest.share:.0f} % of the "
         f"line integrals, beyond noise of {100 * rest.noise:.1f} % and {100 * rest.edges:.1f} % "
@@ -96,8 +106,16 @@ def _photons(scan: Scan) -> NDArray[np.float64] | None:
     return np.full(len(scan), np.inf) if ideal else scan.photons
 
 
-def _causes(scan: Scan, rest: Unexplained, course: Sequence[float]) -> list[str]:
-    """Return what may be wrong with the model of the rays, the likeliest first."""
+def _has_metal(x: NDArray[np.float32]) -> bool:
+    """Return whether parts of a volume are far denser than the material it mostly consists of."""
+    threshold = DENSER * typical_attenuation(x)
+    return sum(int(np.count_nonzero(plane > threshold)) for plane in x) >= FEWEST_VOXELS
+
+
+def _causes(
+    scan: Scan, rest: Unexplained, course: Sequence[float], metal: bool, around: bool
+) -> list[str]:
+    """Return likely causes of a wrong model of the rays, the likeliest first."""
     scenario = scan.scenario
     section = scenario.reconstruction
     hardens = scenario.source.spectrum is not None or scenario.specimen.unknown
@@ -110,8 +128,9 @@ def _causes(scan: Scan, rest: Unexplained, course: Sequence[float]) -> list[str]
         "a single pass (reconstruction.iterations)": getattr(section, "iterations", 2) == 1,
         "beam hardening (reconstruction.beam_hardening)": hardens
         and section.beam_hardening is None,
-        "metal (reconstruction.metal)": section.metal is None,
-        "something around the grid (reconstruction.surroundings)": section.around is None,
-        "too large voxels (reconstruction.grid)": True,
+        "metal (reconstruction.metal)": metal and section.metal is None,
+        "something around the grid (reconstruction.surroundings)": around
+        and section.around is None,
+        "parts about as thin as a voxel, or thinner (smaller voxels in reconstruction.grid)": True,
     }
     return [cause for cause, likely in causes.items() if likely]
