@@ -9,7 +9,7 @@ object reaches beyond the grid. "Near" is within 3 mm of the object, without met
 those of its voxels within 8 mm of metal. "None": line integrals as they are measured. "One":
 linearised for the main material. "Two": also for bone, which a first volume shows. "NMAR": these
 line integrals with the metal replaced. Density: attenuation of the metal that is put back, relative
-to that of the metal named, as twinct states it; it is marked below 0.75 and above 1.25.
+to that of the metal named, as twinct states it; it is marked below 0.85 and above 1.15.
 """
 
 import argparse

@@ -42,8 +42,8 @@ changed by 3 % of their size.
 """
 
 
-UNLIKE = 0.25
-"""Deviation of the metal's attenuation from that of the metal named, from which it is another."""
+UNLIKE = 0.15
+"""Relative deviation from the attenuation of the metal named, above which it may be another."""
 
 _NO_EXCESS = np.empty(0, dtype=np.intp), np.empty(0, dtype=np.float32)
 
