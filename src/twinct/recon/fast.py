@@ -7,7 +7,7 @@ details. The coarse grids are larger. The contents of the last one's margin are 
 subtracted before the pass at full resolution, as in ``without_surroundings``; coarser voxels would
 describe them less well.
 
-An update with a relaxation of 1 to 2 makes details in one or two passes, but also noise where
+An update with a relaxation of 1 to 2 makes details in one to three passes, but also noise where
 several views see each voxel. The relaxation therefore falls over a level, in geometric steps, from
 its first value to that value times voxels along an axis over views if there are more views, and
 times ``QUIET`` over the noise of the line integrals, as a share of their range, if it is more.
@@ -56,9 +56,9 @@ from twinct.recon.working import WorkingVolume
 
 log = logging.getLogger(__name__)
 
-MANY_VIEWS = 3.0
-"""Views per voxel along an axis from which one pass makes the details. Each view counts as often as
-there are pixels in a voxel's shadow. Thin parts in air need the second pass longest."""
+MANY_VIEWS, FEW_VIEWS = 3.0, 0.6
+"""Views per voxel along an axis from which one pass makes the details, and below which it takes
+three. Each view counts as often as there are pixels in a voxel's shadow."""
 
 QUIET = 0.003
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
@@ -86,16 +86,16 @@ SMALLEST = 8
 
 
 class Fast(AlgorithmSettings):
-    """SART from coarse to fine, with one or two passes at full resolution."""
+    """SART from coarse to fine, with one to three passes at full resolution."""
 
     algorithm: Literal["fast"] = "fast"
     passes: int | None = Field(
         default=None,
         ge=1,
         le=1000,
-        description="Passes over all views at full resolution. By default 2, or 1 if there are "
-        "three times as many views as voxels along an axis, each view counted as often as there "
-        "are pixels in a voxel's shadow.",
+        description="Passes over all views at full resolution. By default 2; 1 if there are "
+        "three times as many views as voxels along an axis, and 3 if there are less than 0.6 times "
+        "as many, each view counted as often as there are pixels in a voxel's shadow.",
     )
     coarse_passes: int = Field(
         default=2,
@@ -161,7 +161,7 @@ def fast(
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        passes: passes at full resolution, at least 1; by default 2, or 1 with many views.
+        passes: passes at full resolution, at least 1; by default 2, 1 with many views, 3 with few.
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
             level.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
@@ -240,12 +240,13 @@ def _filled(x: Singles) -> float:
 
 
 def _usual_passes(A: Projector) -> int:
-    """Return 1 if there are many rays for each voxel, else 2."""
+    """Return 1 if there are many rays for each voxel, 3 if there are few, else 2."""
     geometry, grid = A.geometry, A.grid
     magnification = geometry.sdd / geometry.depth(grid.world_from_grid.position)
     shadow = float(np.median(magnification)) * float(np.mean(grid.voxel))
     pixels = max(1.0, shadow**2 / (geometry.panel.pitch_u * geometry.panel.pitch_v))
-    return 1 if len(A) * pixels >= MANY_VIEWS * float(np.mean(A.domain_shape)) else 2
+    views = len(A) * pixels / float(np.mean(A.domain_shape))
+    return 1 if views >= MANY_VIEWS else 3 if views < FEW_VIEWS else 2
 
 
 def _of(strength: float, source: str | None) -> dict[str, float | str | None]:
