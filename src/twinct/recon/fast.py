@@ -410,6 +410,7 @@ FAST = Algorithm(
     projections=0.5,
     check=_check,
     updates=lambda own, views: (
-        views * ((own.passes or 2) + own.coarse_passes * (2 ** (own.levels - 1) - 1))
+        # At most: the usual number of passes depends on the grid.
+        views * ((own.passes or 3) + own.coarse_passes * (2 ** (own.levels - 1) - 1))
     ),
 )
