@@ -192,11 +192,11 @@ WAYS = {
     "sart": (plain_sart, "sart, relaxation 0.3 (the paper's)"),
     "sart, surroundings": (
         better(sart, relaxation=0.3, nonnegative=True),
-        "the same, surroundings taken out, non-negative",
+        "sart, surroundings out, non-negative",
     ),
     "sart, denoised": (
         better(sart, denoised, relaxation=0.3, nonnegative=True),
-        "the same, with the best of five strengths of total variation",
+        "sart, surroundings out, with the best of five strengths of total variation",
     ),
     "fast": (preset(1), "fast, one pass"),
     "fast 2": (preset(2), "fast, two passes"),
@@ -218,7 +218,7 @@ WAYS = {
     "cgls": (better(cgls, clipped), "cgls, surroundings out, clipped at 0"),
     "cgls, denoised": (
         better(cgls, denoised),
-        "the same, with the best of five strengths of total variation",
+        "cgls, surroundings out, with the best of five strengths of total variation",
     ),
     "fista_tv": (
         better(fista_tv, regularisation=1e-4),

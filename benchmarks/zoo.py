@@ -10,6 +10,7 @@ error of 20 passes with relaxations of 0.1, 0.3 and 1. A relaxation ends early o
 10 % above its least. Baselines are non-negative, and have the surroundings removed where the object
 reaches beyond the grid. "Denoised" has the same total variation as ``fast``, with the best of five
 strengths, again chosen by the truth. ``auto`` is ``sart`` with relaxation 0.3 and ``stop: auto``.
+``doubts`` says where a run warns that the volume of ``fast`` does not explain its projections.
 
 Each figure is a line of OUT/zoo.jsonl; what is there is not computed again. ``--again fast auto``
 drops the figures of these algorithms first. Small grids are faster with TWINCT_THREADS=1.
@@ -18,16 +19,18 @@ drops the figures of these algorithms first. Small grids are faster with TWINCT_
 import argparse
 import json
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, TUNING, Made
+from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, THIN, TUNING, Made
 
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import cgls, fast, sart, without_surroundings
 from twinct.recon.denoise import lower_variation
 from twinct.recon.surroundings import signs_beyond
-from twinct.runs.model_doubts import MUCH_BESIDE, UNEQUAL
+from twinct.recon.unexplained import compared_views, unexplained
+from twinct.runs.model_doubts import MUCH_BESIDE, UNEQUAL, leaves_much
 
 PASSES, RELAXATIONS = 20, (0.1, 0.3, 1.0)
 DENOISED = (1, 2, 3, 4, 6, 8, 12, 16, 20)
@@ -101,20 +104,34 @@ def baselines(made):
     return found
 
 
-def of_fast(made):
-    """Return the error of ``fast`` with its defaults, its seconds, and whether a run warns.
-
-    Where a run warns that the object reaches beyond the grid, its cure is applied.
-    """
+def arguments(made):
+    """Return whether a run warns that the object reaches beyond the grid, and then its cure."""
     beside, ratio = signs_beyond(made.A, made.p)
     warned = beside > MUCH_BESIDE or ratio > UNEQUAL
-    p = without_rest(made) if warned else made.p
+    keys = {"photons": made.case.photons, "margin": 0.0 if warned else 0.2}
+    return warned, without_rest(made) if warned else made.p, keys
+
+
+def of_fast(made):
+    """Return the error of ``fast`` with its defaults, its seconds, and whether a run warns."""
+    warned, p, keys = arguments(made)
     start = time.process_time()
-    margin = 0.0 if warned else 0.2
-    volume = fast(made.A, p, photons=made.case.photons, margin=margin)
+    volume = fast(made.A, p, **keys)
     seconds = time.process_time() - start
     found = {"error": made.error(volume.array), "seconds": seconds, "warned": bool(warned)}
     return {"fast": found | {"denoising": volume.extras["denoising"]}}
+
+
+def of_doubts(made):
+    """Return how much of the line integrals ``fast`` leaves, and whether a run warns of it."""
+    _, p, keys = arguments(made)
+    views = compared_views(len(made.A))
+    volume = fast(made.A, p, predicted_views=views, **keys)
+    photons = np.full(len(made.A), np.inf if made.case.photons is None else made.case.photons)
+    seen = np.exp(-made.raw).astype(np.float32), None, photons
+    rest = unexplained(made.A, p, volume.array, *seen, volume.extras["predicted"])
+    told = {"error": made.error(volume.array), "warned": leaves_much(rest)}
+    return {"doubts": told | asdict(rest)}
 
 
 def of_auto(made):
@@ -125,7 +142,7 @@ def of_auto(made):
     return {"auto": {"error": made.error(volume.array), "passes": volume.extras["passes"]}}
 
 
-WAYS = {"baselines": baselines, "fast": of_fast, "auto": of_auto}
+WAYS = {"baselines": baselines, "fast": of_fast, "auto": of_auto, "doubts": of_doubts}
 COLUMNS = ("sart, signed", "sart", "sart, denoised", "cgls", "cgls, denoised", "fast", "auto")
 
 
@@ -175,6 +192,7 @@ def table(cases, size, lines):
     print(f"RMSE within {NEAR_MM:g} mm of the object, % of mu; grids of {SPAN_MM:g} mm")
     print(f"| scan | {' | '.join(COLUMNS)} |\n|---|{'---|' * len(COLUMNS)}")
     ratios, over = {"sart": [], "sart, denoised": [], "seconds": []}, []
+    doubts = []
     for case in cases:
         seeds = {}
         for (name, voxels, seed, _), found in lines.found.items():
@@ -192,6 +210,9 @@ def table(cases, size, lines):
                 for one in ("sart", "sart, denoised"):
                     ratios[one].append(f["fast"]["error"] / f[one]["error"])
                 ratios["seconds"].append(f["fast"]["seconds"] / f["sart"]["seconds"])
+            if "doubts" in f:
+                error = f["doubts"]["error"] / f["sart"]["error"] if "sart" in f else np.nan
+                doubts.append((f["doubts"]["warned"], case.name, error))
             if "auto" in f and "sart at 0.3" in f:
                 over.append(100 * (f["auto"]["error"] / f["sart at 0.3"]["error"] - 1))
     for one, values in ratios.items():
@@ -200,6 +221,9 @@ def table(cases, size, lines):
             of = "sart" if one == "seconds" else one
             low, middle, high = np.quantile(values, (0, 0.5, 1))
             print(f"fast, {told} relative to {of}: {low:.2f} to {high:.2f}, median {middle:.2f}")
+    if doubts:
+        named = [f"{name} ({error:.2f} x)" for warned, name, error in doubts if warned]
+        print(f"warnings: {len(named)} of {len(doubts)} scans, error to sart: {', '.join(named)}")
     if over:
         within = np.mean(np.array(over) <= 5)
         print(f"stop: auto above the best pass: median {np.median(over):.1f} %, at most", end=" ")
@@ -213,6 +237,7 @@ def main():
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--held-out", action="store_true", help="the half that was set aside")
+    parser.add_argument("--thin", action="store_true", help="further thin parts, for tuning")
     parser.add_argument("--cases", nargs="+", help="names of scans")
     parser.add_argument("--size", type=int, help="voxels along an edge")
     parser.add_argument("--seeds", type=int, default=5)
@@ -224,9 +249,9 @@ def main():
     let_idle_threads_sleep()  # they would count as processor time
     options.out.mkdir(parents=True, exist_ok=True)
     lines = Lines(options.out / "zoo.jsonl", options.again)
-    cases = HELD_OUT if options.held_out else TUNING
+    cases = HELD_OUT if options.held_out else THIN if options.thin else TUNING
     if options.cases:
-        cases = [case for case in (*TUNING, *HELD_OUT) if case.name in options.cases]
+        cases = [case for case in (*TUNING, *THIN, *HELD_OUT) if case.name in options.cases]
     for seed in range(options.first_seed, options.first_seed + options.seeds):
         for case in cases:
             measure(case, seed, options.size, options.only, lines)

@@ -109,6 +109,45 @@ def thin_wires(rng):
     return wires(rng, (0.25, 0.8))
 
 
+def lattice(rng):
+    """A cubic lattice of rods of 0.6 to 1.6 mm, in air, with gaps."""
+    rotation, shapes = turn(rng), []
+    places = np.linspace(-15, 15, 4)
+    for a in places:
+        for b in places:
+            for axis in range(3):
+                if rng.random() < 0.75:
+                    middle, half = np.zeros(3), np.zeros(3)
+                    half[axis], middle[(axis + 1) % 3], middle[(axis + 2) % 3] = 17, a, b
+                    ends = rotation @ (middle - half), rotation @ (middle + half)
+                    shapes.append(rod(*ends, rng.uniform(0.3, 0.8), "aluminium"))
+    return shapes
+
+
+def balls(rng):
+    """Balls of 1.4 to 3.2 mm in air."""
+    return [
+        ball(centre, radius, "bone") for centre, radius in apart(rng, 70, (0.7, 1.6), (24,) * 3)
+    ]
+
+
+def walls(rng):
+    """Hollow boxes with walls of 0.5 to 1.5 mm."""
+    shapes = []
+    for _ in range(4):
+        rotation, half = turn(rng), rng.uniform(5, 14, 3)
+        thick, centre = rng.uniform(0.5, 1.5), rng.uniform(-9, 9, 3)
+        for axis in range(3):
+            size = half.copy()
+            size[axis] = thick / 2
+            for side in (-1, 1):
+                away = np.zeros(3)
+                away[axis] = side * half[axis]
+                place = tuple(centre + rotation @ away)
+                shapes.append(Shape(BOX, place, tuple(size), "polymer", rotation))
+    return shapes
+
+
 def board(rng):
     """A circuit board with copper, packages and rows of solder balls."""
     tilt = Rotation.from_euler("xyz", rng.uniform(-25, 25, 3), degrees=True).as_matrix()

@@ -86,6 +86,14 @@ TUNING = (
     Case("limb", objects.limb, "circle", 60, 1e4, truncated=True),
     Case("trabecular, dim", objects.trabecular, "circle", 400, 300.0),
 )
+THIN = (
+    Case("lattice", objects.lattice, "circle", 90, 1e5),
+    Case("balls", objects.balls, "sphere", 60, 3e4),
+    Case("walls", objects.walls, "helix", 100, None),
+    Case("lattice, dim", objects.lattice, "cap", 120, 1e3),
+    Case("balls, few", objects.balls, "saddle", 30, 1e5),
+)
+"""Thin parts in air, for tuning as well; zoo.py takes them with --thin."""
 HELD_OUT = (
     Case("foam, dim", objects.foam, "arcs", 40, 300.0),
     Case("wires", objects.wires, "circle", 60, 1e4),

@@ -14,7 +14,7 @@ from twinct.geometry import ScanGeometry
 from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import VOLUMES
-from twinct.recon.unexplained import unexplained
+from twinct.recon.unexplained import Unexplained, unexplained
 from twinct.recon.volume import Volume
 from twinct.runs import (
     line_integrals,
@@ -24,7 +24,7 @@ from twinct.runs import (
     volumes,
 )
 from twinct.runs.integrals import hardening_corrected
-from twinct.runs.model_doubts import judged_by_rays
+from twinct.runs.model_doubts import judged_by_rays, leaves_much
 from twinct.runs.volumes import memory_needed
 from twinct.scenario import load_scenario, parse_scenario, stage_digests
 from twinct.trajectory import commanded_views
@@ -316,6 +316,24 @@ def test_metal_is_a_cause_where_voxels_are_far_denser_than_the_rest(scan):
         _, doubt = judged_by_rays(Volume(array, A.grid), A, 2 * A(array), right, None, [1.0])
         assert doubt and "thin as a voxel" in doubt
         assert ("reconstruction.metal" in doubt) == is_named
+
+
+def test_surroundings_are_a_cause_where_rays_beside_the_grid_are_attenuated(scan):
+    """A slab of two voxels leaves most of the ball beside it; the whole grid leaves nothing."""
+    for voxels, is_named in (([2, 24, 24], True), (24, False)):
+        part = scan(grid={"voxels": voxels, "voxel_mm": 5.0})
+        A = Projector(views_of(part.scenario), part.scenario.reconstruction.volume_grid)
+        flat = Volume(np.full(A.grid.shape, MU, np.float32), A.grid)
+        _, doubt = judged_by_rays(flat, A, part.line_integrals(), part, None, [1.0])
+        assert doubt and ("reconstruction.surroundings" in doubt) == is_named
+
+
+@pytest.mark.parametrize(
+    ("share", "noise", "edges", "much"),
+    [(0.3, 0.5, 0.1, True), (0.3, 0.7, 0.1, False), (0.3, 0.0, 0.2, False), (0.05, 0, 0, False)],
+)
+def test_much_is_more_than_noise_and_edges_leave(share, noise, edges, much):
+    assert leaves_much(Unexplained(share, noise, edges, share)) == much
 
 
 def test_noise_that_is_known_is_not_taken_for_a_wrong_model(scan):

@@ -21,7 +21,7 @@ UNEQUAL = 2.0
 """Ratio of the views' mean attenuation in the grid from which the user is warned."""
 
 MUCH_UNEXPLAINED = 0.06
-"""Share of the line integrals left unexplained from which the user is warned, if noise is less."""
+"""Share of the line integrals left unexplained from which the user is warned."""
 
 PART_OF_NOISE = 0.5
 """Share relative to the noise below which there is no warning: the noise is not known better."""
@@ -88,8 +88,7 @@ def judged_by_rays(
     volume = replace(volume, extras=extras)
     if rest is None:
         return volume, None
-    usual = max(MUCH_UNEXPLAINED, PART_OF_NOISE * rest.noise, MUCH_FOR_EDGES * rest.edges)
-    if not course or rest.share <= usual:
+    if not course or not leaves_much(rest):
         return volume, None
     beside, _ = signs_beyond(A, integrals, pixels)
     causes = "; ".join(_causes(scan, rest, course, _has_metal(volume.array), beside > SOME_BESIDE))
@@ -98,6 +97,12 @@ def judged_by_rays(
         f"line integrals, beyond noise of {100 * rest.noise:.1f} % and {100 * rest.edges:.1f} % "
         f"that edges in such voxels usually leave. Likely causes, with cures: {causes}"
     )
+
+
+def leaves_much(rest: Unexplained) -> bool:
+    """Return whether a volume leaves more than noise and edges usually do."""
+    usual = max(MUCH_UNEXPLAINED, PART_OF_NOISE * rest.noise, MUCH_FOR_EDGES * rest.edges)
+    return rest.share > usual
 
 
 def _photons(scan: Scan) -> NDArray[np.float64] | None:
