@@ -130,6 +130,7 @@ def of_doubts(made):
     photons = np.full(len(made.A), np.inf if made.case.photons is None else made.case.photons)
     seen = np.exp(-made.raw).astype(np.float32), None, photons
     rest = unexplained(made.A, p, volume.array, *seen, volume.extras["predicted"])
+    assert rest is not None  # the photons are stated
     told = {"error": made.error(volume.array), "warned": leaves_much(rest)}
     return {"doubts": told | asdict(rest)}
 
