@@ -19,8 +19,8 @@ PAGE = Path(__file__).parents[1] / "docs" / "scenario.md"
 
 HEAD = """# Scenario reference
 
-One YAML file initialises everything. This page is made from the models that validate it
-(`make docs`); `twinct schema` prints the same as a JSON Schema, for editors:
+One YAML file describes a whole simulation. This page is generated from the models that validate the
+file (`make docs`); `twinct schema` prints these models as a JSON Schema, for editors:
 
 ```yaml
 # yaml-language-server: $schema=twinct.schema.json
@@ -28,18 +28,19 @@ extends: paper.yaml     # build on another file, relative to this one
 trajectory: {views: 100}
 ```
 
-`extends` merges mappings key by key and replaces everything else; a section of another `kind`
-starts afresh. A new `algorithm` inherits the keys that it also has, such as the number of
-iterations, and drops the others with a note in the log; keys of another algorithm that you set
-together with the algorithm, or later, are refused. `--set KEY=VALUE` on the command line overrides
-a key: `--set specimen.parts.0.material=water`. Unknown keys are refused. Lengths are in mm and
-angles in degrees, as the name of each key says. A `path` is relative to the file that names it.
+`extends` merges mappings key by key and replaces everything else; a section whose `kind` changes
+starts afresh. A new `algorithm` inherits the keys that it shares with the previous one, such as the
+number of iterations; the other inherited keys are dropped with a note in the log. Keys of another
+algorithm that you set together with the algorithm, or later, are refused. `--set KEY=VALUE` on the
+command line overrides a key: `--set specimen.parts.0.material=water`. Unknown keys are refused.
+Lengths are in mm and angles in degrees, as the name of each key says. A `path` is relative to the
+file that names it.
 
 Files use a plain subset of YAML 1.2: mappings, lists, texts, numbers, `true`, `false` and `null`.
 `no`, `2020-01-01`, `1:30` and `1_000` are texts. Anchors, aliases, tags, merge keys and repeated
-keys are refused, and so are more than 1 MB, 20 levels or 100,000 values. A length is between
-1e-6 and 1e6 mm. A scenario that exceeds the memory, or a body that cannot be built, is refused by
-its key before work starts.
+keys are refused, and so are files of more than 1 MB, 20 levels or 100,000 values. A length is
+between 1e-6 and 1e6 mm. A scenario that does not fit into the memory, or a body that cannot be
+built, is refused before work starts; the message names the key.
 
 The column *source* says where a default or a definition comes from: "the paper" is that of Freiling
 et al. ([how we read it](paper.md)); an empty cell means that the value is our choice. The pictures
@@ -51,16 +52,17 @@ ANEW = """## What a changed key computes again
 
 Each stage has a digest of the keys that it reads (unless they have their default), of the content
 of its files, and of the stages before it. A result is reused as long as this digest stays the same.
-Name, description and the parts' names never count. `seed` counts for a stage that draws something:
-images with noise or random bad pixels, a volume in random order, executed poses with errors.
-`uncertainty.seed` changes the believed poses only, and a volume only if it is made from these.
+The name, the description and the names of the parts never count. `seed` counts for a stage that
+draws random numbers: images with noise or random bad pixels, a volume with the views in random
+order, executed poses with errors, and believed poses with noise unless `uncertainty.seed` is set.
+`uncertainty.seed` changes only the believed poses, and a volume that is made from them.
 """
 
 EXTENSIONS = """## Extensions of your own
 
 Your package can add algorithms, trajectories, objectives of a plan, figures, error terms, X-ray
-engines and export formats. It names them as entry points. Once it is installed (`pip install .` in
-its folder), the command line, the ROS 2 nodes and Python all know them:
+engines and export formats. The package names them as entry points. Once it is installed
+(`pip install .` in its folder), the command line, the ROS 2 nodes and Python all know them:
 
 ```toml
 [project.entry-points."twinct.algorithms"]
@@ -109,9 +111,9 @@ def views(section: Zigzag, panel: Panel) -> ScanGeometry:
 ZIGZAG = Family(Zigzag, views)
 ```
 
-`OrbitSettings` has the keys of all orbits, `TrajectorySettings` has none. The name of an entry
-point is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of `task`
-or `evaluation`, or the value of `--to`. The other kinds:
+`OrbitSettings` has the keys that all orbits share; `TrajectorySettings` has none. The name of an
+entry point is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of
+`task` or `evaluation`, or the value of `--to`. The other kinds:
 
 - [an algorithm](howto/own_algorithm.md#choose-it-by-name-in-a-scenario): settings, a function, an
   `Algorithm`
@@ -121,10 +123,10 @@ or `evaluation`, or the value of `--to`. The other kinds:
 - [an export format](howto/own_format.md): a function, a script, a `Format`
 
 Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is built
-from them. A key `path`, `file` or `plan` is an input file, in any section: its path is made
-absolute, it must exist, and its content counts. An entry point that fails, or whose name is taken,
-is reported with its package, and only scenarios that name it are refused. `tests/extension` is a
-whole package.
+from them. In any section, a key `path`, `file` or `plan` names an input file: the path is made
+absolute, the file must exist, and its content counts for the digests. An entry point that fails, or
+whose name is taken, is reported with its package, and only scenarios that name it are refused.
+`tests/extension` is a complete example of such a package.
 """
 
 UNITS = {
@@ -152,7 +154,7 @@ PICTURES = {
         "spectrum": "`spectrum: {kind: tube, kvp: 80}`.",
         "motion": "`motion_samples: 24`, while the arms turn by 4 degrees.",
         "focal-spot": "`focal_spot: {kind: gaussian, sigma_mm: 1.5}`.",
-        "noise": "`current_ma`, `exposure_ms` and `photons_per_mm2_mas` make the photon number: "
+        "noise": "`current_ma`, `exposure_ms` and `photons_per_mm2_mas` give the photon number: "
         "500 per mm^2 at 1 m, with `detector.noise` of the kind `quantum`.",
     },
     "detector": {
@@ -186,9 +188,10 @@ def reference() -> str:
 
 
 def _stages() -> str:
-    rows = ["| stage | reads | stands on |", "|---|---|---|"]
+    rows = ["| stage | reads | depends on |", "|---|---|---|"]
     for name, stage in STAGES.items():
-        reads = ", ".join(f"`{key}`" for key, stages in declared(Scenario) if name in stages)
+        keys = dict.fromkeys(key for key, stages in declared(Scenario) if name in stages)
+        reads = ", ".join(f"`{key}`" for key in keys)  # two kinds of cell share some keys
         rows.append(f"| {name} | {reads} | {', '.join(stage.on)} |")
     return "\n".join(rows) + "\n"
 

@@ -50,19 +50,22 @@ ORDER = (
 
 INDEX = """# Validation
 
-Every figure that we claim, with the command that measures it. Each topic has a page. A row says
-what was measured, which figure was asked for, and which one we measured: ✅ met, ❌ missed, or
-reported where nothing was asked for. Nothing is left out because it was missed.
+These pages list every figure that we claim, with the command that measures it. Each topic has a
+page. A row states the measured quantity, the figure asked for and the measured one: ✅ met,
+❌ missed, or reported if no figure was asked for. Missed figures stay in the list.
 
-Unless a page says otherwise, the machine had {machine}. Because the
-machine was shared, compare ratios of one run, not times of two. OpenGL ran in software.
+Unless a page says otherwise, the machine was this one:
+{machine}.
+Because the machine was shared, compare the ratios of one run rather than the times of two runs.
+OpenGL ran in software.
 
 | topic | question | met | missed | reported |
 |---|---|---|---|---|
 {rows}
 
-These pages are made from the records in `benchmarks/results/*.json`. Add a figure there, one fact a
-record, then run `python tools/validation_pages.py`.
+`python tools/validation_pages.py` makes these pages from the records in
+`benchmarks/results/*.json`. To add a figure, add a record with one fact there, then run this
+command.
 
 ```{{toctree}}
 :hidden:
@@ -73,7 +76,7 @@ record, then run `python tools/validation_pages.py`.
 
 
 USUAL = "2 shared cores without a graphics card, Debian 12, Python 3.11, locked package versions"
-"""Machine of most topics; the index states it, and a page only another one."""
+"""Machine of most topics; the index states it, and a page names its machine if it differs."""
 
 
 class Topic(NamedTuple):
@@ -130,7 +133,7 @@ def _counts(topic: Topic) -> str:
 
 def _page(topic: Topic) -> str:
     dates = sorted({record["date"] for record in topic.records if "date" in record})
-    until = f" Newest figure: {dates[-1]}." if dates else ""
+    until = f" Latest measurement: {dates[-1]}." if dates else ""
     counts = ", ".join(
         f"{topic.count(met)} {word}"
         for met, word in (("yes", "met"), ("no", "missed"), ("reported", "only reported"))
@@ -141,7 +144,7 @@ def _page(topic: Topic) -> str:
         lines.append(f"Machine: {topic.machine}.\n")
     if topic.conditions:
         lines.append(f"{topic.conditions}\n")
-    lines.append("The last column is the number of the command below the table.\n")
+    lines.append("The last column gives the number of the command below the table.\n")
     for group, records in groupby(topic.records, key=lambda record: record.get("group", "")):
         lines += [f"## {group}\n"] * bool(group)
         lines += _table(list(records))
@@ -165,7 +168,7 @@ def _table(records: list[dict[str, str]]) -> list[str]:
         number = commands.index(record["command"]) + 1
         lines.append(f"| {MARKS[record['met']]} | {shown} | {number} |")
     listed = [f"{number}. `{command}`" for number, command in enumerate(commands, 1)]
-    fold = "<details>\n<summary>Commands that measure these</summary>\n"
+    fold = "<details>\n<summary>Commands that measure these figures</summary>\n"
     return [*lines, "", fold, *listed, "\n</details>\n"]
 
 

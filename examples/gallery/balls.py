@@ -2,8 +2,8 @@
 A phantom for calibration
 =========================
 
-``scenarios/balls.yaml``. 64 steel balls of 3 mm on a helix, along the paper's path. Their shadows
-show where source and panel were.
+``scenarios/balls.yaml`` scans 64 steel balls of 3 mm on a helix, along the paper's path. Their
+shadows show where source and panel were.
 """
 
 from twinct import load_scenario, simulate
@@ -16,5 +16,5 @@ scan = simulate(scenario)
 scan.show("balls_scan.png")
 
 # %%
-# Run it with the machine and path of your own scan, then ``twinct calibrate beads out/balls --to
-# out/mine``.
+# Run it with the machine and the path of your own scan. Then ``twinct calibrate beads out/balls
+# --to out/mine`` calibrates that scan.

@@ -2,8 +2,8 @@
 A circle without arms
 =====================
 
-``scenarios/circle_gantry.yaml``. Source and panel are exactly where the trajectory says, all the
-way round. It suits studies of reconstruction, and needs no robots package.
+``scenarios/circle_gantry.yaml`` is a full circle, with source and panel exactly where the
+trajectory says. It suits studies of reconstruction, and does not need the extra ``robots``.
 """
 
 from twinct import load_scenario, reconstruct, simulate

@@ -2,8 +2,8 @@
 The paper's experiment, small
 =============================
 
-``scenarios/demo.yaml``. Two UR10e on a sine of 210 degrees around a skull, 100 views, SART from
-noisy poses. It takes a minute or two; here it has 24 views.
+In ``scenarios/demo.yaml``, two UR10e take 100 views on a sine of 210 degrees around a skull, and
+SART reconstructs from noisy poses. It takes half a minute on two free cores; here it has 24 views.
 """
 
 from twinct import load_scenario, reconstruct, simulate

@@ -2,7 +2,7 @@
 A head with soft tissue
 =======================
 
-``scenarios/head.yaml``. Skin, brain, eyes and nine faint inserts about the built-in skull, with
+``scenarios/head.yaml`` adds skin, brain, eyes and nine faint inserts to the built-in skull, with
 the paper's panel, path and grid.
 """
 
@@ -23,5 +23,5 @@ scan = simulate(scenario)
 scan.show("head_scan.png")
 
 # %%
-# Use it to judge soft tissue; its ``evaluation`` names the inserts. The head reaches out of the
-# grid, so set ``reconstruction.surroundings``.
+# Use this scenario to judge soft tissue; its section ``evaluation`` names the inserts. The head
+# reaches out of the grid, so set ``reconstruction.surroundings``.

@@ -2,7 +2,7 @@
 A head with two metal screws
 ============================
 
-``scenarios/head_screws.yaml``. Two titanium screws of 4 x 40 mm in bone, a tube of 120 kV, and
+``scenarios/head_screws.yaml`` has two titanium screws of 4 x 40 mm in bone, a tube at 120 kVp and
 photon noise.
 """
 
@@ -20,5 +20,5 @@ scan = simulate(scenario)
 scan.show("head_screws_scan.png")
 
 # %%
-# Compare with and without ``reconstruction.metal={method: nmar, metal: titanium}``, or plan views
-# that avoid the metal.
+# Compare volumes with and without ``reconstruction.metal={method: nmar, metal: titanium}``, or plan
+# views that avoid the metal.

@@ -2,7 +2,7 @@
 Two small arms on an arc
 ========================
 
-``scenarios/lbr_arc.yaml``. Two KUKA LBR iiwa 14 with seven joints each, on the longest arc that
+In ``scenarios/lbr_arc.yaml``, two KUKA LBR iiwa 14 with seven joints each scan the longest arc that
 they reach at 300 mm: 160 degrees.
 """
 
@@ -20,4 +20,5 @@ scan = simulate(scenario)
 scan.show("lbr_arc_scan.png")
 
 # %%
-# Another arm is one key: ``cell.source_arm.model``. ``twinct place`` finds where it should stand.
+# One key selects another arm: ``cell.source_arm.model``. ``twinct place`` finds where it should
+# stand.

@@ -2,8 +2,8 @@
 An operating room
 =================
 
-``scenarios/operating_room.yaml``. A patient on a table, a lamp, an anaesthesia machine, a trolley
-and places for staff. The arms keep clear of all of them, and the beam sees the table.
+``scenarios/operating_room.yaml`` has a patient on a table, a lamp, an anaesthesia machine, a
+trolley and places for staff. The arms keep clear of all of them, and the beam sees the table.
 """
 
 from twinct import load_scenario

@@ -2,8 +2,8 @@
 A patient's head on a table
 ===========================
 
-``scenarios/patient_head.yaml``. A phantom with grey values, supine on a carbon plate that the
-beam sees. The arms stand beside the table and scan in the plane across it.
+In ``scenarios/patient_head.yaml``, a phantom with grey values lies supine on a carbon plate that
+the beam sees. The arms stand beside the table and scan in the plane across it.
 """
 
 from twinct import load_scenario, simulate

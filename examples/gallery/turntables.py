@@ -2,8 +2,8 @@
 A full circle by two arms
 =========================
 
-``scenarios/turntables.yaml``. Each arm stands on a turntable, one on the floor and one under the
-ceiling. They take 180 views all the way round, which arms on fixed bases cannot.
+In ``scenarios/turntables.yaml``, each arm stands on a turntable, one on the floor and one under the
+ceiling. They take 180 views on a full circle, which arms on fixed bases cannot.
 """
 
 from twinct import load_scenario

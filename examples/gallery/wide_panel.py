@@ -2,8 +2,8 @@
 A panel of 43 x 43 cm
 =====================
 
-``scenarios/wide_panel.yaml``. The paper's path further out, with a panel that takes a whole head.
-Bases and stand-offs leave the larger panel its room.
+``scenarios/wide_panel.yaml`` has the paper's path further out, and a panel whose field of view
+holds a whole head. Base positions and stand-offs leave room for the larger panel.
 """
 
 from twinct import load_scenario, simulate
@@ -20,4 +20,5 @@ scan = simulate(scenario)
 scan.show("wide_panel_scan.png")
 
 # %%
-# Take it when your object reaches out of the field of view, and the arms have the room.
+# Use this scenario if your object reaches out of the field of view of the smaller panel, and the
+# arms have enough room.

@@ -4,7 +4,7 @@ The paper's experiment
 
 Two robot arms carry an X-ray source and a flat panel along a sine on a sphere around a skull. A
 volume is reconstructed from the poses that the robots report. You will see the room, the
-projections and the volume, and learn which part of its error comes from the robots.
+projections and the volume, and learn how much of its error comes from the robots.
 
 The scenario is the demo: the experiment of Freiling et al. with fewer views, coarser pixels and
 coarser voxels. Here it has 40 views, so that it runs in seconds.
@@ -40,15 +40,15 @@ builder.draw("room.png", view=20, width=1000, height=560)
 # The scan
 # --------
 #
-# ``simulate`` moves the arms along the plan, and renders an image at each view, at the pose where
-# the arms really are. It runs in this process and writes no files; ``twinct run`` writes a folder.
+# ``simulate`` moves the arms along the plan, and renders each view at the pose where the arms
+# really are. It runs in this process and writes no files; ``twinct run`` writes a folder.
 
 scan = simulate(scenario)
 scan.show("scan.png")
 
 # %%
-# Images are transmissions, 1 where nothing absorbs. ``show`` draws line integrals, minus their
-# logarithm.
+# Images are transmissions, 1 where nothing absorbs. ``show`` draws line integrals: minus the
+# logarithm of the transmissions.
 
 print(scan.transmission.shape, scan.transmission.min())
 
@@ -91,13 +91,13 @@ for axis, (name, shown) in zip(
     axis.axis("off")
 
 # %%
-# In the paper's scenario the poses are off by 0.07 mm along each axis, which costs little in
-# voxels of 1.24 mm. The next lessons change the object, the path, the room and the errors.
+# In the paper's scenario the believed poses are off by 0.07 mm along each axis, which costs little
+# in voxels of 1.24 mm. The next lessons change the object, the path, the room and the errors.
 #
 # On the command line
 # -------------------
 #
-# These commands do all this, and write a report::
+# These commands make both volumes from the believed poses, write a report, and compare the two::
 #
 #     twinct run scenarios/demo.yaml --out out/demo --set trajectory.views=40
 #     twinct reconstruct out/demo --set reconstruction.algorithm=fast

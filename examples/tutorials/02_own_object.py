@@ -2,8 +2,8 @@
 Your own object, from file to answer
 ====================================
 
-A part comes as an STL file. How wide is the hole in it, and how well can a scan tell? You will
-make a scenario of the file, scan it on a gantry, and measure the hole in the volume.
+A part comes as an STL file. How wide is the hole in it, and how accurately can a scan measure it?
+You will make a scenario for the file, scan it on a gantry, and measure the hole in the volume.
 """
 
 # sphinx_gallery_thumbnail_number = 2
@@ -12,7 +12,7 @@ make a scenario of the file, scan it on a gantry, and measure the hole in the vo
 # The file
 # --------
 #
-# Any closed mesh in STL, PLY, OBJ or OFF will do. This one is made here: a block of 60 x 40 x 30
+# Any closed mesh in STL, PLY, OBJ or OFF will do. This program makes one: a block of 60 x 40 x 30
 # mm with a hole of 12 mm.
 
 import matplotlib.pyplot as plt
@@ -29,7 +29,7 @@ print("closed:", part.is_watertight, " volume:", round(part.volume / 1000, 1), "
 # The scenario
 # ------------
 #
-# A scenario extends another one and changes a few keys. This one takes the gantry, a full circle,
+# A scenario can extend another one and change a few keys. This one takes the gantry, a full circle,
 # and the part in aluminium.
 
 from pathlib import Path
@@ -64,7 +64,7 @@ scan = simulate(scenario)
 scan.show("part.png", views=[0, 20, 40, 60])
 
 # %%
-# The grid holds the whole part, and nothing lies around it.
+# The grid holds the whole part, and nothing lies outside the grid.
 
 volume = reconstruct(scan)
 volume.show("part_volume.png")
@@ -99,6 +99,6 @@ right.set(title="profile through the hole", xlabel="x / mm", ylabel="attenuation
 # Without a file
 # --------------
 #
-# From Python the mesh itself can be the specimen: ``simulate(scenario, specimen=part)`` images it
+# In Python the mesh itself can be the specimen: ``simulate(scenario, specimen=part)`` images it
 # as bone, and ``{"shape": part, "material": "titanium"}`` in ``specimen.parts`` gives it another
 # material. The how-to pages continue with units, several materials and CT volumes.

@@ -39,9 +39,9 @@ np.savetxt(
 )
 
 # %%
-# ``kind: file`` reads it. The panel stands across the beam; ``detector_roll: free`` lets the arms
-# turn it about the beam where that helps. Views may stand in any order with ``motion.order:
-# shortest``, which makes a tour of them.
+# ``kind: file`` reads this file. The panel is perpendicular to the beam; ``detector_roll: free``
+# lets the arms turn it about the beam where that helps. With ``motion.order: shortest`` the views
+# may stand in any order in the file: the arms take them along a short tour.
 
 scenario = load_scenario(
     "scenarios/demo.yaml",
@@ -59,7 +59,7 @@ volume.show("own_path.png")
 print(f"{evaluate(scan, volume).rmse_bone_rel:.1%} error near bone")
 
 # %%
-# Where the arms really were, and how far from where they should have been:
+# The figure shows where the source really was, and how far that is from the commanded positions:
 
 figure = plt.figure(figsize=(10, 4), layout="constrained")
 sphere = figure.add_subplot(121, projection="3d")
@@ -73,13 +73,13 @@ distance.plot(np.linalg.norm(executed - scan.geometry("commanded").source, axis=
 distance.set(xlabel="view", ylabel="source, distance from its command / mm")
 
 # %%
-# The tolerance of the trigger is 1 mm: an image is taken as soon as both tools are within it,
-# while they are still moving.
+# The tolerance of the trigger is 1 mm: an image is taken as soon as both tools are within 1 mm of
+# their targets, while they are still moving.
 #
 # A path that is impossible
 # -------------------------
 #
-# A full circle is too much for these two arms. They say so before anything moves, view by view.
+# These two arms cannot follow a full circle. The error names the views before anything moves.
 
 circle = load_scenario("scenarios/demo.yaml", {"trajectory": {"kind": "circle", "views": 36}})
 try:
@@ -96,7 +96,7 @@ except TwinctError as error:
 # -----------------
 #
 # ``sinusoid``, ``arc``, ``circle``, ``circle_arc``, ``saddle``, ``spiral``, ``uniform`` and
-# ``helix`` need a few numbers only. Four of them, seen as paths of the source:
+# ``helix`` need a few numbers only. The figure shows the path of the source for four of them:
 
 from twinct.trajectory import commanded_views
 

@@ -2,7 +2,7 @@
 Your own arms and room
 ======================
 
-Which arm reaches which path depends on its length, on where it stands, and on what is in the way.
+The paths that an arm reaches depend on its length, its base position and the obstacles in the room.
 You will exchange the arms, see where they can go, and put a person into the room.
 """
 
@@ -10,9 +10,9 @@ You will exchange the arms, see where they can go, and put a person into the roo
 # Other arms
 # ----------
 #
-# An arm is a ``model`` and a place. ``ur10e`` and ``lbr_iiwa14`` are built in, ``menagerie:NAME``
-# takes one of MuJoCo Menagerie, and ``file`` any MJCF or URDF. These are two KUKA LBR iiwa on an
-# arc of 160 degrees, their longest at this distance.
+# An arm has a ``model`` and a base position. ``ur10e`` and ``lbr_iiwa14`` are built in,
+# ``menagerie:NAME`` takes one of MuJoCo Menagerie, and ``file`` any MJCF or URDF. These are two
+# KUKA LBR iiwa on an arc of 160 degrees, the longest that they reach at this distance.
 
 import matplotlib.pyplot as plt
 
@@ -26,7 +26,7 @@ builder.draw("kuka.png", view=4, width=1000, height=560)
 print("joints:", *builder.cell.joint_names[:3], "...")
 
 # %%
-# The larger UR10e does the paper's sine of 210 degrees as well. The smaller arm refuses it:
+# The larger UR10e also reaches the paper's sine of 210 degrees. The smaller arm does not:
 
 small = {"cell.source_arm.model": "lbr_iiwa14", "cell.detector_arm.model": "lbr_iiwa14"}
 demo = {"trajectory.views": 30}
@@ -40,7 +40,7 @@ except TwinctError as error:
 # Where the arms can go
 # ---------------------
 #
-# ``twinct reach`` asks, for directions all over the sphere, whether the source can be there and
+# ``twinct reach`` tests, for directions all over the sphere, whether the source can be there with
 # the panel opposite. ``run_command`` is the command line, called from Python.
 
 from twinct.cli import run_command
@@ -48,7 +48,7 @@ from twinct.cli import run_command
 run_command("reach scenarios/demo.yaml --directions 150 --out reach".split())
 
 # %%
-# Its pictures lie in the folder, and a table of all directions:
+# The folder holds these pictures, and a table of all directions:
 
 for name in ("sphere_300.png", "room_300.png"):
     figure, axis = plt.subplots(figsize=(10, 6), layout="constrained")
@@ -71,7 +71,7 @@ with_nurse = SimulationBuilder(load_scenario("scenarios/demo.yaml", demo | {"cel
 with_nurse.draw("nurse.png", view=5, width=1000, height=560)
 
 # %%
-# Closer to the isocentre there is no way left:
+# If the nurse stands closer to the isocentre, the arms find no path:
 
 nurse["position_mm"] = [200, 450, -350]
 try:

@@ -3,7 +3,7 @@ Spectrum, noise and detector
 ============================
 
 An ideal scan has one energy, no noise and point-like pixels. You will add a tube, photons and a
-scintillator, see what each does to image and volume, and find how the noise depends on the tube
+scintillator, see what each does to image and volume, and measure how the noise depends on the tube
 load.
 """
 
@@ -13,7 +13,7 @@ load.
 # An ideal scan
 # -------------
 #
-# A cylinder of water with rods of PMMA, bone and aluminium on a gantry.
+# The phantom is a cylinder of water with rods of PMMA, bone and aluminium, scanned on a gantry.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -50,9 +50,9 @@ volume = reconstruct(simulate(ideal))
 # A tube
 # ------
 #
-# ``source.spectrum`` takes a tube: kilovolts, and filters. Soft photons are absorbed first, so the
-# beam hardens on its way, and the middle of the cylinder looks less dense. This is cupping.
-# ``beam_hardening`` corrects it with the known spectrum of water.
+# ``source.spectrum`` describes a tube by its peak voltage and filters. Soft photons are absorbed
+# first, so the beam hardens on its way, and the middle of the cylinder looks less dense. This is
+# cupping. ``beam_hardening`` corrects it for water, because the spectrum is known.
 
 tube = {"kind": "tube", "kvp": 80, "filters": [{"material": "aluminium", "thickness_mm": 2.5}]}
 polychromatic = simulate(ideal.with_({"source.spectrum": tube}))
@@ -68,16 +68,16 @@ axis.set(xlabel="x / mm", ylabel="attenuation / mm⁻¹", title="Profile through
 axis.legend()
 
 # %%
-# The levels differ, too: the tube's photons have less energy than 80 keV on average, and water
-# attenuates them more. The dark band between bone and aluminium stays, because only one material is
-# corrected.
+# The levels of the curves differ, too: the tube's photons have less energy than 80 keV on average,
+# and water attenuates them more. The dark band between bone and aluminium stays, because only one
+# material is corrected.
 #
 # Photons
 # -------
 #
 # With ``noise: {kind: quantum}`` the number of photons matters. For a tube, it follows from
-# ``current_ma`` times ``exposure_ms``. The scintillator's response says which share of them the
-# detector absorbs.
+# ``current_ma`` times ``exposure_ms``. The scintillator's response determines the share of photons
+# that the detector absorbs.
 
 noisy = ideal.with_(
     {
@@ -97,8 +97,8 @@ for axis, load, shown in zip(axes, loads, volumes, strict=True):
     axis.axis("off")
 
 # %%
-# The difference from a scan without noise is noise alone. It falls with the square root of the tube
-# load: half the noise costs four times the dose.
+# The difference from the volume of a scan without noise is noise alone. It falls with the square
+# root of the tube load: half the noise costs four times the dose.
 
 quiet = reconstruct(simulate(noisy.with_({"detector.noise": None})), iterations=4)
 y = volume.grid.axes()[1]

@@ -29,7 +29,7 @@ def sections(volumes, index=None, limits=(0, 0.06)):
 # Too few views
 # -------------
 #
-# The skull of the demo from 20 views on a circle. SART draws streaks; total variation
+# This scan takes the demo's skull in 20 views on a circle. SART leaves streaks; total variation
 # (``fista_tv``) prefers edges to streaks.
 
 grid = {"voxels": 96, "voxel_mm": 1.65}
@@ -47,9 +47,9 @@ for name, volume in volumes.items():
     print(f"{name:16} {evaluate(scan, volume).rmse_bone_rel:.1%} error near bone")
 
 # %%
-# More passes help up to a point: after ten of them the error stands still, because 20 views hold no
-# more information. With noise it would rise again. An observer is a function that twinct calls
-# after each pass, with its volume.
+# More passes of SART help up to a point: after ten of them the error hardly changes, because 20
+# views hold no more information. With noise it would rise again. An observer is a function that
+# twinct calls with each event; the event ``IterationDone`` holds the volume of a pass.
 
 from twinct.observers import IterationDone
 
@@ -73,8 +73,8 @@ axis.set(xlabel="passes of SART", ylabel="error near bone / %")
 # ----------------------------------------
 #
 # The jaw and the top of the skull reach out of the grid. These parts still add to the line
-# integrals, and their effect ends up at the border of the volume. ``surroundings`` reconstructs
-# them coarsely and takes them out.
+# integrals, and their effect appears at the border of the volume. ``surroundings`` reconstructs
+# them coarsely and removes them.
 
 more = simulate(few.with_({"trajectory.views": 60}))
 plain = reconstruct(more, algorithm="sart", iterations=5)
@@ -89,9 +89,10 @@ for name, volume in {"nothing taken out": plain, "surroundings taken out": clean
 # A path that misses directions
 # -----------------------------
 #
-# A circle never sees a flat disc from above or below: rays along its faces are missing, and no
-# algorithm finds them. This is Tuy's condition. In a stack of discs the outer ones get blurred
-# faces; an arc across the circle's plane brings missing rays.
+# On a circle, no ray runs along the faces of a flat disc that lies above or below the circle's
+# plane, and no algorithm can replace these missing rays: a circle violates Tuy's condition. In a
+# stack of discs the outer ones get blurred faces; an arc across the circle's plane adds missing
+# rays.
 
 discs = [
     {

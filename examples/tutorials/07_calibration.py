@@ -3,7 +3,7 @@ Calibration
 ===========
 
 Real arms are not exactly where their encoders say. You will give a machine realistic errors, see
-what they do to the volume, and find the true poses with a phantom of steel balls.
+what they do to the volume, and estimate the true poses with a phantom of steel balls.
 """
 
 # sphinx_gallery_thumbnail_number = 2
@@ -12,9 +12,9 @@ what they do to the volume, and find the true poses with a phantom of steel ball
 # A machine with errors
 # ---------------------
 #
-# ``uncertainty.preset`` has typical errors of a kind of machine. ``c_arm_uncalibrated`` bends
-# under its own weight: source and panel are off by millimetres, the same way in every scan. A
-# gantry carries them here, which is quick.
+# ``uncertainty.preset`` sets typical errors of a kind of machine. ``c_arm_uncalibrated`` bends
+# under its own weight: source and panel are off by millimetres, in every scan alike. Here a gantry
+# carries source and panel, because it needs no planning of motions and is quick.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -39,8 +39,8 @@ print(f"source: {off.mean():.2f} mm from where it is believed, {off.max():.2f} m
 # The phantom
 # -----------
 #
-# The same machine scans 64 steel balls of 3 mm on a helix, along the same path. Their places are
-# known.
+# The same machine scans 64 steel balls of 3 mm on a helix, along the same path. The positions of
+# the balls on the helix are known.
 
 phantom = machine | {
     "reconstruction.grid": {"voxels": 32, "voxel_mm": 5},
@@ -50,8 +50,8 @@ run(load_scenario("scenarios/balls.yaml", phantom), "balls", link="local")
 load_scan("balls").show("balls.png", views=[0, 9, 18, 27])
 
 # %%
-# From the shadows, ``calibrate beads`` finds nine numbers for each view, three of the source and
-# six of the panel, and gives both scans the geometry ``beads``.
+# From the shadows, ``calibrate beads`` estimates nine numbers for each view, three of the source
+# and six of the panel, and adds the geometry ``beads`` to both scans.
 
 run_command("calibrate beads balls --to skull".split())
 
@@ -71,13 +71,13 @@ for axis, (name, volume) in zip(axes, volumes.items(), strict=True):
     axis.axis("off")
 
 # %%
-# The calibrated volume is as good as that of the true poses, which no machine knows. The remaining
-# distance:
+# The calibrated volume is as good as that of the true poses, which no machine knows. The source is
+# still off by this distance:
 
 found = scan.geometry("beads")
 print(f"source: {np.linalg.norm(executed.source - found.source, axis=1).mean():.3f} mm")
 
 # %%
-# Without a phantom, ``twinct calibrate self`` finds the poses from the scan alone, ``calibrate
+# Without a phantom, ``twinct calibrate self`` estimates the poses from the scan alone, ``calibrate
 # balls`` from a few balls on the object, and ``calibrate kinematics`` corrects both arms for any
 # later path.

@@ -3,16 +3,16 @@ Views planned for a task
 ========================
 
 A head with two metal screws is scanned to see what is beside one of them. Which views are worth
-taking? You will say what counts, have views chosen, and see how they compare with an ordinary path.
+taking? You will state the goals, let twinct choose views, and compare these with an ordinary path.
 """
 
 # %%
 # The task
 # --------
 #
-# A ball of 15 mm about the screw in the petrous bone is of interest. Rays through metal count
-# against a view, and the planes through the region should be covered (completeness). A gantry
-# replaces the arms here, so that every direction is within reach.
+# The region of interest is a ball of 15 mm radius around the screw in the petrous bone. Rays
+# through metal count against a view, and the views should cover the planes through the region
+# (completeness). A gantry replaces the arms here, so that every direction is within reach.
 
 import json
 from pathlib import Path
@@ -39,8 +39,8 @@ task:
 # The plan
 # --------
 #
-# ``twinct plan`` takes candidates all over the sphere, and again and again adds the view that is
-# worth most.
+# ``twinct plan`` takes candidates all over the sphere, and adds one view after the other, each time
+# the one with the largest gain.
 
 run_command("plan task.yaml --out plan".split())
 
@@ -53,12 +53,14 @@ axis.imshow(plt.imread("plan/plan.png"))
 axis.axis("off")
 
 # %%
-# Left, the chosen views on the sphere, beside views spread evenly and the scenario's own path. The
-# measures of all three are in ``plan.json``:
+# The left panel shows the chosen views on the sphere, beside the candidates and the scenario's own
+# path. ``plan.json`` holds the figures of the chosen views, of evenly spread views and of this
+# path:
 
 for name, value in json.loads(Path("plan/plan.json").read_text()).items():
     print(f"{name}: {str(value)[:90]}")
 
 # %%
 # ``--try`` also images and reconstructs the chosen views and the scenario's path, and reports the
-# error of both around the screw. A plan foresees what it was asked for, not everything: try it.
+# error of both around the screw. A plan considers only the stated goals, so try it before you use
+# it.

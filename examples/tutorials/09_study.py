@@ -3,8 +3,8 @@ A study
 =======
 
 One scan is one sample. A study varies keys of a scenario, repeats each trial with other seeds,
-and does nothing twice. You will ask how many passes SART should make when the believed poses are
-noisy.
+and computes nothing twice. You will find out how many passes SART should make when the believed
+poses are noisy.
 """
 
 # %%
@@ -49,8 +49,8 @@ study = run_study("passes.yaml", "passes", jobs=1)
 # The table
 # ---------
 #
-# The table has a row for each trial. ``results.parquet`` in the folder holds it, too, and
-# ``study.html`` is a page for people.
+# The table has a row for each trial. In the folder, ``results.parquet`` holds this table, and
+# ``study.html`` shows the results as diagrams and tables.
 
 table = study.results
 print(len(table), "trials,", sorted({one for one in table.columns if "rmse_bone" in one}))
@@ -59,7 +59,7 @@ print(len(table), "trials,", sorted({one for one in table.columns if "rmse_bone"
 # The answer
 # ----------
 #
-# Exact poses allow more passes; with wrong ones, further passes only fit the errors.
+# With exact poses, more passes still lower the error; with wrong poses, they only fit the errors.
 
 passes, sigma = "reconstruction.iterations", "sigma / mm"
 figure, axis = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
@@ -72,5 +72,5 @@ axis.set(xlabel="passes of SART", ylabel="error near bone / %", xscale="log")
 axis.legend(title="noise of the poses")
 
 # %%
-# A study may also search instead of trying everything, keep volumes, and use several machines:
-# ``--address`` names a Ray cluster.
+# A study may also search instead of trying all combinations, keep volumes, and use several
+# machines: ``--address`` names a Ray cluster.

@@ -139,7 +139,7 @@ def self_(
     start: Literal["believed", "epipolar"] = "believed",
     errors: Expected = Errors(),  # noqa: B008
 ) -> None:
-    """Calibrate a scan from its projections alone, each view moved until they agree.
+    """Calibrate a scan from its projections alone: move each view until all views agree.
 
     Args:
         folder: Folder of twinct run --out.

@@ -128,7 +128,7 @@ def qualify(
 
     Args:
         out: Folder for samples, images and results; figures go to qualification.json.
-        tests: Names such as 2D-FB-1; all supported tests, eight of ten, unless given.
+        tests: Names such as 2D-FB-1; by default, all supported tests, eight of ten.
     """
     from rich.table import Table
 

@@ -35,8 +35,9 @@ def demo(
 ) -> None:
     """Run the built-in scenario demo with the engines and the link that are installed.
 
-    Says what it uses instead of a part that is missing, and why. Takes one to three minutes; the
-    last line is the path of the report. Repeat it to continue an interrupted demo.
+    If a part is not installed or does not work, the demo uses a substitute and says which and why.
+    Takes one to three minutes; the last line is the path of the report. Repeat the command to
+    continue an interrupted demo.
 
     Args:
         out: Folder for the results.

@@ -35,11 +35,12 @@ def drive(
     record: Names = (),
     set_: Overrides = (),
 ) -> None:
-    """Send the plan of a scenario to controllers of arms, and record what their drivers say.
+    """Send the plan of a scenario to controllers of arms, and record the messages of their drivers.
 
     The controllers are servers of control_msgs/action/FollowJointTrajectory, in the domain
-    ROS_DOMAIN_ID. The arms must already stand at the start of the plan. This has not moved a real
-    arm yet: try it in the controller's own simulation first. Ctrl-C tells all controllers to stop.
+    ROS_DOMAIN_ID. The arms must already stand at the start of the plan. This command has not moved
+    a real arm yet: try it in the controller's own simulation first. Ctrl-C tells all controllers to
+    stop.
 
     Args:
         out: Recording to write, which must not exist; twinct import reads it.
@@ -128,7 +129,7 @@ def _drive(
             if run is None or not run.sent:  # nothing moved, so the recording tells nothing
                 out.unlink(missing_ok=True)
             else:
-                say(f"{out} holds what was heard until then", warning=True)
+                say(f"{out} holds the messages until then", warning=True)
             raise
         finally:
             for sentence in () if run is None else run.notes:

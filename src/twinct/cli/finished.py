@@ -36,12 +36,12 @@ def import_(
 ) -> None:
     """Import a measured scan, or a scan's recordings: DIR/scan.zarr and DIR/scenario.yaml.
 
-    A measured scan has images and a geometry, and no truth: everything that is read is printed,
-    with its units, and DIR/imported.png shows it. twinct reconstruct makes its volumes.
+    A measured scan has images and a geometry, but no truth. The command prints all that it reads,
+    with units, and shows it in DIR/imported.png. twinct reconstruct then makes the volumes.
 
     Several recordings belong to one scan that was interrupted and resumed. Missing views are
-    listed; run --resume acquires them. From another tool's recording of the same topics, poses,
-    cameras and images are imported as a gantry's scan of an unknown specimen.
+    listed; run --resume acquires them. A recording of these topics by another tool is imported,
+    with its poses, cameras and images, as a gantry's scan of an unknown specimen.
 
     From recordings of real arms, made by twinct drive or with --arms.scenario, the executed poses
     are those of the joints at the time of each image.
@@ -166,10 +166,10 @@ def export(
             commanded (requested poses), or one made by twinct geometry.
         values: Pixels of a scan as -ln(I/I0) (default) or as I/I0; voxels of a volume as
             attenuation in 1/mm (default) or in HU (default of dicom, where water is known).
-        water: Attenuation of water in the volume, 1/mm, which becomes 0 HU; that of the scenario's
-            beam unless given. A measured scan needs it for HU.
-        air: Attenuation of air in the volume, 1/mm, which becomes -1000 HU; 0 unless given.
-        out: File or folder to write; export-NAME beside the scan unless given. It must not exist.
+        water: Attenuation of water in the volume, 1/mm, which becomes 0 HU; by default, that for
+            the scenario's beam. A measured scan needs it for HU.
+        air: Attenuation of air in the volume, 1/mm, which becomes -1000 HU; by default, 0.
+        out: File or folder to write, which must not exist; by default, export-NAME beside the scan.
     """
     if volume is not None:
         _export_volume(scan, volume, to, geometry, values, water, air, out)
@@ -371,8 +371,8 @@ def reconstruct(
     Args:
         folder: Folder of twinct run --out, or of twinct import of a measured scan.
         geometry: commanded, executed, believed, or one made by twinct geometry.
-        as_: Name of the result, below DIR/reconstructions; after its algorithm unless given.
-        halves: For a measured scan: also reconstruct every other view, for the noise.
+        as_: Name of the result, below DIR/reconstructions; by default, it follows the algorithm.
+        halves: For a measured scan: also reconstruct the even and the odd views, for the noise.
     """
     from twinct.core.errors import InputError
     from twinct.core.threads import limit_threads

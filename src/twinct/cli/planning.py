@@ -23,7 +23,7 @@ def reach(
     as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
-    """Show where source and panel can go: directions all over the sphere, at one radius or several.
+    """Show which directions source and panel can reach, all over the sphere, at one or more radii.
 
     Source and panel may be turned about the beam.
 
@@ -59,7 +59,7 @@ def place(
     """Find good positions of the arms for a scenario's trajectory, or for most of the sphere.
 
     Args:
-        sphere: Serve as many directions as possible, with source and panel turned about the beam.
+        sphere: Reach as many directions as possible; source and panel may turn about the beam.
         save: Write a scenario with the resulting keys.
         x: Lowest and highest position of a base, mm.
         y: Lowest and highest position of a base, mm.
@@ -91,13 +91,13 @@ def plan(
 ) -> None:
     """Choose views for the section task of a scenario, among the views that the arms can reach.
 
-    Writes views.csv, planned.yaml, which twinct run executes, plan.npz, plan.json and plan.png.
+    Writes views.csv, planned.yaml (which twinct run executes), plan.npz, plan.json and plan.png.
 
     Args:
         out: Folder for the results.
         scout: Run of a few views, used to locate the specimen before planning.
-        try_views: Make images of the planned views and of the scenario's path, and compare the
-            volumes: tried.png.
+        try_views: Simulate images of the planned views and of the scenario's path, and compare
+            the volumes in tried.png.
         address: Address of Ray; local starts Ray on this machine. Default: local processes.
         jobs: Processes that search for reachable views and evaluate paths of a family (default: as
             many as there are threads).

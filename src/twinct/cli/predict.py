@@ -21,11 +21,11 @@ def predict(
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
-    """Render a scan again and show how its images differ, view by view.
+    """Render a scan again and compare the result with its images, view by view.
 
     The even views are reconstructed and predict the odd ones; with --mesh, the mesh predicts all
-    views. Poses are those of a geometry, the beam is the scenario's. The residuals show what
-    calibration, spectrum and scatter leave: prediction.png, prediction.json, views.csv and
+    views. The poses are those of a geometry, the beam is the scenario's. The residuals show errors
+    of calibration, spectrum and scatter: prediction.png, prediction.json, views.csv and
     residuals.tif in DIR/predictions. After an interruption the same command goes on from the last
     checkpoint, if the algorithm has any.
 
@@ -34,7 +34,7 @@ def predict(
         geometry: believed (default), executed, commanded, or one made by twinct calibrate.
         mesh: Mesh of the object in mm, in the world; --set specimen.position_mm=... moves it.
         material: Material of the mesh; or of the voxels, if a spectrum is stated. Water by default.
-        as_: Name of the result, below DIR/predictions; volume or the mesh's name unless given.
+        as_: Name of the result, below DIR/predictions; by default, volume or the mesh's name.
         set_: Keys of source, detector, specimen, reconstruction or xray, for the prediction only.
     """
     from twinct.core.threads import limit_threads

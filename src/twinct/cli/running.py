@@ -41,7 +41,7 @@ def run(
     as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
-    """Run a scenario: plan, move, expose, reconstruct, judge, report.
+    """Run a scenario: plan, move, expose, reconstruct, evaluate, report.
 
     Writes scan.zarr, volume.nii, metrics.json, report.html and twinct.log into DIR.
 
@@ -51,7 +51,7 @@ def run(
             ros2 if it is installed.
         resume: Resume an interrupted scan.
         record: Write all messages of the scan to DIR/scan.mcap, which ROS tools read.
-        view: Show the run on a page while it runs, see twinct view; the page stays after the run,
+        view: Show the run on a page while it runs (see twinct view); after the run, the page stays
             until Ctrl-C.
     """
     from twinct.scenario import load_scenario, named_places
@@ -100,7 +100,7 @@ def view(
 ) -> None:
     """Show a run in a browser: room, beam, images, volume, errors; also while it runs.
 
-    For a scenario that was not run: room, plan, reach of the path and field of view.
+    For a scenario that has not been run, the page shows room, plan, reach and field of view.
 
     Args:
         export: Write a page that needs no server instead: it plays all views, with a free camera.

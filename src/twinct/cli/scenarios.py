@@ -38,16 +38,16 @@ def check(
 ) -> None:
     """Validate a scenario, build its specimen, plan its motion and rehearse it, without running it.
 
-    Simulates the arms' motion without images, so that it finds every view that a run would miss.
-    Lists every view that an arm cannot reach or that would collide, suggests a remedy, and draws
-    the first of these views.
+    The rehearsal simulates the arms' motion without images, and finds every view that a run would
+    miss. The command lists every view that an arm cannot reach or that would collide, suggests a
+    remedy, and draws the first of these views.
 
     Args:
         save: File for the plan; a scenario follows it with the key motion.plan.
         picture: File for the picture of an infeasible view.
         no_cures: Report infeasible views without a remedy and a picture.
-        all_cures: Try all changes that may be a remedy, even if that takes longer than planning.
-        time_limit: Largest time of the check; what is known by then is reported.
+        all_cures: Try all changes that may help, even if that takes longer than planning.
+        time_limit: Longest time that the check may take; then it ends with the problems found.
     """
     from twinct.core.threads import limit_threads
 
@@ -166,8 +166,8 @@ def render(
 ) -> None:
     """Draw the operating room at one view.
 
-    An infeasible view is drawn, too: collisions in red, source or panel as a ghost at its target,
-    and its arm in the nearest configuration.
+    An infeasible view is drawn, too: collisions in red, a source or panel out of reach as a ghost
+    at its target, and its arm in the nearest configuration.
 
     Args:
         out: File to write.
@@ -253,7 +253,7 @@ def urdf(
     Args:
         out: Folder for cell.urdf and its meshes.
         moveit: Write the arms (arms.urdf, arms.srdf, joint_limits.yaml) and the room with its
-            forbidden zones (room.scene) for MoveIt instead. MoveIt has not read them yet.
+            forbidden zones (room.scene) for MoveIt instead. We have not tried them in MoveIt yet.
     """
     from twinct.core.extras import require
     from twinct.core.files.writing import check_folder, storage_errors, write_text
@@ -283,7 +283,7 @@ def init(
     """Write a scenario to start from, with a comment on each key.
 
     Args:
-        from_: Built-in scenario that is written, such as circle_gantry, head or patient_spine.
+        from_: Built-in scenario to copy, such as circle_gantry, head or patient_spine.
     """
     from twinct.core.errors import InputError
     from twinct.core.files.writing import storage_errors, write_text

@@ -41,14 +41,14 @@ def study(
     retry_failed: Flag = False,
     dry_run: Flag = False,
 ) -> None:
-    """Run a study: many trials of one scenario, with no step done twice.
+    """Run a study: many trials of one scenario, which share their common steps.
 
     Writes journal.jsonl, results.parquet and study.html into DIR.
 
     Args:
         out: Folder for the results; --resume continues or extends the study in it.
         address: Address of Ray; local starts Ray on this machine. Default: local processes.
-        jobs: Trials at a time on this machine (default: as many as its threads allow).
+        jobs: Trials that run at a time on this machine (default: as many as its threads allow).
         resume: Resume an interrupted study, or extend one.
         retry_failed: With --resume, try failed trials again, too.
         dry_run: Only list the trials and their expected cost.

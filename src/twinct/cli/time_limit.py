@@ -37,7 +37,7 @@ def limited(seconds: float | None, option: str) -> Iterator[None]:
         raise InputError(f"{option} {seconds:g}: must be {limit} seconds")
 
     def over(number: int, frame: FrameType | None) -> None:
-        raise TimeUpError(f"stopped after {seconds:g} s ({option}); what is printed is complete")
+        raise TimeUpError(f"stopped after {seconds:g} s ({option}); the output above is complete")
 
     before = signal.signal(signal.SIGALRM, over)
     signal.setitimer(signal.ITIMER_REAL, seconds)

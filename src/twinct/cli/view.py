@@ -127,9 +127,10 @@ def serving(host: str, port: int, allow_network: bool) -> Iterator[Server]:
         else:
             say(
                 f"--allow-network: whoever knows this address and reaches {host}:"
-                f"{server.get_port()} sees the run and can use the controls. All goes over the "
-                "network unencrypted, the address too: who listens there can read it. From another "
-                f"machine, write {socket.gethostname()} or an IP address of this machine as host",
+                f"{server.get_port()} sees the run and can use the controls. Everything, the "
+                "address included, crosses the network unencrypted: others there can read it. On "
+                f"another machine, write {socket.gethostname()} or an IP address of this machine "
+                "as host",
                 warning=True,
             )
         yield server

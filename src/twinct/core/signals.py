@@ -27,7 +27,7 @@ class GaussianSignal(Section):
     """Contrast with a Gaussian profile."""
 
     kind: Literal["gaussian"]
-    sigma_mm: Length = Field(description="Sigma.")
+    sigma_mm: Length = Field(description="Standard deviation of the profile.")
     contrast_rel: Finite = Field(
         description="Contrast at the centre, relative to mu(reference).",
         json_schema_extra={"x-unit": "1"},

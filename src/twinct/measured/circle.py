@@ -79,16 +79,18 @@ class Circle(Section):
     sdd_mm: Length = Field(description="Distance from the source to the panel's plane.")
     pitch_mm: Length | Pair = Field(description="Pixel pitch; two for (columns, rows).")
     angles: Angles = Field(description="Angles of the views.")
-    rotates: Literal["object", "source"] = Field(description="Part that turns, or turns back.")
+    rotates: Literal["object", "source"] = Field(
+        description="Whether the object or the source turns."
+    )
     direction: Literal["counterclockwise", "clockwise"] = Field(
-        description="Its direction while the angles rise, seen from above."
+        description="Direction of its rotation for rising angles, seen from above."
     )
     columns: Literal["right", "left"] = setting("right", "Direction of rising columns.")
     rows: Literal["down", "up"] = setting("down", "Direction of rising rows.")
     panel_offset_mm: tuple[Coordinate, Coordinate] = setting(
-        (0.0, 0.0), "Panel's centre from the foot of the source on its plane: (right, up)."
+        (0.0, 0.0), "Panel's centre from the foot of the source's perpendicular on it: (right, up)."
     )
-    axis_offset_mm: Coordinate = setting(0.0, "Axis from the line between source and that foot.")
+    axis_offset_mm: Coordinate = setting(0.0, "Offset of the axis from that perpendicular.")
     axis_roll_deg: Finite = setting(0.0, "Lean of the axis to the right.")
     axis_tilt_deg: Finite = setting(0.0, "Lean of the axis away from the source.")
     panel_roll_deg: Finite = setting(0.0, "Turn of the panel in its plane, clockwise.")

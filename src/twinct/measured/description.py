@@ -104,8 +104,8 @@ class Images(Files):
     flip_rows: bool = setting(False, "Then reverse the order of rows.")
     flip_columns: bool = setting(False, "Then reverse the order of columns.")
     crop: Crop = setting(Crop(), "Then cut off pixels; the panel becomes smaller.")
-    bin: int = setting(1, "Then average blocks of so many pixels along each axis.", ge=1, le=64)
-    every: int = setting(1, "Take every so many-th view.", ge=1)
+    bin: int = setting(1, "Then average blocks of this many pixels along each axis.", ge=1, le=64)
+    every: int = setting(1, "Take every nth view, n being this number.", ge=1)
 
     @model_validator(mode="after")
     def _corrections_fit(self) -> Images:

@@ -22,7 +22,7 @@ SHARE_SHOWN = 99.5
 def show_prediction(
     path: Path, measured: NDArray[np.float32], predicted: NDArray[np.float32], residuals: Residuals
 ) -> None:
-    """Draw the best, a middling and the worst view, and the figures of all views.
+    """Draw the best, a median and the worst view, and the figures of all views.
 
     Args:
         path: file of the picture.
@@ -45,7 +45,7 @@ def _draw(
     typical = np.percentile(np.abs(measured[chosen] - predicted[chosen]), SHARE_SHOWN)
     limit = max(float(typical), 1e-6)
     grid = pictures.subplots(3, 3)
-    for row, (word, k) in enumerate(zip(("best", "middling", "worst"), chosen, strict=True)):
+    for row, (word, k) in enumerate(zip(("best", "median", "worst"), chosen, strict=True)):
         one = residuals.views[k]
         grey: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": top}
         given, again, left = grid[row]

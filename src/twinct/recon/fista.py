@@ -48,7 +48,8 @@ class Regularised(AlgorithmSettings):
         le=1000,
         description="Number of rounds that the iterations are divided into; after each round, the "
         "residual is added to the line integrals, which restores contrast that the total variation "
-        "removed. By default 1; for prior_tv one per 6 iterations, at most 4.",
+        "removed. By default 1; for prior_tv one per 6 iterations, at most 4 with a stated "
+        "regularisation, else at most 2.",
         json_schema_extra=facts(source="Osher et al., Multiscale Model. Simul. 4 (2005) 460"),
     )
     subsets: Subsets = None

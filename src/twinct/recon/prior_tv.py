@@ -60,11 +60,12 @@ class Prior(Section):
     )
     position_mm: Vector = setting(
         (0.0, 0.0, 0.0),
-        "Position of the prior's world in the scan's world, where the registration starts.",
+        "Position of the prior's world in the scan's world at the start of the registration.",
     )
     rotation_deg: Vector = setting(
         (0.0, 0.0, 0.0),
-        "Rotation of the prior's world where the registration starts: extrinsic about x, y, z.",
+        "Rotation of the prior's world at the start of the registration: extrinsic rotations "
+        "about x, y, z.",
     )
 
     @property
@@ -86,8 +87,8 @@ class PriorTv(Regularised):
         default=None,
         description="Strength of the total variation: a dimensionless number that does not depend "
         "on the number of views, pixels or voxels. By default it follows from the noise "
-        "of the scenario's photons or of air in the projections; if it is unknown, the value is "
-        "0, and log, metrics.json and report say so.",
+        "of the scenario's photons or of air in the projections; if the noise is unknown, the "
+        "value is 0, and log, metrics.json and report say so.",
     )
     weighting: Literal["uniform", "counts"] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
         default=None,

@@ -1,4 +1,4 @@
-"""The scenario: one YAML file that initialises everything."""
+"""The scenario: one YAML file that describes a whole simulation."""
 
 from twinct.core.signals import GaussianSignal, SphereSignal
 from twinct.recon.objectives.completeness import CompletenessGoal

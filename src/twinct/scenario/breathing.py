@@ -30,12 +30,14 @@ class Rhythmic(Section):
     )
     period_s: Positive = setting(4.0, "Mean length of a breath.", ge=0.2)
     start_phase: Phase = setting(
-        0.0, "Share of the first breath that is over when the scan begins."
+        0.0, "Share of the first breath that has passed when the scan begins."
     )
     irregularity: float = setting(
         0.0, "Standard deviation of the logarithm of a breath's length and depth.", ge=0, le=0.5
     )
-    drift_per_min: Finite = setting(0.0, "Drift, in usual depths a minute.")
+    drift_per_min: Finite = setting(
+        0.0, "Drift of the rest position, in depths of a usual breath per minute."
+    )
     seed: int = setting(0, "Seed of the irregularity.", ge=0, lt=2**63)
 
 
@@ -43,14 +45,16 @@ class Breathing(Rhythmic):
     """Simple model of a breathing chest in the part's frame: x right, y front, z up."""
 
     kind: Literal["breathing"]
-    diaphragm_mm: NonNegative = setting(15.0, "Way of the diaphragm's dome in a usual breath.")
-    front_mm: NonNegative = setting(6.0, "Way of the chest's front wall in a usual breath.")
+    diaphragm_mm: NonNegative = setting(
+        15.0, "Excursion of the diaphragm's dome in a usual breath."
+    )
+    front_mm: NonNegative = setting(6.0, "Excursion of the chest's front wall in a usual breath.")
     hysteresis: float = setting(
-        0.2, "Lead of the front wall over the diaphragm, as a share of its way.", ge=-1, le=1
+        0.2, "Lead of the front wall over the diaphragm, as a share of its excursion.", ge=-1, le=1
     )
     dome_mm: Vector = setting((0.0, 10.0, -20.0), "The diaphragm's dome in the part's frame.")
     reach_mm: Pair = setting(
-        (200.0, 200.0), "Lengths above and below the dome over which its way fades away."
+        (200.0, 200.0), "Lengths above and below the dome over which the excursion falls to 0."
     )
     half_axes_mm: Pair = setting((165.0, 114.0), "Half axes of the chest: across, back to front.")
 
@@ -60,19 +64,19 @@ class FieldFile(Section):
 
     path: Path = Field(
         description="NIfTI file of vectors, (x, y, z, 3) or (x, y, z, 1, 3), mm, along the axes of "
-        "Fields.axes: the way of each point of the CT to its place in this phase."
+        "specimen.motion.axes: displacement of each point of the CT to its position in this phase."
     )
 
 
 class Fields(Rhythmic):
-    """One displacement field for each of evenly spaced phases; the first follows the last."""
+    """Displacement fields of evenly spaced phases of a breath; the first one follows the last."""
 
     kind: Literal["fields"]
     phases: tuple[FieldFile, ...] = Field(
         min_length=2, max_length=64, description="Fields in the order of their phases, from 0."
     )
     axes: Literal["ras", "lps"] = setting(
-        "ras", "Axes of the vectors: right, front, up; or, as ITK has them, left, back, up."
+        "ras", "Axes of the vectors. ras: right, front, up; lps, as in ITK: left, back, up."
     )
 
 
@@ -83,7 +87,9 @@ class KnownMotion(Section):
     """Treatment of a patient's known motion, and the state of breathing that is reconstructed."""
 
     compensate: bool = setting(
-        True, "True: each view sees the body in its state at its time. False: at rest."
+        True,
+        "True: each view sees the body in its state at the time of the view. False: all views see "
+        "it at rest.",
     )
     amplitude_rel: NonNegative = setting(
         1.0, "Believed amplitude, relative to the executed one; 0.8 is 20 % too small.", le=10
@@ -123,7 +129,7 @@ def motion_conflicts(
     """
     if moves and lag:
         yield Conflict(
-            "detector.lag: the signal of the previous view cannot lag behind with specimen.motion",
+            "detector.lag: the signal of the previous view cannot be used with specimen.motion",
             ("detector.lag", "specimen.motion"),
         )
     if known is None:

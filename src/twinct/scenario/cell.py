@@ -93,7 +93,7 @@ class Turntable(Section):
         json_schema_extra=facts(unit="deg"),
     )
     centre_mm: Vector = setting(
-        (0.0, 0.0, 0.0), "Point of the axis, from base_position_mm, along the world's axes."
+        (0.0, 0.0, 0.0), "Point on the axis, relative to base_position_mm, along the world's axes."
     )
     axis: Vector = setting((0.0, 0.0, 1.0), "Direction of the axis in the world.", unit="1")
     speed_deg_s: Positive = setting(40.0, "Largest speed; speed_scale applies to it, too.")
@@ -130,7 +130,8 @@ class Arm(Section):
     file: Annotated[Path | None, ReadBy("plan")] = Field(
         default=None,
         description="Instead of model: MJCF or URDF file of your own arm, see docs/arm_files.md. "
-        "Its includes and meshes lie in its folder or below, those of a URDF also in ROS packages.",
+        "Its includes and meshes lie in its folder or below; those of a URDF may also lie in ROS "
+        "packages.",
     )
     base: Annotated[str | None, ReadBy("plan")] = Field(
         default=None,
@@ -144,7 +145,7 @@ class Arm(Section):
     )
     rail: Annotated[Rail | None, ReadBy("plan")] = Field(
         default=None,
-        description="Linear rail that carries the base: a seventh joint, which plans use.",
+        description="Linear rail that carries the base: one more joint, which plans use.",
     )
     turntable: Annotated[Turntable | None, ReadBy("plan")] = Field(
         default=None,
@@ -189,7 +190,7 @@ class Arm(Section):
     joint_speed_deg_s: Positive = setting(
         90.0,
         "Speed limit of every joint if the model states none, as in Menagerie and MJCF. With "
-        "file, write it even if it is 90.",
+        "file, set this key even if it is 90.",
         read_by="executed",
     )
 
@@ -354,9 +355,9 @@ class GantryCell(Section):
     kind: Annotated[Literal["gantry"], ReadBy("plan")]
     view_s: float = setting(
         1.0,
-        "Simulated time from view to view. With motion_samples above 1, each exposure is "
-        "centred on its view, and source and panel move at this pace as they came from the "
-        "previous view, along circle or helix; at the first view they stand still.",
+        "Simulated time from view to view. With motion_samples above 1, each exposure is centred "
+        "on the time of its view; during it, source and panel continue the screw motion from the "
+        "previous view at constant speed. At the first view they stand still.",
         ge=1e-6,
         allow_inf_nan=False,
         read_by="executed",

@@ -189,20 +189,20 @@ class Correction(Section):
     )
     flat_geometry: Literal["commanded", "first", "view"] = setting(
         "commanded",
-        "commanded and first use one flat image, taken at the first commanded view. commanded: "
-        "scaled by distance and tilt to each commanded view, so that the errors of the arms "
-        "stay in the image; first: unchanged; view: a flat image at each executed view, which "
-        "no machine can take.",
+        "Geometry of the flat images. commanded and first use one flat image, taken at the first "
+        "commanded view. commanded: the flat image is scaled by distance and tilt to each "
+        "commanded view, so that the errors of the arms stay in the image; first: it is used "
+        "unchanged; view: a flat image at each executed view, which no machine can take.",
     )
 
 
 class Scatter(Section):
-    """Scattered radiation, a forward-scatter estimate; its validity: ``twinct.xray.scatter``."""
+    """Forward-scatter estimate of scattered radiation; its limits: ``twinct.xray.scatter``."""
 
     kind: Literal["kernel"]
     scale: NonNegative = setting(
         1.0,
-        "Factor of the scatter: above 1 for higher-order scatter, below 1 for an anti-scatter "
+        "Factor on the scatter: above 1 for higher-order scatter, below 1 for an anti-scatter "
         "grid.",
         source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina",
     )
@@ -226,7 +226,7 @@ class Detector(Section):
     pixel_samples: int = setting(
         1,
         "Samples along each edge of a pixel; the pixel value is their mean. The cost grows with "
-        "the square.",
+        "the square of this number.",
         ge=1,
         le=16,
         source="1: the paper's gVXR",
@@ -246,15 +246,15 @@ class Detector(Section):
     )
     frame_ms: float | None = setting(
         None,
-        "Least time from one image to the next that the detector needs, 1000 / frames per second; "
-        "null: the exposure alone. The plan of the arms respects both.",
+        "Shortest time from one image to the next that the detector allows, 1000 / frames per "
+        "second; null: only the exposure time limits it. The plan of the arms respects both times.",
         gt=0,
         le=60_000,
         read_by="executed",
     )
     lag: float = setting(
         0.0,
-        "Share of a view's signal that remains in the next view. It doubles the cost.",
+        "Share of a view's signal that remains in the next view. A lag above 0 doubles the cost.",
         ge=0,
         lt=1,
     )
@@ -265,7 +265,8 @@ class Detector(Section):
     keep: tuple[Literal["raw", "flat", "dark"], ...] = setting(
         (),
         "Images that the scan store keeps for each view beside the transmission, in grey "
-        "values. An ideal source and detector have none. Each view is then rendered twice.",
+        "values. Each view is then rendered twice. An ideal source and detector have no such "
+        "images, and the key is refused.",
     )
 
     @property

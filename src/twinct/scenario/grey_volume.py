@@ -19,7 +19,7 @@ from twinct.scenario.composition import Composition
 
 
 class HuLine(Section):
-    """Line from a file's values to HU: slope times value plus intercept."""
+    """Conversion of a file's values to HU: slope times value plus intercept."""
 
     slope: Finite = setting(1.0, "HU per unit of the file's values, not 0.")
     intercept: Finite = setting(0.0, "HU of the value 0.")
@@ -33,7 +33,7 @@ class HuLine(Section):
 
 
 class Tissues(Section):
-    """HU become tissues, from lung to cortical bone, by the stated tube voltage of the scanner."""
+    """HU are converted to tissues, from lung to cortical bone, for the scanner's tube voltage."""
 
     kind: Literal["tissues"]
     kv: Literal[80, 100, 120, 140] = setting(
@@ -42,7 +42,9 @@ class Tissues(Section):
         source="tissues: Schneider et al., Phys. Med. Biol. 45 (2000) 459",
     )
     energy_kev: Annotated[Positive, Field(ge=30, le=150)] | None = setting(
-        None, "Photon energy at which HU are relative to water; null: that of the tube voltage."
+        None,
+        "Photon energy at which HU are defined relative to water; null: the effective energy of "
+        "the tube voltage.",
     )
 
 
@@ -50,12 +52,12 @@ class TableRow(Section):
     """One material at one density, and its HU."""
 
     hu: Finite = Field(description="HU on the scanner.")
-    density_g_cm3: NonNegative = Field(description="Density; 0 is nothing.")
+    density_g_cm3: NonNegative = Field(description="Density; 0: no attenuation.")
     material: str | Composition = Field(description="A name, or a composition.")
 
 
 class TissueTable(Section):
-    """A table of one's own; between two rows, voxels are mixtures by volume."""
+    """A table of your own; between two rows, voxels are mixtures by volume."""
 
     kind: Literal["table"]
     rows: tuple[TableRow, ...] = Field(
@@ -78,7 +80,7 @@ class TissueTable(Section):
 
 
 class ElectronDensities(Section):
-    """A scanner's measured curve of electron density; its tissues are those of ``tissues``."""
+    """Measured curve of a scanner's electron density; the kind ``tissues`` supplies the tissues."""
 
     kind: Literal["electron_density"]
     points: tuple[tuple[Finite, NonNegative], ...] = Field(
@@ -97,7 +99,7 @@ class ElectronDensities(Section):
 
 
 class AttenuationValues(Section):
-    """The file's values are attenuation, not HU; tissues are those of ``tissues``."""
+    """The file's values are attenuation, not HU; the kind ``tissues`` supplies the tissues."""
 
     kind: Literal["attenuation"]
     energy_kev: Annotated[Positive, Field(ge=30, le=150)] = Field(
@@ -116,7 +118,7 @@ class Labels(Section):
         description="NIfTI file of whole numbers, or a folder of one NIfTI mask for each name."
     )
     names: dict[str, Annotated[int, Field(ge=1, le=65535)]] = setting(
-        {}, "Number of each name; {}: as the file states them itself, else label_1, label_2, ..."
+        {}, "Number of each name; {}: the file's own names, or else label_1, label_2, ..."
     )
 
 
@@ -144,16 +146,17 @@ class GreyVolume(Section):
     )
     hu: HuLine | None = setting(
         None,
-        "Line from the file's values, after its own rescaling, to HU; null: they are HU, and a "
-        "file whose values cannot be HU is refused.",
+        "Linear conversion of the file's values, after the file's own rescaling, to HU; null: the "
+        "values are HU, and a file whose values cannot be HU is refused.",
     )
     calibration: Annotated[Calibration, Field(discriminator="kind")] = setting(
         Tissues(kind="tissues"), "Meaning of the values."
     )
     edges: Literal["soft", "sharp"] = setting(
         "soft",
-        "Between voxel centres: soft is linear; sharp takes voxels as volume fractions of the rows "
-        "of a table, and each point as the row with the largest one.",
+        "Material between voxel centres. soft: linear interpolation. sharp: the volume fractions "
+        "of the rows of a table are interpolated, and each point has the material of the row with "
+        "the largest fraction.",
     )
     above_hu: Finite | None = setting(
         None, "Voxels up to this value are left out; null: only those without attenuation."
@@ -169,10 +172,11 @@ class GreyVolume(Section):
         -300.0, "Value on the skin: the surface for pictures, sizes and collisions."
     )
     interpolate_slices: bool = setting(
-        False, "Interpolate unevenly spaced slices of a DICOM series; otherwise it is refused."
+        False,
+        "Interpolate unevenly spaced slices of a DICOM series; otherwise such a series is refused.",
     )
     extend_mm: NonNegative = setting(
-        0.0, "Length by which first and last slice are repeated beyond the ends of the CT."
+        0.0, "Length by which the first and the last slice are repeated beyond the ends of the CT."
     )
     centre: bool = setting(True, "Move the centre of the skin's bounding box to the part's origin.")
 

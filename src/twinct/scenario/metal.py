@@ -25,8 +25,9 @@ class Nmar(Section):
     metal: str | Composition = setting("titanium", "The metal; it attenuates more than bone.")
     threshold_per_mm: Positive | None = setting(
         None,
-        "Attenuation from which a voxel of the first volume counts as metal; null: the "
-        "geometric mean of bone and metal.",
+        "Smallest attenuation of a metal voxel in the first volume; null: the geometric mean of "
+        "bone and metal.",
+        unit="1/mm",
     )
     first_iterations: int = setting(
         3, "SART iterations of the volume that is segmented.", ge=1, le=10_000

@@ -35,7 +35,10 @@ class Motion(Section):
         read_by="executed",
     )
     tolerance_mm: Length = setting(
-        1.0, "Distance at which a target counts as reached.", source="the paper", read_by="executed"
+        1.0,
+        "Distance from a target within which it counts as reached.",
+        source="the paper",
+        read_by="executed",
     )
     clearance_mm: NonNegative = setting(
         10.0, "Smallest gap between bodies that a plan may have.", read_by="plan"
@@ -89,7 +92,7 @@ class Motion(Section):
     )
     timeout_s: Positive = setting(
         10.0,
-        "Simulated time within which a move must arrive; with scheme: planned, how much later "
-        "than planned the last move may arrive.",
+        "Simulated time within which a move must arrive; with scheme: planned, the largest delay "
+        "of the last move behind the plan.",
         read_by="executed",
     )

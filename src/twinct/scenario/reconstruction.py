@@ -35,7 +35,7 @@ class Grid(Section):
         512, "Voxels along each axis; three numbers for (x, y, z).", source="the paper"
     )
     voxel_mm: Length | Lengths = setting(
-        0.31, "Voxel edge; three for (x, y, z).", source="the paper"
+        0.31, "Voxel edge; three numbers for (x, y, z).", source="the paper"
     )
     centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the grid in the world.")
     rotation_deg: Vector = setting((0.0, 0.0, 0.0), "Extrinsic rotations about x, y, z.")
@@ -76,12 +76,14 @@ class Zoom(Section):
     """Region with finer voxels, reconstructed in place of the grid, along the grid's axes."""
 
     centre_mm: Vector = setting((0.0, 0.0, 0.0), "Centre of the region in the world.")
-    size_mm: Length | Lengths = Field(description="Edges of the region; three for (x, y, z).")
+    size_mm: Length | Lengths = Field(
+        description="Edges of the region; three numbers for (x, y, z)."
+    )
     voxel_mm: Length = Field(description="Voxel edge; adjusted slightly to fit the region.")
     iterations: int = setting(
         5,
-        "Iterations of a SART on the whole grid, which yields the surroundings of the region to "
-        "remove.",
+        "Iterations of a SART on the whole grid, which yields the surroundings of the region that "
+        "are removed.",
         ge=1,
         le=10_000,
     )

@@ -74,11 +74,11 @@ class RoomObject(Standing):
         "may overlap each other; all other fixed bodies must stand apart.",
         read_by="plan",
     )
-    collides: bool = setting(True, "Whether the arms keep away from it.", read_by="plan")
+    collides: bool = setting(True, "Whether the arms keep away from the object.", read_by="plan")
     material: str | Composition | None = setting(
         None,
-        "Material, as of a part of the specimen, if the beam sees the object; null: the beam does "
-        "not. Where such objects overlap, the later one wins.",
+        "Material, as for a part of the specimen, of an object that attenuates the beam; null: the "
+        "images do not show the object. Where such objects overlap, the later one wins.",
         source="attenuation: xraylib",
         read_by="images",
     )

@@ -69,7 +69,7 @@ class FileSpectrum(Section):
 
     kind: Literal["file"]
     path: Path = Field(
-        description="Two columns: energy in keV (rising, 0.1 to 800), photons in that bin."
+        description="Two columns: energy in keV (rising, 0.1 to 800), photons in the bin around it."
     )
     filters: tuple[Filter, ...] = setting((), "Plates between this spectrum and the specimen.")
     bins: int = setting(60, "Largest number of energy bins.", ge=1, le=1000)
@@ -80,7 +80,7 @@ Spectrum = Annotated[TubeSpectrum | FileSpectrum, Field(discriminator="kind")]
 
 class _Spot(Section):
     samples: int = setting(
-        24, "Points that sample the spot; an image is rendered once for each.", ge=1, le=1000
+        24, "Points that sample the spot; an image is rendered for each point.", ge=1, le=1000
     )
 
 
@@ -153,8 +153,8 @@ class Source(Section):
     motion_samples: int = setting(
         1,
         "Number of equally spaced instants of the exposure; the image is their mean, which "
-        "shows motion blur. 1: everything stands still as at the trigger. An image is rendered "
-        "once for each instant.",
+        "shows motion blur. 1: everything stands still where it is at the trigger. An image is "
+        "rendered for each instant.",
         ge=1,
         le=1000,
         source="1, no blur: the paper",

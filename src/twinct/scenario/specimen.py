@@ -138,8 +138,8 @@ class CtVolume(Section):
     )
     hu: HuLine | None = setting(
         None,
-        "Line from the file's values, after its own rescaling, to HU; null: they are HU, and a "
-        "file whose values cannot be HU is refused.",
+        "Linear conversion of the file's values, after the file's own rescaling, to HU; null: the "
+        "values are HU, and a file whose values cannot be HU is refused.",
     )
     threshold_hu: Finite = setting(300.0, "Everything above this value is bone.")
     smoothing_mm: NonNegative = setting(0.0, "Sigma of a Gaussian filter before the threshold.")

@@ -107,8 +107,8 @@ class ViewTask(_Objectives):
 
     trying: TryingGoal | None = setting(
         None,
-        "Favour a small error in the region. Paths of a family are tried: images as from a "
-        "gantry are reconstructed as in the scenario.",
+        "Favour a small error in the region. Each path of a family is tried: its images, simulated "
+        "with a gantry, are reconstructed as the scenario states.",
     )
     exposure: ExposureSharing | None = setting(
         None, "Give each view its own mAs; null: all views have the source's mAs."
@@ -163,7 +163,7 @@ class ViewTask(_Objectives):
         if self.exposure and "detectability" not in self.goals:
             contradictions.append(
                 Conflict(
-                    "task.exposure: sharing the mAs serves detectability and needs "
+                    "task.exposure: the mAs are distributed for the best detectability: give "
                     "task.detectability",
                     ("task.exposure", "task.detectability"),
                 )

@@ -95,15 +95,15 @@ class ArmErrors(ErrorSettings):
     rail_mm: Finite = size(
         "Error of the position of a rail's carriage along each axis, in waves along the rail."
     )
-    rail_deg: Finite = size("Tilt of the carriage about each axis, in such waves.")
+    rail_deg: Finite = size("Tilt of the carriage about each axis, in waves along the rail.")
     rail_period_mm: Positive = setting(1000.0, "Length of these waves.")
     drift_mm: Finite = size(
-        "Growth of each link along each axis once it is warm. The arms are calibrated warm; the "
-        "growth that is still missing fades with warm_up_min.",
+        "Thermal growth of each link along each axis until it is warm. The arms are calibrated "
+        "warm; the growth that is still missing decays with the time constant warm_up_min.",
     )
     warm_up_min: Positive = setting(60.0, "Time constant of warming up.", unit="min")
     running_min: NonNegative = setting(
-        0.0, "Time for which the arms have run when the scan begins.", unit="min"
+        0.0, "Time for which the arms have been running when the scan begins.", unit="min"
     )
     ageing_mm: NonNegative = setting(
         0.0, f"Displacement of bases and tools along each axis in a month, {RANDOM_WALK}."

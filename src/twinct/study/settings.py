@@ -102,7 +102,9 @@ class Axis(Section):
     range: Range | None = setting(None, "Alternatively: evenly spaced numbers.")
     draw: Draw | None = setting(None, "Alternatively: numbers drawn from a distribution.")
     paired: tuple[Axis, ...] | None = setting(
-        None, "Alternatively: axes varied together, first value with first value.", min_length=2
+        None,
+        "Alternatively: axes varied together, the first value of one with the first of the other.",
+        min_length=2,
     )
     only: dict[Key, JsonValue] = setting(
         {}, "Vary only where these keys have these values, such as an algorithm; else leave alone."

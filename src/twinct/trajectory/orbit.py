@@ -34,7 +34,7 @@ class OrbitSettings(TrajectorySettings):
     )
     sdd_mm: Length | Course = setting(
         600.0,
-        "Distance from source to panel centre; or several, as in ``sod_mm``.",
+        "Distance from source to panel centre; or several, as for sod_mm.",
         source="the paper, as docs/paper.md reads it",
     )
     centre_longitude_deg: Finite = setting(

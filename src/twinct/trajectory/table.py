@@ -35,7 +35,7 @@ _FORMS = (6, 7, 12, 13)
 
 
 class FileTrajectory(TrajectorySettings):
-    """Views from a CSV file: S and D, or S, D, u, v for each row, mm; mAs may follow."""
+    """Views from a CSV file: each row has S and D in mm, or S, D, u and v; mAs may follow."""
 
     kind: Literal["file"]
     path: Path = Field(description="CSV file.")

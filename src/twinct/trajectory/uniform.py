@@ -20,7 +20,8 @@ GOLDEN = (math.sqrt(5) - 1) / 2
 class UniformTrajectory(OrbitSettings, Zone):
     """Views of equal density over a zone of the sphere: a Fibonacci lattice (Gonzalez 2010).
 
-    The views go upwards and neighbours are far apart: ``motion.order: shortest`` makes a tour.
+    From view to view, the latitude rises and the longitude jumps far: ``motion.order: shortest``
+    makes a short tour.
     """
 
     kind: Literal["uniform"]

@@ -11,16 +11,16 @@ class ArmsRecording:
     """Recording of real arms: its topics, its scenario and its flat images.
 
     Attributes:
-        scenario: Scenario of the scan, whose arms and specimen are kept (default: the one that
+        scenario: Scenario of the scan, whose arms and specimen are used (default: the one that
             twinct drive recorded).
         image: Topic of the detector's images.
         joint_states: Topics of the drivers' joint states (default: those of twinct drive, else
             /joint_states).
         source_prefix: Prefix of the joint names of the source arm's driver.
         detector_prefix: Prefix of the joint names of the detector arm's driver.
-        flat: Files of flat images, whose mean counts; raw images need them.
+        flat: Files of flat images, which are averaged; raw images need them.
         dark: Files of dark images.
-        flip: rows or columns of the images that run opposite to v and u.
+        flip: Axes of the images that run opposite to v and u: rows, columns or both.
         latency_ms: Time from the middle of an exposure to its image's stamp, on the joints' clock.
         estimate_latency: Estimate that time from the images of the scenario's specimen.
     """

@@ -22,10 +22,10 @@ _AT_A_TIME = 2_000_000
 
 
 class CompletenessGoal(MoreIsBetter):
-    """Planes through points of the region that the source crosses (Tuy): more is better."""
+    """Share of the planes through the region that the source crosses (Tuy): more is better."""
 
     within_deg: Positive = setting(
-        3.0, "Angle from a plane within which a view counts as crossing it."
+        3.0, "Angle from a plane up to which a view counts as crossing it."
     )
 
 

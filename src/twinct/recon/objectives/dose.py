@@ -117,7 +117,7 @@ DOSE = Objective(
     "dose",
     DoseGoal,
     _measure,
-    "Avoid dose.",
+    "Favour a low dose.",
     unit=lambda own: "Gy",
     conflicts=lambda own, parts: unknown_parts({"task.dose.part": own.part}, parts),
     under_errors=_with_exposures,

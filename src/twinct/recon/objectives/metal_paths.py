@@ -62,7 +62,7 @@ class MetalGoal(LessIsBetter):
     counts: Literal["length", "starved", "shift"] = setting(
         "length",
         "Cost of a ray. length: its length in metal; starved: whether fewer than least_photons "
-        "photons remain; shift: how much metal hardens it.",
+        "photons remain; shift: how much the metal hardens the beam along the ray.",
     )
     least_photons: Positive = setting(
         100.0, "Photons in a pixel below which a ray is starved.", unit="1"
@@ -309,7 +309,7 @@ METAL = Objective(
     "metal",
     MetalGoal,
     _measure,
-    "Avoid metal in the rays.",
+    "Avoid rays through metal.",
     unit=lambda own: "mm" if own.counts == "length" else "1",
     conflicts=_conflicts,
 )

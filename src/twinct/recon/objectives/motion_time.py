@@ -92,7 +92,7 @@ MOVING = Objective(
     "moving",
     MovingGoal,
     _measures,
-    "Avoid long moving times of the arms.",
+    "Favour short moving times of the arms.",
     unit=lambda own: "s",
     under_errors=None,
 )

@@ -37,7 +37,7 @@ class MoreIsBetter(ObjectiveSettings):
     at_least_rel: Share | None = setting(
         None,
         "Smallest value, relative to that of views spread evenly over all reachable ones; null: "
-        "whatever the weights yield.",
+        "no limit.",
         unit="1",
     )
 
