@@ -12,7 +12,7 @@ from twinct.recon.air import air_noise
 from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.denoise import lower_variation, noise
 from twinct.recon.engine import kernels
-from twinct.recon.fast import Fast
+from twinct.recon.fast import MOST_PASSES, Fast
 from twinct.recon.levels import QUIET_SHARE
 from twinct.report import with_results
 
@@ -243,7 +243,8 @@ def test_passes_follow_from_the_views_for_each_voxel(bodies):
         return len(seen) / len(A)
 
     few = A.on(VolumeGrid((30, 30, 30), 1.4))
-    assert (passes(A, p), passes(few, p), passes(A[::4], p[::4])) == (2, 1, 3)
+    assert (passes(A, p), passes(few, p), passes(A[::4], p[::4])) == (2, 1, 4)
+    assert passes(A[::12], p[::12]) == MOST_PASSES
 
 
 def test_nothing_is_denoised_where_the_noise_is_unknown(plates, caplog):

@@ -69,3 +69,24 @@ def test_fast_is_as_good_as_the_best_pass_of_sart(scans, name):
         ),
     )
     assert made.error(fast(made.A, made.p).array) <= 1.1 * min(errors)
+
+
+@pytest.mark.tutorial
+def test_sheets_in_few_views_get_further_passes(scans):
+    """A foam of as many voxels gets the usual passes, sheets more, and a smaller error."""
+    updates = {}
+    for name, seed in (("foam", 1), ("sheets", 3)):
+        case = next(case for case in scans.TUNING if case.name == name)
+        made = scans.Made(replace(case, views=48), seed, 64)
+        errors = []
+        for passes in (None, 2):
+            steps = []
+            volume = fast(
+                made.A, made.p, passes=passes, photons=case.photons, callback=steps.append
+            )
+            assert steps[-1].update + 1 == steps[-1].updates
+            errors.append(made.error(volume.array))
+            updates.setdefault(name, []).append(len(steps))
+        if name == "sheets":
+            assert errors[0] < 0.85 * errors[1]
+    assert updates["foam"][0] == updates["foam"][1] == updates["sheets"][1] < updates["sheets"][0]

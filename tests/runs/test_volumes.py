@@ -257,7 +257,7 @@ def test_progress_ends_at_its_total_though_there_are_fewer_levels(scan, monkeypa
     monkeypatch.setattr(audience, "LAST_WORDS_S", HANG_S)
     reconstruct(scan(), algorithm="fast", levels=3, observers=[heard.append])
     (ended,) = (event for event in heard if isinstance(event, StageEnded))
-    assert ended.done == ended.total == 12 * (3 + 2 * 3)
+    assert ended.done == ended.total == 12 * (4 + 2 * 3)
 
 
 def test_stopping_takes_memory_for_the_volume_before(scan):

@@ -7,7 +7,7 @@ details. The coarse grids are larger. The contents of the last one's margin are 
 subtracted before the pass at full resolution, as in ``without_surroundings``; coarser voxels would
 describe them less well.
 
-An update with a relaxation of 1 to 2 makes details in one to three passes, but also noise where
+An update with a relaxation of 1 to 2 makes details in a few passes, but also noise where
 several views see each voxel. The relaxation therefore falls over a level, in geometric steps, from
 its first value to that value times voxels along an axis over views if there are more views, and
 times ``QUIET`` over the noise of the line integrals, as a share of their range, if it is more.
@@ -28,6 +28,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -56,15 +57,22 @@ from twinct.recon.working import WorkingVolume
 
 log = logging.getLogger(__name__)
 
-MANY_VIEWS, FEW_VIEWS = 3.0, 0.6
-"""Views per voxel along an axis from which one pass makes the details, and below which it takes
-three. Each view counts as often as there are pixels in a voxel's shadow."""
+MANY_VIEWS = 3.0
+"""Views per voxel along an axis from which one pass makes the details.
+
+Each view counts once for each pixel in a voxel's shadow.
+"""
+
+FEW_VIEWS, MOST_PASSES = 1.3, 8
+"""With fewer views, passes times views per voxel; and the most passes."""
 
 QUIET = 0.003
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
 
 SPARSE = 0.12
-"""Share of the grid below which the noise matters less: air, which cannot be negative, has none."""
+"""Share of the grid below which the noise matters less: air, which cannot be negative, has none.
+
+The relaxation falls less, and the total variation follows less from the noise."""
 
 PER_STRENGTH = 0.15
 """Strength of the total variation, relative to that of ``strength_of_noise``, for one view."""
@@ -86,7 +94,7 @@ SMALLEST = 8
 
 
 class Fast(AlgorithmSettings):
-    """SART from coarse to fine, with one to three passes at full resolution."""
+    """SART from coarse to fine, with few passes at full resolution."""
 
     algorithm: Literal["fast"] = "fast"
     passes: int | None = Field(
@@ -94,8 +102,9 @@ class Fast(AlgorithmSettings):
         ge=1,
         le=1000,
         description="Passes over all views at full resolution. By default 2; 1 if there are "
-        "three times as many views as voxels along an axis, and 3 if there are less than 0.6 times "
-        "as many, each view counted as often as there are pixels in a voxel's shadow.",
+        "three times as many views as voxels along an axis; 3 to 8 if there are less than 0.65 "
+        "times as many, each view counted once for each pixel in a voxel's shadow. If most of the "
+        "residual lies in few views, which see flat parts edge-on, further passes follow.",
     )
     coarse_passes: int = Field(
         default=2,
@@ -120,10 +129,11 @@ class Fast(AlgorithmSettings):
     denoising: NonNegative | None = Field(
         default=None,
         description="Strength of a total-variation denoising at the end, in voxel edges times the "
-        "unit of the volume; 0 turns it off. By default the total variation is lowered between the "
-        "updates, as the noise of the scenario's photons or of air in the projections requires; if "
-        "it is unknown, at the end, as the noise of homogeneous parts of the volume requires; if "
-        "there are none, nothing is denoised, and the log says so.",
+        "unit of the volume; 0 turns it off. By default, the total variation is lowered between "
+        "the updates, and the strength follows from the noise of the scenario's photons or of air "
+        "in the projections. If this noise is unknown, the volume is denoised at the end, and the "
+        "strength follows from the noise of homogeneous parts of the volume. Without such parts, "
+        "nothing is denoised, and the log says so.",
     )
     margin: float | None = Field(
         default=None,
@@ -161,7 +171,8 @@ def fast(
     Args:
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
-        passes: passes at full resolution, at least 1; by default 2, 1 with many views, 3 with few.
+        passes: passes at full resolution, at least 1; by default 2, 1 with many views, up to 8 with
+            few, and then further ones where few views see flat parts edge-on (``EdgeOn``).
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
             level.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
@@ -195,7 +206,9 @@ def fast(
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     known = checks.photons(photons)
-    passes = checks.count("passes", _usual_passes(A) if passes is None else passes)
+    usual = _usual_passes(A)
+    goes_on = passes is None and stop is None
+    passes = checks.count("passes", usual if passes is None else passes)
     coarse_passes = checks.count("coarse_passes", coarse_passes)
     levels = checks.count("levels", levels)
     relaxation = checks.relaxation(first_relaxation)
@@ -206,10 +219,10 @@ def fast(
     checks.done()
     require_memory(FAST, A)
     floor = 0.0 if nonnegative else LOWEST
-    first = min(passes, _usual_passes(A)) if stop else passes
-    steps = _Steps(passes, first, coarse_passes, levels, relaxation, margin, floor)
+    first = min(passes, usual) if stop else passes
+    steps = _Steps(passes, first, coarse_passes, levels, relaxation, margin, floor, goes_on)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
-    level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
+    steps, level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
     extras: dict[str, Any] = best.extras
     if len(predicted_views) and whole:
         extras = extras | {"predicted": level.line_integrals(x, predicted_views)}
@@ -240,13 +253,20 @@ def _filled(x: Singles) -> float:
 
 
 def _usual_passes(A: Projector) -> int:
-    """Return 1 if there are many rays for each voxel, 3 if there are few, else 2."""
+    """Return 1 if there are many rays for each voxel, up to 8 if there are few, else 2."""
+    views = _views_per_voxel(A)
+    if views >= MANY_VIEWS:
+        return 1
+    return min(max(2, math.ceil(FEW_VIEWS / views)), MOST_PASSES)
+
+
+def _views_per_voxel(A: Projector) -> float:
+    """Return views per voxel along an axis, each counted once for each pixel of its shadow."""
     geometry, grid = A.geometry, A.grid
     magnification = geometry.sdd / geometry.depth(grid.world_from_grid.position)
     shadow = float(np.median(magnification)) * float(np.mean(grid.voxel))
     pixels = max(1.0, shadow**2 / (geometry.panel.pitch_u * geometry.panel.pitch_v))
-    views = len(A) * pixels / float(np.mean(A.domain_shape))
-    return 1 if views >= MANY_VIEWS else 3 if views < FEW_VIEWS else 2
+    return len(A) * pixels / float(np.mean(A.domain_shape))
 
 
 def _of(strength: float, source: str | None) -> dict[str, float | str | None]:
@@ -258,11 +278,14 @@ class _Steps:
     """Checked settings of ``fast``, and what follows from the noise.
 
     Attributes:
-        first: passes at full resolution over which the relaxation falls.
+        passes: number of passes at full resolution.
+        first: those of them over which the relaxation falls.
+        goes_on: whether further passes may follow (``EdgeOn``).
         noise: deviation of the line integrals; 0 if it is unknown.
         most: range of the line integrals.
         strength: of the total variation for one view, mm times the unit of the volume.
         source: source of the noise that it follows from; None: nothing is lowered in between.
+        filled: share of the grid that is filled, relative to ``SPARSE``, at most 1.
     """
 
     passes: int
@@ -272,23 +295,32 @@ class _Steps:
     relaxation: float
     margin: float
     floor: float
+    goes_on: bool
     noise: float = 0.0
     most: float = 0.0
     strength: float = 0.0
     source: str | None = None
+    filled: float = 1.0
 
     def number(self, factor: int) -> int:
         """Return the number of passes of a level."""
         return self.passes if factor == 1 else self.coarse_passes * factor // 2
 
-    def shares(self, A: Projector, factor: int, start: Singles) -> NDArray[np.float64]:
-        """Return the relaxation of each update of a level, from its volume before."""
+    def filling(self, start: Singles) -> _Steps:
+        """Return the steps at full resolution, from the volume before."""
+        filled, model = min(1.0, _filled(start) / SPARSE), OF_MODEL * self.most
+        all_noise = math.hypot(self.noise, model)
+        less = math.hypot(filled * self.noise, model) / all_noise if all_noise else 1.0
+        return replace(self, filled=filled, strength=less * self.strength)
+
+    def shares(self, A: Projector, factor: int) -> NDArray[np.float64]:
+        """Return the relaxation of each update of a level."""
         number = self.number(factor)
         first = self.first if factor == 1 else number
         last = self.relaxation * min(1.0, float(np.mean(A.domain_shape)) / len(A))
         if factor == 1 and self.noise > 0:
             quiet = QUIET * self.most / self.noise
-            last *= min(1.0, quiet * max(1.0, SPARSE / _filled(start)) ** 2)
+            last *= min(1.0, quiet / self.filled**2)
         falling = np.geomspace(self.relaxation, last, first * len(A))
         return np.concatenate([falling, np.full((number - first) * len(A), last)])
 
@@ -326,8 +358,13 @@ def _from_coarse_to_fine(
     steps: _Steps,
     best: BestPass,
     callback: Callback | None = None,
-) -> tuple[Level, Singles, bool]:
-    """Return the last level, its volume without the rest, and False if the callback stopped it."""
+) -> tuple[_Steps, Level, Singles, bool]:
+    """Return the last level's steps, the level, its volume, and False if the callback stopped it.
+
+    The volume is without the rest that the level leaves as it is.
+    """
+    from twinct.recon.edge_on import EdgeOn  # only here: scenarios need the settings alone
+
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
     done, before = 0, None
@@ -335,21 +372,33 @@ def _from_coarse_to_fine(
         level = Level.of(A, p, pixels, factor, steps.margin, before)
         before = None  # frees the coarser level, as does each ``del``
         work, since = WorkingVolume(level.A.kernels, level.start()), 0.0
-        shares = steps.shares(level.A, factor, work.array)
-        between = max(BETWEEN, float(shares[: len(level.A)].sum()) / MOST_STEPS)
-        views = np.tile(spread_order(len(level.A)), steps.number(factor))
-        for used, (share, view) in enumerate(zip(shares, views, strict=True), start=1):
-            square, rays = level.update(work, int(view), float(share), steps.floor, listener.wanted)
-            since, ended = since + float(share), factor == 1 and used % len(level.A) == 0
+        steps = steps.filling(work.array) if factor == 1 else steps
+        shares, order = steps.shares(level.A, factor), spread_order(len(A))
+        further = None
+        if factor == 1 and steps.goes_on:
+            further = EdgeOn(len(A), _views_per_voxel(A), steps.noise)
+        between = max(BETWEEN, float(shares[: len(A)].sum()) / MOST_STEPS)
+        pending = deque(zip(shares, np.resize(order, len(shares)), strict=True))
+        wanted = listener.wanted or further is not None
+        while pending:
+            share, view = pending.popleft()
+            square, rays = level.update(work, int(view), float(share), steps.floor, wanted)
+            since += float(share)
+            ended = factor == 1 and len(pending) % len(A) == 0
             if steps.strength and factor == 1 and (ended or since > between):
                 work, since = _lowered(level.A, work, since * steps.strength, steps.floor), 0.0
             if best.watches and ended and best.is_over(work.array):
                 break
+            if further:
+                further.add(int(view), square, rays)
+                if not pending and further.another_pass():
+                    pending.extend((shares[-1], one) for one in order)
+                    listener.updates += len(order)
             if listener(0, done, square, rays, work):
-                return level, work.array, False
+                return steps, level, work.array, False
             done += 1
         if factor == 1:
-            return level, work.array, True
+            return steps, level, work.array, True
         before = level, level.whole(work.array)
         del level, work  # frees the card
     raise AssertionError("the last factor is 1")
@@ -410,7 +459,7 @@ FAST = Algorithm(
     projections=0.5,
     check=_check,
     updates=lambda own, views: (
-        # At most: the usual number of passes depends on the grid.
-        views * ((own.passes or 3) + own.coarse_passes * (2 ** (own.levels - 1) - 1))
+        # About: the usual number of passes depends on the grid and on the residual.
+        views * ((own.passes or 4) + own.coarse_passes * (2 ** (own.levels - 1) - 1))
     ),
 )

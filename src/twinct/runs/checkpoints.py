@@ -38,19 +38,25 @@ class Follower:
     on_iteration: Callable[[int, float, NDArray[np.float32]], None]
     done: int
     residuals: list[float]
+    updates: int
     square: float = field(default=0.0, init=False)
     rays: int = field(default=0, init=False)
     ticks: int = field(default=0, init=False)
 
-    def finish(self, updates: int) -> None:
+    def finish(self) -> None:
         """End the progress: an algorithm may stop early, or need fewer levels than it may have."""
-        for _ in range(self.ticks, updates):
+        while self.ticks < self.updates:
+            self._advance()
+
+    def _advance(self) -> None:
+        """Show an update, unless the algorithm makes more of them than expected."""
+        if self.ticks < self.updates:
             self.tick()
+            self.ticks += 1
 
     def __call__(self, step: Step) -> None:
         """Hear of an update; at the end of a pass, write a checkpoint and report the pass."""
-        self.tick()
-        self.ticks += 1
+        self._advance()
         self.square += step.rays * step.residual**2
         self.rays += step.rays
         if step.update + 1 < step.updates:

@@ -228,9 +228,10 @@ def _solved(
 
     stage = audience.stage(name, iterations * updates, done * updates)
     with keeping(lambda: saved.in_words(iterations)), stage as tick:
-        follower = Follower(tick, saved, on_iteration, done, course.residuals)
+        left = (iterations - done) * updates
+        follower = Follower(tick, saved, on_iteration, done, course.residuals, left)
         volume = algorithm.solve(replace(problem, callback=follower), section)
-        follower.finish((iterations - done) * updates)
+        follower.finish()
     return volume
 
 

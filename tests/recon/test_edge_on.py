@@ -1,0 +1,49 @@
+"""Further passes follow where few views have most of the residual, for as long as it falls."""
+
+from __future__ import annotations
+
+import pytest
+
+from twinct.recon.edge_on import LITTLE, MOST_PASSES, EdgeOn
+
+EDGE_ON, OTHERS, RAYS = 100.0, 1.0, 10
+"""Sums of squared residuals, and the number of rays, of each view."""
+
+
+def watched(views_per_voxel=0.5, noise=0.0, worst=EDGE_ON):
+    """Return a monitor of ten views, of which one has a larger residual."""
+    monitor = EdgeOn(10, views_per_voxel, noise)
+    for view in range(10):
+        monitor.add(view, worst if view == 4 else OTHERS, RAYS)
+    return monitor
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ({}, True),
+        ({"views_per_voxel": 1.0}, False),
+        ({"worst": 8.9 * OTHERS}, False),
+        ({"worst": 9.1 * OTHERS}, True),
+        ({"worst": OTHERS, "noise": 1.0}, False),
+        ({"worst": 8.9 * OTHERS, "noise": 0.1}, True),
+    ],
+    ids=["edge-on", "many views", "spread", "half in one", "noise alone", "half beyond noise"],
+)
+def test_a_pass_follows_if_a_tenth_of_few_views_has_half_of_the_residual(keys, expected):
+    assert watched(**keys).another_pass() == expected
+
+
+def passes(ratio):
+    """Return how many passes follow if each lowers the residual by this ratio."""
+    monitor, number, square = watched(), 0, EDGE_ON
+    while monitor.another_pass():
+        number, square = number + 1, square * ratio**2
+        for view in range(10):
+            monitor.add(view, square if view == 4 else square / 100, RAYS)
+    return number
+
+
+def test_passes_end_when_the_residual_hardly_falls():
+    assert passes(0.99 * LITTLE) == MOST_PASSES
+    assert passes(1.01 * LITTLE) == 1
