@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from twinct.recon.edge_on import LITTLE, MOST_PASSES, EdgeOn
+from twinct.recon.edge_on import LITTLE, MOST_FURTHER, EdgeOn
 
 EDGE_ON, OTHERS, RAYS = 100.0, 1.0, 10
 """Sums of squared residuals, and the number of rays, of each view."""
@@ -45,5 +45,5 @@ def passes(ratio):
 
 
 def test_passes_end_when_the_residual_hardly_falls():
-    assert passes(0.99 * LITTLE) == MOST_PASSES
+    assert passes(0.99 * LITTLE) == MOST_FURTHER
     assert passes(1.01 * LITTLE) == 1

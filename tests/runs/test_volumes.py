@@ -260,6 +260,16 @@ def test_progress_ends_at_its_total_though_there_are_fewer_levels(scan, monkeypa
     assert ended.done == ended.total == 12 * (4 + 2 * 3)
 
 
+def test_progress_ends_at_its_total_though_there_are_more_passes(scan, monkeypatch):
+    """Twelve views are few for 48 voxels along an axis: six passes, where four were expected."""
+    heard = []
+    monkeypatch.setattr(audience, "LAST_WORDS_S", HANG_S)
+    fine = scan(grid={"voxels": 48, "voxel_mm": 2.5})
+    reconstruct(fine, algorithm="fast", levels=1, observers=[heard.append])
+    (ended,) = (event for event in heard if isinstance(event, StageEnded))
+    assert ended.done == ended.total == 12 * 4
+
+
 def test_stopping_takes_memory_for_the_volume_before(scan):
     views = scan().commanded.geometry(settings().detector.panel)
     plain, stopping = memory_needed(settings(), views), memory_needed(settings(stop="auto"), views)

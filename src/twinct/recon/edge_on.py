@@ -15,13 +15,13 @@ WORST, MUCH = 0.1, 0.5
 """Share of the views, those with the largest residual, and their share of its squares from which
 further passes follow. From the tuning half of the zoo (benchmarks/zoo.py)."""
 
-MOST_VIEWS = 1.0
+ENOUGH_VIEWS = 1.0
 """Views per voxel along an axis from which no pass follows: edges would only get noise."""
 
 LITTLE = 0.97
 """Ratio of the residuals of two passes from which no other pass follows."""
 
-MOST_PASSES = 8
+MOST_FURTHER = 8
 """Further passes, at most."""
 
 
@@ -36,7 +36,7 @@ class EdgeOn:
             views_per_voxel: number of views, relative to the voxels along an axis.
             noise: deviation of the line integrals; 0 if it is unknown.
         """
-        self._few, self._noise = views_per_voxel < MOST_VIEWS, noise
+        self._few, self._noise = views_per_voxel < ENOUGH_VIEWS, noise
         self._rest = np.zeros(views)
         self._before, self._passes = math.inf, 0
 
@@ -52,6 +52,6 @@ class EdgeOn:
             worst = np.sort(self._rest)[-math.ceil(WORST * len(self._rest)) :]
             pays = self._few and rest > 0 and float(worst.sum()) >= MUCH * rest
         else:
-            pays = rest < LITTLE**2 * before and self._passes < MOST_PASSES
+            pays = rest < LITTLE**2 * before and self._passes < MOST_FURTHER
         self._passes += pays
         return pays
