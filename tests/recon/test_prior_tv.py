@@ -7,9 +7,11 @@ from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, fista_tv, prior_tv
 from twinct.recon.fista import KnownBefore, Variation
-from twinct.recon.prior_tv import _seams, _strength
+from twinct.recon.prior_tv import _strength
+from twinct.recon.registration import means_at
 from twinct.recon.volume import Volume
 from twinct.report.algorithm_results import with_results
+from twinct.runs.model_doubts import doubt_of_prior
 
 RADIUS, VALUE = 22.0, 0.02
 
@@ -104,12 +106,15 @@ def test_without_a_share_it_is_fista_tv_from_the_prior(scan):
     A, p, prior, _ = scan
     settings = {"iterations": 40, "regularisation": 1e-4, "subsets": 1, "tv_steps": 20, "rounds": 1}
     plain = fista_tv(A, p, **settings).array
-    ours = prior_tv(A, p, prior, share=0.0, x0=np.zeros(A.domain_shape), **settings).array
+    ours = prior_tv(
+        A, p, prior, share=0.0, closeness=0, x0=np.zeros(A.domain_shape), **settings
+    ).array
     # Steps of the dual are half as long: the same minimum, on another way.
     assert np.abs(ours - plain).max() < 0.02 * plain.max()
 
 
-def test_the_proximal_step_is_the_minimiser(circle):
+@pytest.mark.parametrize("closeness", [0.0, 0.6])
+def test_the_proximal_step_is_the_minimiser(circle, closeness):
     """No step in any of 900 directions goes lower: the objective is convex."""
     rng = np.random.default_rng(1)
     grid = VolumeGrid((5, 6, 7), (2.0, 3.0, 2.5))
@@ -118,10 +123,10 @@ def test_the_proximal_step_is_the_minimiser(circle):
     prior = rng.normal(0, 1, grid.shape).astype(np.float32)
     curvature = rng.uniform(0.5, 2, grid.shape).astype(np.float32)
     strength, share = 0.8, 0.7
-    known = KnownBefore(prior, np.zeros(0, np.intp), share)
+    known = KnownBefore(prior, np.ones(grid.shape, np.bool_), share, closeness)
     term = Variation(A, strength, 400, np.float32(0), known)
     x = np.empty_like(z)
-    term.lower(z, curvature, x)
+    term.lower(z.copy(), curvature, x)
 
     def total(of):
         steps = [
@@ -132,7 +137,7 @@ def test_the_proximal_step_is_the_minimiser(circle):
 
     def cost(of):
         of = np.asarray(of, np.float64)
-        near = 0.5 * float((curvature * (of - z) ** 2).sum())
+        near = 0.5 * float((curvature * (of - z) ** 2 + closeness * (of - prior) ** 2).sum())
         return near + strength * ((1 - share) * total(of) + share * total(of - prior))
 
     least = cost(x)
@@ -169,7 +174,57 @@ def test_seams_are_where_differences_cross_the_border():
         for ahead in ((k + 1, j, i), (k, j + 1, i), (k, j, i + 1)):
             if all(a < n for a, n in zip(ahead, inside.shape, strict=True)):
                 expected[k, j, i] |= inside[ahead] != inside[k, j, i]
-    assert np.array_equal(_seams(inside), np.flatnonzero(expected))
+    known = KnownBefore(np.zeros(inside.shape, np.float32), inside, 0.5)
+    assert np.array_equal(known.seams, np.flatnonzero(expected))
+
+
+def test_voxels_are_drawn_where_they_are_known_and_little_where_they_changed():
+    """One voxel unknown, one beside its value, and one that changed: by hand."""
+    array, inside = np.zeros((3, 1, 1), np.float32), np.array([0, 1, 1], np.bool_).reshape(3, 1, 1)
+    known = KnownBefore(array, inside, 0.0, closeness=0.5, far=2.0)
+    z = np.array([1.0, 1.0, 20.0], np.float32).reshape(3, 1, 1)
+    both = known.draw(z, np.full_like(z, 2.0))
+    # The third weighs 0.5 * 2 / 20: its difference counts linearly.
+    assert both.ravel() == pytest.approx([2.0, 2.5, 2.05])
+    assert z.ravel() == pytest.approx([1.0, 2.0 / 2.5, 20 * 2.0 / 2.05])
+
+
+def test_a_finer_prior_is_averaged():
+    """The means of a linear volume are its values; those of noise are smaller than its values."""
+    fine = VolumeGrid((36, 30, 40), (1.0, 1.5, 1.0), Pose.from_euler((1, 2, -1), (3, -2, 4)))
+    at = VolumeGrid((8, 8, 8), (2.0, 3.0, 3.0))
+    xs, ys, zs = fine.axes()
+    own = np.stack(np.meshgrid(zs, ys, xs, indexing="ij"), -1)[..., ::-1] @ (0.1, 0.2, -0.3)
+    xs, ys, zs = at.axes()
+    places = np.stack(np.meshgrid(zs, ys, xs, indexing="ij"), -1)[..., ::-1].reshape(-1, 3)
+    expected = fine.world_from_grid.inverse().apply(places) @ (0.1, 0.2, -0.3)
+    means = means_at(own.astype(np.float32), fine, at)
+    assert means.ravel() == pytest.approx(expected, abs=1e-3)
+    noise = np.random.default_rng(3).normal(0, 1, fine.shape).astype(np.float32)
+    # A mean of 2 x 2 x 3 independent voxels has a deviation of 0.29; splines add to it.
+    assert 0.2 < means_at(noise, fine, at).std() < 0.45
+
+
+def test_views_that_are_left_out_refuse_a_poor_prior(circle, ellipsoid_integrals):
+    geometry = circle(12, Panel(40, 40, 3.0, 3.0))
+    grid = VolumeGrid((28, 28, 28), 2.0)
+    p = VALUE * ellipsoid_integrals(geometry, (0, 0, 0), (RADIUS,) * 3)
+    for centre, radius in (((10, 2, 4), 6), ((-9, 7, -6), 5), ((1, -12, 3), 4)):
+        p += VALUE * ellipsoid_integrals(geometry, centre, (radius,) * 3)
+    rng = np.random.default_rng(0)
+    p += rng.normal(0, 0.02, p.shape).astype(np.float32)
+    A, good = Projector(geometry, grid), anatomy(grid)
+    settings = {"iterations": 12, "photons": 2500}
+    judged = prior_tv(A, p, Volume(good, grid), **settings).extras["left_out"]
+    assert judged.share == 0.15 and judged.ratio < 0.99
+    poor = good + rng.normal(0, 0.4 * VALUE, good.shape).astype(np.float32)
+    judged = prior_tv(A, p, Volume(poor, grid), **settings).extras["left_out"]
+    assert judged.share == 0 and judged.ratio > 1
+    volume = Volume(good, grid, {"prior": {"left_out_ratio": judged.ratio}})
+    assert "the prior does not help" in (doubt_of_prior(volume) or "")
+    # Nine views are too few to leave any out.
+    few = prior_tv(A[:9], p[:9], Volume(good, grid), **settings).extras
+    assert few["left_out"] is None
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,8 @@ class Fast(AlgorithmSettings):
         description="Passes over all views at full resolution. By default 2; 1 if there are "
         "three times as many views as voxels along an axis; 3 to 8 if there are less than 0.65 "
         "times as many, each view counted once for each pixel in a voxel's shadow. If most of the "
-        "residual lies in few views, which see flat parts edge-on, further passes follow.",
+        "residual lies in few views, which see flat parts edge-on, further passes follow; in grids "
+        "below 96 voxels along each axis, one more follows if the residual is mostly noise.",
     )
     coarse_passes: int = Field(
         default=2,
@@ -172,7 +173,7 @@ def fast(
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         passes: passes at full resolution, at least 1; by default 2, 1 with many views, up to 8 with
-            few, and then further ones where few views see flat parts edge-on (``EdgeOn``).
+            few, and then further ones where the residual shows that they pay (``FurtherPasses``).
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
             level.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
@@ -280,7 +281,7 @@ class _Steps:
     Attributes:
         passes: number of passes at full resolution.
         first: those of them over which the relaxation falls.
-        goes_on: whether further passes may follow (``EdgeOn``).
+        goes_on: whether further passes may follow (``FurtherPasses``).
         noise: deviation of the line integrals; 0 if it is unknown.
         most: range of the line integrals.
         strength: of the total variation for one view, mm times the unit of the volume.
@@ -363,7 +364,8 @@ def _from_coarse_to_fine(
 
     The volume is without the rest that the level leaves as it is.
     """
-    from twinct.recon.edge_on import EdgeOn  # only here: scenarios need the settings alone
+    # Only here: scenarios need the settings alone.
+    from twinct.recon.further_passes import SMALL, FurtherPasses
 
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
@@ -376,7 +378,8 @@ def _from_coarse_to_fine(
         shares, order = steps.shares(level.A, factor), spread_order(len(A))
         further = None
         if factor == 1 and steps.goes_on:
-            further = EdgeOn(len(A), _views_per_voxel(A), steps.noise)
+            cheap = max(A.domain_shape) < SMALL and steps.filled == 1.0
+            further = FurtherPasses(len(A), _views_per_voxel(A), steps.noise, cheap=cheap)
         between = max(BETWEEN, float(shares[: len(A)].sum()) / MOST_STEPS)
         pending = deque(zip(shares, np.resize(order, len(shares)), strict=True))
         wanted = listener.wanted or further is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -82,19 +83,53 @@ class KnownBefore:
 
     Attributes:
         array: (z, y, x), 0 where nothing is known.
-        seams: flat indices of the voxels next to the border of the known region; differences across
-            the border mean nothing.
+        inside: True where values are known, (z, y, x).
         share: share of the total variation that applies to the difference from ``array``, 0 to 1.
+        closeness: weight of the squared difference of a voxel, relative to the mean curvature of
+            the data term.
+        far: difference beyond which it counts linearly instead (Huber's loss).
     """
 
     array: Singles
-    seams: NDArray[np.intp]
+    inside: Mask
     share: float
+    closeness: float = 0.0
+    far: float = math.inf
+
+    @cached_property
+    def seams(self) -> NDArray[np.intp]:
+        """Flat indices of the voxels whose next neighbour is on the other side of the border.
+
+        Differences across the border of the known region mean nothing.
+        """
+        seam = np.zeros_like(self.inside)
+        for axis in range(3):
+            along, border = (np.moveaxis(mask, axis, 0) for mask in (self.inside, seam))
+            border[:-1] |= along[1:] != along[:-1]
+        return np.flatnonzero(seam)
+
+    def draw(self, z: Singles, curvature: Singles) -> Singles:
+        """Move ``z`` towards the expected values, and return the curvature with their weights.
+
+        0.5 |x - z|^2 plus the squared differences is another such term, up to a constant. Huber's
+        loss is below a square that touches it at ``z`` (Huber and Dutter 1974).
+        """
+        both = np.empty_like(curvature)
+        planes = zip(z, curvature, self.array, self.inside, both, strict=True)
+        for here, own, there, known, total in planes:
+            away = np.maximum(np.abs(here - there), np.float32(np.finfo(np.float32).tiny))
+            weight = np.float32(self.closeness) * known
+            weight *= np.minimum(np.float32(self.far) / away, np.float32(1))
+            np.add(own, weight, out=total)
+            here += weight / total * (there - here)
+        return both
 
 
 @dataclass(eq=False)
 class Variation:
     """Term strength * TV(x), or shares for x and for x less its expected values; x >= floor.
+
+    Expected values may also draw single voxels to them.
 
     The proximal step solves the dual problem (Chambolle 2004) in the metric of the data term, from
     the dual of the previous step. Two terms have a dual each, and steps of half the size.
@@ -115,7 +150,12 @@ class Variation:
         self.other = np.zeros(shape if self.known else (3, 0, 0, 0), np.float32)
 
     def lower(self, z: Singles, curvature: Singles, x: Singles) -> None:
-        """Write the minimiser of 0.5 |x - z|^2 in that metric plus this term to ``x``."""
+        """Write the minimiser of 0.5 |x - z|^2 in that metric plus this term to ``x``.
+
+        Expected values that draw voxels change ``z``.
+        """
+        if self.known and self.known.closeness > 0:
+            curvature = self.known.draw(z, curvature)
         kernels, inverse, known = self.A.kernels, 1.0 / self.A.grid.voxel, self.known
         if known is None:
             z, curvature, dual, lowered = map(kernels.hold, (z, curvature, self.dual, x))

@@ -180,14 +180,12 @@ def with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: floa
 def blocks_of(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> Blocks:
     """Return the blocks of a finer grid about voxels that show something.
 
-    Means over 3^3 voxels have to exceed ``QUIET_SHARE`` of the object's attenuation. That is the
-    ninth decile of all voxels above this share of the densest ones: a few metal voxels do not make
-    all else quiet.
+    Means over 3^3 voxels have to exceed ``QUIET_SHARE`` of the object's attenuation.
     """
-    dense = x[x > QUIET_SHARE * np.percentile(x, 99.9)]
-    if not dense.size:
+    dense = density(x)
+    if not dense:
         return EVERYWHERE
-    shown = scipy.ndimage.uniform_filter(x, 3) > QUIET_SHARE * np.percentile(dense, 90)
+    shown = scipy.ndimage.uniform_filter(x, 3) > QUIET_SHARE * dense
     for axis, places in enumerate(_places(grid, finer)):
         n = finer.shape[axis]
         ends = [(first - AROUND, min(first + EDGE, n) + AROUND) for first in range(0, n, EDGE)]
@@ -198,6 +196,16 @@ def blocks_of(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> Blocks:
             parts.append(np.asarray(np.take(shown, range(begin, end), axis).any(axis)))
         shown = np.stack(parts, axis)
     return Blocks(np.ascontiguousarray(shown, np.uint8))
+
+
+def density(x: Singles) -> float:
+    """Return the object's attenuation in a volume, 0 if there is none.
+
+    That is the ninth decile of all voxels above ``QUIET_SHARE`` of the densest ones: a few metal
+    voxels do not count.
+    """
+    dense = x[x > QUIET_SHARE * np.percentile(x, 99.9)]
+    return float(np.percentile(dense, 90)) if dense.size else 0.0
 
 
 def _about(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> tuple[Singles, VolumeGrid]:

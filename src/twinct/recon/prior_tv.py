@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,10 +21,11 @@ from twinct.recon.algorithm import Algorithm, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.fista import KnownBefore, Regularised, Variation, minimised
+from twinct.recon.levels import density
 from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number
 from twinct.recon.projector import LOWEST, Projector
-from twinct.recon.registration import covered, moved, registered, resampled
+from twinct.recon.registration import covered, means_at, moved, registered
 from twinct.recon.shared_keys import Iterations
 from twinct.recon.steps import Callback
 from twinct.recon.volume import Volume
@@ -42,6 +45,10 @@ the fourth.
 ROUNDS = 2
 """Rounds where the strength follows from the noise; best on the zoo (bench_prior_zoo.py)."""
 
+SHARE, CLOSENESS, FAR = 0.15, 0.06, 0.01
+"""Usual share, if left-out views like it, and closeness; difference, relative to dense voxels, from
+which voxels count as changed. From the zoo (bench_prior_zoo.py)."""
+
 DARKEST = 8.0
 """Line integral up to which the weight of a ray falls: beyond, other noise is larger."""
 
@@ -50,13 +57,20 @@ class Prior(Section):
     """An earlier volume of the same object."""
 
     path: Path = Field(description="NIfTI file in 1/mm, such as volume.nii of a run.")
-    share: float = setting(
-        0.3,
+    share: float | None = setting(
+        None,
         "Share of the total variation that applies to the difference from the prior instead of the "
-        "volume itself.",
+        "volume itself. By default 0.15 or 0: the one with which four fifths of the views predict "
+        "the others better.",
         source="alpha of PICCS: Chen, Tang and Leng, Med. Phys. 35 (2008)",
         ge=0,
         le=1,
+    )
+    closeness: NonNegative | None = Field(
+        default=None,
+        description="Weight of the difference of single voxels from the prior, relative to the "
+        "mean curvature of the data term; differences above 1 % of the prior's dense voxels count "
+        "linearly. By default 0.06, or 0 without regularisation.",
     )
     position_mm: Vector = setting(
         (0.0, 0.0, 0.0),
@@ -75,7 +89,8 @@ class Prior(Section):
 
     def __str__(self) -> str:
         """Return a phrase for the scenario in words."""
-        return f"{self.path.name} with a share of {self.share:g}"
+        share = "" if self.share is None else f" with a share of {self.share:g}"
+        return f"{self.path.name}{share}"
 
 
 class PriorTv(Regularised):
@@ -107,7 +122,8 @@ def prior_tv(
     iterations: int = 24,
     regularisation: float | None = None,
     photons: ArrayLike | None = None,
-    share: float = 0.3,
+    share: float | None = None,
+    closeness: float | None = None,
     start: Pose | None = None,
     rounds: int | None = None,
     subsets: int | None = None,
@@ -122,15 +138,17 @@ def prior_tv(
     """Reconstruct as ``fista_tv``, with total variation also of the difference from a prior.
 
         0.5 |A x - p|_W^2 / d + regularisation * ((1 - share) TV(x) + share TV(x - prior))
+        + closeness * sum_j h(x_j - prior_j)
 
-    The objective is as in prior image constrained compressed sensing (Chen, Tang, Leng 2008). The
-    prior is first registered by the projections (``registered``) and resampled at the grid's voxels
-    by cubic splines. Both terms grow with the size of edges, not with its square: edges of new
-    structures cost no more than without a prior. Where the prior has no values, its share applies
-    to the volume itself.
+    The first line is prior image constrained compressed sensing (Chen, Tang, Leng 2008); h is
+    Huber's loss, 0.5 t^2 and linear above 1 % of the prior's dense voxels. The prior is first
+    registered by the projections (``registered``), and its means over the grid's voxels are taken
+    (``means_at``). All terms grow with the size of changes, not with its square: new structures
+    cost little more than without a prior. Where the prior has no values, its share applies to the
+    volume itself.
 
-    Peak memory: 16 volumes, the given prior included (13 if the grid is large: the registration
-    stays coarse), and four times the projections, besides the projections and weights.
+    Peak memory: 16 volumes, a prior in voxels of this size included (13 if the grid is large: the
+    registration stays coarse), and four times the projections, besides the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
@@ -140,7 +158,10 @@ def prior_tv(
         regularisation: 0 or more; by default from the noise of the photons or of air, and 0 if it
             is unknown: the prior is then only the start.
         photons: photons of a pixel in the free beam, one number or one for each view, (views,).
-        share: share of the difference, 0 to 1.
+        share: share of the difference, 0 to 1; by default 0.15 or 0, as views that are left out of
+            short reconstructions prefer it (``judged_by_left_out_views``), and 0.15 if there are
+            fewer than 10 views.
+        closeness: 0 or more; by default 0.06, or 0 without regularisation.
         start: initial pose of the prior's world in the scan's world; by default the identity.
         rounds: as in ``fista_tv``; by default one for each 6 iterations, at most 4, or at most 2 if
             the regularisation follows from the noise.
@@ -155,8 +176,9 @@ def prior_tv(
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
-        The volume; its extras hold ``world_from_prior``, the registered pose, and without a given
-        strength ``regularisation``: its ``strength``, and ``from``, the source of the noise:
+        The volume; its extras hold ``world_from_prior``, the registered pose; without a given
+        share ``left_out``: the choice of the left-out views (``Judged``), or None; and without a
+        given strength ``regularisation``: its ``strength``, and ``from``, the source of the noise:
         ``photons``, ``air`` or None.
 
     Raises:
@@ -177,11 +199,13 @@ def prior_tv(
     given = checks.weights(weights, pixels)
     huber = checks.huber(huber)
     x0 = checks.start(x0, A.domain_shape)
-    if not 0 <= share <= 1:
+    if closeness is not None:
+        closeness = checks.not_negative("closeness", closeness)
+    if share is not None and not 0 <= share <= 1:
         checks.problems.append(f"share is {quoted(share)}; it must be a number from 0 to 1")
     checks.problems += prior_problems(prior, A.grid, start or Pose.identity())
     checks.done()
-    require_memory(PRIOR_TV, A)
+    require_memory(PRIOR_TV, A, _volumes_of(prior, A.grid))
     radius, extras = regularisation, dict[str, Any]()
     if radius is None:
         radius, source = _strength(A, p, known_photons, pixels)
@@ -190,13 +214,24 @@ def prior_tv(
             given = np.exp(-np.clip(p, 0.0, DARKEST))
     pose = registered(A, p, prior, start=start, mask=pixels)
     known, inside = _in_place(prior, pose, A.grid)
-    before = KnownBefore(known, _seams(inside), share)
-    del inside
+    if closeness is None:
+        closeness = CLOSENESS if radius > 0 else 0.0
+    first = SHARE if share is None else share
+    before = KnownBefore(known, inside, first, closeness, FAR * density(known))
+    floor = np.float32(0.0 if nonnegative else LOWEST)
+    term = partial(Variation, strength=radius, steps=tv_steps, floor=floor)
+    if share is None and radius > 0:
+        from twinct.recon.left_out import judged_by_left_out_views  # only here: it takes time
+
+        extras["left_out"] = judged = judged_by_left_out_views(
+            A, p, before, term, iterations=iterations, weights=given, huber=huber, mask=pixels
+        )
+        before = before if judged is None else replace(before, share=judged.share)
     result = minimised(
         A,
         p,
         start_volume(A, known if x0 is None else x0, nonnegative),
-        Variation(A, radius, tv_steps, np.float32(0.0 if nonnegative else LOWEST), before),
+        term(A, known=before),
         iterations=iterations,
         rounds=rounds,
         subsets=subsets,
@@ -206,6 +241,13 @@ def prior_tv(
         callback=callback,
     )
     return Volume(result.array, result.grid, {"world_from_prior": pose} | extras)
+
+
+def _volumes_of(prior: Volume, grid: VolumeGrid) -> float:
+    """Return the memory, in volumes, that a prior in smaller voxels takes beyond one volume."""
+    volumes = prior.array.size / math.prod(grid.shape)
+    # Its splines are as large, and are there while most of the other volumes are not.
+    return max(volumes - 1, 2 * volumes - PRIOR_TV.volumes + 1, 0)
 
 
 def _strength(
@@ -255,18 +297,9 @@ def _in_place(prior: Volume, pose: Pose, grid: VolumeGrid) -> tuple[Singles, Mas
     """Return the prior at a grid's voxels, 0 where it has no values, and the mask of its values."""
     there = moved(prior.grid, pose)
     inside = covered(there, grid)
-    known = resampled(prior.array, there, grid, order=3)
+    known = means_at(prior.array, there, grid)
     known[~inside] = 0.0
     return known, inside
-
-
-def _seams(inside: Mask) -> NDArray[np.intp]:
-    """Return flat indices of voxels whose next neighbour is on the other side of the border."""
-    seam = np.zeros_like(inside)
-    for axis in range(3):
-        along, border = np.moveaxis(inside, axis, 0), np.moveaxis(seam, axis, 0)
-        border[:-1] |= along[1:] != along[:-1]
-    return np.flatnonzero(seam)
 
 
 def _expected(
@@ -290,6 +323,7 @@ def _solve(problem: Problem, settings: PriorTv) -> Volume:
     others = {
         "prior": Volume.read(prior.path),
         "share": prior.share,
+        "closeness": prior.closeness,
         "start": prior.start,
         "weights": _weights(problem, settings),
     }
@@ -304,6 +338,8 @@ def _solve(problem: Problem, settings: PriorTv) -> Volume:
         "moved_mm": float(np.linalg.norm(middle - there)),
         "turned_deg": pose.angle_deg(prior.start),
     }
+    if judged := volume.extras.get("left_out"):
+        prior_facts |= {"share": judged.share, "left_out_ratio": judged.ratio}
     return replace(volume, extras={**volume.extras, "prior": prior_facts})
 
 

@@ -114,10 +114,36 @@ def resampled(volume: Singles, of: VolumeGrid, at: VolumeGrid, order: int = 1) -
 
     Beyond the volume its outermost voxels continue.
     """
+    return _transformed(volume, of, at, order=order, mode="nearest")
+
+
+def means_at(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:
+    """Return the means of a volume over the voxels of any other grid, (z, y, x), by cubic splines.
+
+    Voxels that are smaller than the grid's are averaged: values at the grid's centres alone would
+    hold the noise and the edges of single ones.
+    """
+    numbers = [max(round(float(own)), 1) for own in at.voxel / of.voxel]
+    if numbers == [1, 1, 1]:
+        return resampled(volume, of, at, order=3)
+    means = np.empty(at.shape, np.float32)
+    splines = scipy.ndimage.spline_filter(volume, 3, np.float32)
+    nx, ny, nz = numbers
+    _, rows, columns = at.shape
+    for k, plane in enumerate(means):
+        shift = (k - (at.shape[0] - 1) / 2) * float(at.voxel[2])
+        place = at.world_from_grid @ Pose.from_matrix(np.array([0.0, 0.0, shift]), np.eye(3))
+        slab = VolumeGrid((nz, ny * rows, nx * columns), at.voxel / numbers, place)
+        fine = _transformed(splines, of, slab, order=3, mode="mirror", prefilter=False)
+        fine.reshape(nz, rows, ny, columns, nx).mean((0, 2, 4), out=plane)
+    return means
+
+
+def _transformed(volume: Singles, of: VolumeGrid, at: VolumeGrid, **keys: Any) -> Singles:
     to = _index(of, at)
     ndimage: Any = scipy.ndimage  # its types take no order that is not a literal
     return ndimage.affine_transform(
-        *(volume, to[2::-1, 2::-1], to[2::-1, 3], at.shape, np.float32), order=order, mode="nearest"
+        *(volume, to[2::-1, 2::-1], to[2::-1, 3], at.shape, np.float32), **keys
     )
 
 

@@ -40,6 +40,9 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
         words.append(
             f"prior moved by {prior['moved_mm']:.2f} mm, turned by {prior['turned_deg']:.2f} deg"
         )
+        if ratio := prior.get("left_out_ratio"):
+            words.append(f"share of the prior {prior['share']:g}")
+            words.append(f"residual of left-out views {ratio:.2f} times that without the prior")
     if (denoising := data.get("denoising")) and denoising["from"] is None:
         words.append("not denoised, since the noise is unknown")
     if strength := data.get("regularisation"):

@@ -58,6 +58,18 @@ def doubt_of_grid(
     )
 
 
+def doubt_of_prior(volume: Volume) -> str | None:
+    """Return a warning if a prior does not help to predict views that it was not fitted to."""
+    ratio = volume.extras.get("prior", {}).get("left_out_ratio")
+    if ratio is None or ratio < 1:
+        return None
+    return (
+        "the prior does not help: volumes from four fifths of the views predict the others "
+        f"{100 * (ratio - 1):.1f} % worse with it than without it; is it of the same object, and "
+        "sharp enough? fista_tv works without a prior"
+    )
+
+
 def judged_by_rays(
     volume: Volume,
     A: Projector,

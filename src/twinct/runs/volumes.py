@@ -162,7 +162,7 @@ def _reconstruct(
             return _counted(Volume(finished, grid, results), section, done)
     # Only here: few modules at the start.
     from twinct.recon.unexplained import compared_views
-    from twinct.runs.model_doubts import judged_by_rays
+    from twinct.runs.model_doubts import doubt_of_prior, judged_by_rays
 
     A = projector_of(scan, poses, grid)
     integrals, metal, warnings = _corrected(scan, A, algorithm, pixels, audience)
@@ -187,7 +187,7 @@ def _reconstruct(
     volume, doubt = judged_by_rays(
         _counted(volume, section, done), A, integrals, scan, pixels, residuals
     )
-    _warn(audience, doubt, warnings)
+    _warn(audience, warnings, doubt, doubt_of_prior(volume))
     if warnings:
         volume = replace(volume, extras={**volume.extras, "warnings": warnings})
     saved.keep_results(volume)
@@ -235,12 +235,12 @@ def _solved(
     return volume
 
 
-def _warn(audience: Audience, warning: str | None, warnings: list[str]) -> None:
-    """Tell the user and the log a warning, if there is one, and add it to a list."""
-    if warning:
-        log.warning(warning)
-        audience.say(warning, warning=True)
-        warnings.append(warning)
+def _warn(audience: Audience, warnings: list[str], *texts: str | None) -> None:
+    """Tell the user and the log all warnings that there are, and add them to a list."""
+    for text in filter(None, texts):
+        log.warning(text)
+        audience.say(text, warning=True)
+        warnings.append(text)
 
 
 def _stage(algorithm: Algorithm[Any], geometry: str | ScanGeometry | None, which: str) -> str:
@@ -273,13 +273,13 @@ def _corrected(
     else:
         from twinct.runs.model_doubts import doubt_of_grid  # only here, as in ``_reconstruct``
 
-        _warn(audience, doubt_of_grid(A, integrals, pixels), warnings)
+        _warn(audience, warnings, doubt_of_grid(A, integrals, pixels))
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:
             images = integrals, whole, A, pixels
             metal = metal_replaced(scan, section.metal, *images, lambda _: tick())
         integrals = metal.line_integrals
-        _warn(audience, doubts(metal), warnings)
+        _warn(audience, warnings, doubts(metal))
     return integrals, metal, warnings
 
 

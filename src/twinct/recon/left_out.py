@@ -1,0 +1,108 @@
+"""Views that are left out judge a prior: they were measured, and no volume was fitted to them.
+
+Short reconstructions from four fifths of the views predict the others: without the prior, with it
+as the value of single voxels, and with it also as the total variation from which a volume differs
+least. A prior that is sharp at the grid's voxels improves all of it; one that is blurred or noisy
+improves single voxels at most, and spoils edges.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.recon.checks import Mask, counting_rays, remainder
+from twinct.recon.fista import KnownBefore, Variation, minimised
+from twinct.recon.order import subset_number, subsets_of
+from twinct.recon.projector import Projector
+
+log = logging.getLogger(__name__)
+
+PARTS = 5
+"""One view of so many is left out."""
+
+FEWEST_VIEWS = 10
+"""Number of views below which none can be left out."""
+
+SHORTER, ROUNDS = 3, 2
+"""The reconstructions have one of so many iterations, in so many rounds."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Choice of the left-out views.
+
+    Attributes:
+        share: share of the total variation that applies to the difference from the prior.
+        ratio: root mean square, weighted, of the residuals of the left-out views with the prior,
+            relative to that without it.
+    """
+
+    share: float
+    ratio: float
+
+
+def judged_by_left_out_views(
+    A: Projector,
+    p: NDArray[Any],
+    before: KnownBefore,
+    term: Callable[..., Variation],
+    *,
+    iterations: int,
+    weights: NDArray[Any] | None,
+    huber: float | None,
+    mask: Mask | None,
+) -> Judged | None:
+    """Return how a prior is best used; None if there are too few views.
+
+    Args:
+        A: the projector.
+        p: line integrals, (views, rows, columns).
+        before: the prior in place, with the share that is compared with 0.
+        term: function of a projector and ``known`` that returns the term of a reconstruction.
+        iterations: those of the whole reconstruction.
+        weights: as in ``fista_tv``.
+        huber: as in ``fista_tv``.
+        mask: as in ``sart``.
+    """
+    if len(A) < FEWEST_VIEWS:
+        return None
+    out = sorted(subsets_of(A.geometry, PARTS)[0])
+    used = [view for view in range(len(A)) if view not in set(out)]
+    part, beyond, data = A[used], A[out], p[used]
+    if weights is None:
+        weights = np.ones(A.range_shape, np.float32)
+    counts, _ = counting_rays(beyond, mask if mask is None or mask.ndim == 2 else mask[out])
+    trust = counts * weights[out]
+    number = max(iterations // SHORTER, 1)
+    common: dict[str, Any] = {
+        "iterations": number,
+        "rounds": min(ROUNDS, number),
+        "subsets": subset_number(None, len(part)),
+        "weights": weights[used],
+        "huber": huber,
+        "mask": mask if mask is None or mask.ndim == 2 else mask[used],
+        "callback": None,
+    }
+
+    def square(known: KnownBefore | None) -> float:
+        variation = term(part, known=known)
+        x = np.maximum(before.array, variation.floor)
+        x = minimised(part, data, x, variation, **common).array
+        rest = remainder(beyond, x, p, out, mask)
+        return float(np.sum(np.square(rest, out=rest) * trust, dtype=np.float64))
+
+    without = square(None)
+    squares = {share: square(replace(before, share=share)) for share in (0.0, before.share)}
+    share = min(squares, key=lambda one: squares[one])
+    judged = Judged(share, float(np.sqrt(squares[share] / without)) if without else 1.0)
+    log.info(
+        "left-out views prefer a share of %g: their residual is %.3f times that without the prior",
+        *(judged.share, judged.ratio),
+    )
+    return judged
