@@ -1,14 +1,13 @@
 """Views that are left out judge a prior: they were measured, and no volume was fitted to them.
 
 Short reconstructions from four fifths of the views predict the others: without the prior, with it
-as the value of single voxels, and with it also as the total variation from which a volume differs
-least. A prior that is sharp at the grid's voxels improves all of it; one that is blurred or noisy
+as the value of single voxels, and with two shares of the total variation for the difference from
+it. A prior that is sharp at the grid's voxels improves all of them; one that is blurred or noisy
 improves single voxels at most, and spoils edges.
 """
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,16 +20,18 @@ from twinct.recon.fista import KnownBefore, Variation, minimised
 from twinct.recon.order import subset_number, subsets_of
 from twinct.recon.projector import Projector
 
-log = logging.getLogger(__name__)
-
 PARTS = 5
 """One view of so many is left out."""
 
 FEWEST_VIEWS = 10
 """Number of views below which none can be left out."""
 
-SHORTER, ROUNDS = 3, 2
-"""The reconstructions have one of so many iterations, in so many rounds."""
+LARGE, CLEARLY = 0.5, 0.99
+"""Share that lowers faint contrasts, and the ratio of the residuals below which it is taken. From
+the zoo (benchmarks/bench_prior_zoo.py)."""
+
+SHORTER, LEAST, ROUNDS = 3, 8, 2
+"""The reconstructions have one of so many iterations, but at least 8 if there are, in rounds."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ def judged_by_left_out_views(
     Args:
         A: the projector.
         p: line integrals, (views, rows, columns).
-        before: the prior in place, with the share that is compared with 0.
+        before: the prior in place, with the share that is compared with 0 and ``LARGE``.
         term: function of a projector and ``known`` that returns the term of a reconstruction.
         iterations: those of the whole reconstruction.
         weights: as in ``fista_tv``.
@@ -73,13 +74,13 @@ def judged_by_left_out_views(
     if len(A) < FEWEST_VIEWS:
         return None
     out = sorted(subsets_of(A.geometry, PARTS)[0])
-    used = [view for view in range(len(A)) if view not in set(out)]
+    used = sorted(set(range(len(A))) - set(out))
     part, beyond, data = A[used], A[out], p[used]
     if weights is None:
         weights = np.ones(A.range_shape, np.float32)
     counts, _ = counting_rays(beyond, mask if mask is None or mask.ndim == 2 else mask[out])
     trust = counts * weights[out]
-    number = max(iterations // SHORTER, 1)
+    number = max(iterations // SHORTER, min(iterations, LEAST))
     common: dict[str, Any] = {
         "iterations": number,
         "rounds": min(ROUNDS, number),
@@ -98,11 +99,9 @@ def judged_by_left_out_views(
         return float(np.sum(np.square(rest, out=rest) * trust, dtype=np.float64))
 
     without = square(None)
-    squares = {share: square(replace(before, share=share)) for share in (0.0, before.share)}
-    share = min(squares, key=lambda one: squares[one])
-    judged = Judged(share, float(np.sqrt(squares[share] / without)) if without else 1.0)
-    log.info(
-        "left-out views prefer a share of %g: their residual is %.3f times that without the prior",
-        *(judged.share, judged.ratio),
-    )
-    return judged
+    shares = 0.0, before.share, LARGE
+    squares = {share: square(replace(before, share=share)) for share in shares}
+    share = min(shares[:2], key=lambda one: squares[one])
+    if squares[LARGE] < CLEARLY**2 * squares[share]:
+        share = LARGE
+    return Judged(share, float(np.sqrt(squares[share] / without)) if without else 1.0)

@@ -60,8 +60,8 @@ class Prior(Section):
     share: float | None = setting(
         None,
         "Share of the total variation that applies to the difference from the prior instead of the "
-        "volume itself. By default 0.15 or 0: the one with which four fifths of the views predict "
-        "the others better.",
+        "volume itself. By default 0, 0.15 or 0.5: the one with which four fifths of the views "
+        "predict the others best.",
         source="alpha of PICCS: Chen, Tang and Leng, Med. Phys. 35 (2008)",
         ge=0,
         le=1,
@@ -158,9 +158,8 @@ def prior_tv(
         regularisation: 0 or more; by default from the noise of the photons or of air, and 0 if it
             is unknown: the prior is then only the start.
         photons: photons of a pixel in the free beam, one number or one for each view, (views,).
-        share: share of the difference, 0 to 1; by default 0.15 or 0, as views that are left out of
-            short reconstructions prefer it (``judged_by_left_out_views``), and 0.15 if there are
-            fewer than 10 views.
+        share: share of the difference, 0 to 1; by default 0, 0.15 or 0.5, as views that are left
+            out prefer it (``judged_by_left_out_views``), and 0.15 if there are fewer than 10 views.
         closeness: 0 or more; by default 0.06, or 0 without regularisation.
         start: initial pose of the prior's world in the scan's world; by default the identity.
         rounds: as in ``fista_tv``; by default one for each 6 iterations, at most 4, or at most 2 if
@@ -226,7 +225,10 @@ def prior_tv(
         extras["left_out"] = judged = judged_by_left_out_views(
             A, p, before, term, iterations=iterations, weights=given, huber=huber, mask=pixels
         )
-        before = before if judged is None else replace(before, share=judged.share)
+        if judged:
+            before = replace(before, share=judged.share)
+            text = "left-out views: share %g, a residual of %.3f times that without the prior"
+            log.info(text, judged.share, judged.ratio)
     result = minimised(
         A,
         p,
