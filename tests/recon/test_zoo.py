@@ -73,7 +73,7 @@ def test_fast_is_as_good_as_the_best_pass_of_sart(scans, name):
 
 @pytest.mark.tutorial
 def test_sheets_in_few_views_get_further_passes(scans):
-    """A foam of as many voxels gets the usual passes, sheets more, and a smaller error."""
+    """A foam of as many voxels gets one, for its noise; sheets get more, and a smaller error."""
     updates = {}
     for name, seed in (("foam", 1), ("sheets", 3)):
         case = next(case for case in scans.TUNING if case.name == name)
@@ -89,4 +89,6 @@ def test_sheets_in_few_views_get_further_passes(scans):
             updates.setdefault(name, []).append(len(steps))
         if name == "sheets":
             assert errors[0] < 0.85 * errors[1]
-    assert updates["foam"][0] == updates["foam"][1] == updates["sheets"][1] < updates["sheets"][0]
+    usual = updates["foam"][1]
+    assert updates["foam"][0] == usual + 48
+    assert updates["sheets"][1] == usual and updates["sheets"][0] > usual + 48

@@ -148,7 +148,7 @@ def prior_tv(
     volume itself.
 
     Peak memory: 16 volumes, a prior in voxels of this size included (13 if the grid is large: the
-    registration stays coarse), and four times the projections, besides the projections and weights.
+    registration stays coarse), and five times the projections, besides the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
@@ -356,7 +356,7 @@ PRIOR_TV = Algorithm(
     PriorTv,
     _solve,
     volumes=16,
-    projections=4,
+    projections=5,
     expects=_expected,
     updates=lambda own, n: subset_number(own.subsets, n),
     check=_check,
