@@ -7,6 +7,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, fista_tv, prior_tv
 from twinct.recon.fista import KnownBefore, Variation
+from twinct.recon.left_out import LARGE, preferred
 from twinct.recon.prior_tv import _strength
 from twinct.recon.registration import means_at
 from twinct.recon.volume import Volume
@@ -14,6 +15,7 @@ from twinct.report.algorithm_results import with_results
 from twinct.runs.model_doubts import doubt_of_prior
 
 RADIUS, VALUE = 22.0, 0.02
+BONES = ((10, 2, 4), 6), ((-9, 7, -6), 5), ((1, -12, 3), 4)
 
 
 def ball(grid, centre, radius):
@@ -36,7 +38,7 @@ def ball(grid, centre, radius):
 def anatomy(grid):
     """A ball of tissue with three of bone, no two alike."""
     array = VALUE * ball(grid, (0, 0, 0), RADIUS)
-    for centre, radius in (((10, 2, 4), 6), ((-9, 7, -6), 5), ((1, -12, 3), 4)):
+    for centre, radius in BONES:
         array += VALUE * ball(grid, centre, radius)
     return array
 
@@ -45,21 +47,22 @@ MOVED = Pose.from_euler((0.9, -0.7, 0.8), (1.0, 2.0, -1.5))
 LESION = (-6.0, -4.0, 7.0), 5.0
 
 
+def noisy_views(geometry, ellipsoid_integrals, rng, noise):
+    """Line integrals of the anatomy."""
+    p = VALUE * ellipsoid_integrals(geometry, (0, 0, 0), (RADIUS,) * 3)
+    for centre, radius in BONES:
+        p += VALUE * ellipsoid_integrals(geometry, centre, (radius,) * 3)
+    return p + rng.normal(0, noise, p.shape).astype(np.float32)
+
+
 @pytest.fixture
 def scan(circle, ellipsoid_integrals):
     """Eight views of the anatomy with a lesion; the prior knows nothing of it."""
     geometry = circle(8, Panel(40, 40, 3.0, 3.0))
     grid = VolumeGrid((28, 28, 28), 2.0)
-    p = VALUE * ellipsoid_integrals(geometry, (0, 0, 0), (RADIUS,) * 3)
-    for centre, radius, value in (
-        ((10, 2, 4), 6, VALUE),
-        ((-9, 7, -6), 5, VALUE),
-        ((1, -12, 3), 4, VALUE),
-        (*LESION, VALUE / 2),
-    ):
-        p += value * ellipsoid_integrals(geometry, centre, (radius,) * 3)
     rng = np.random.default_rng(0)
-    p += rng.normal(0, 0.005, p.shape).astype(np.float32)
+    p = noisy_views(geometry, ellipsoid_integrals, rng, 0.005)
+    p += VALUE / 2 * ellipsoid_integrals(geometry, LESION[0], (LESION[1],) * 3)
     there = VolumeGrid((40, 40, 40), 1.5, MOVED.inverse())
     # The anatomy stands as in the scan when the prior's world is moved.
     own = anatomy(VolumeGrid((40, 40, 40), 1.5))
@@ -205,14 +208,20 @@ def test_a_finer_prior_is_averaged():
     assert 0.2 < means_at(noise, fine, at).std() < 0.45
 
 
+@pytest.mark.parametrize(
+    ("squares", "expected"),
+    [((3, 2, 1), LARGE), ((3, 2, 1.97), 0.15), ((2, 3, 1.97), 0.0), ((2, 3, 1.9), LARGE)],
+    ids=["clearly", "hardly", "hardly, without a share", "clearly, without a share"],
+)
+def test_a_large_share_has_to_be_clearly_better(squares, expected):
+    assert preferred(dict(zip((0.0, 0.15, LARGE), squares, strict=True))) == expected
+
+
 def test_views_that_are_left_out_refuse_a_poor_prior(circle, ellipsoid_integrals):
     geometry = circle(12, Panel(40, 40, 3.0, 3.0))
     grid = VolumeGrid((28, 28, 28), 2.0)
-    p = VALUE * ellipsoid_integrals(geometry, (0, 0, 0), (RADIUS,) * 3)
-    for centre, radius in (((10, 2, 4), 6), ((-9, 7, -6), 5), ((1, -12, 3), 4)):
-        p += VALUE * ellipsoid_integrals(geometry, centre, (radius,) * 3)
     rng = np.random.default_rng(0)
-    p += rng.normal(0, 0.02, p.shape).astype(np.float32)
+    p = noisy_views(geometry, ellipsoid_integrals, rng, 0.02)
     A, good = Projector(geometry, grid), anatomy(grid)
     settings = {"iterations": 12, "photons": 2500}
     judged = prior_tv(A, p, Volume(good, grid), **settings).extras["left_out"]

@@ -8,7 +8,7 @@ improves single voxels at most, and spoils edges.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -101,7 +101,15 @@ def judged_by_left_out_views(
     without = square(None)
     shares = 0.0, before.share, LARGE
     squares = {share: square(replace(before, share=share)) for share in shares}
-    share = min(shares[:2], key=lambda one: squares[one])
-    if squares[LARGE] < CLEARLY**2 * squares[share]:
-        share = LARGE
+    share = preferred(squares)
     return Judged(share, float(np.sqrt(squares[share] / without)) if without else 1.0)
+
+
+def preferred(squares: Mapping[float, float]) -> float:
+    """Return the share with the least squared residual, but ``LARGE`` only if it is clearly better.
+
+    Args:
+        squares: sum of the squared residuals of the left-out views, by share.
+    """
+    share = min((one for one in squares if one != LARGE), key=lambda one: squares[one])
+    return LARGE if squares[LARGE] < CLEARLY**2 * squares[share] else share

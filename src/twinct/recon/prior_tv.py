@@ -148,7 +148,8 @@ def prior_tv(
     volume itself.
 
     Peak memory: 16 volumes, a prior in voxels of this size included (13 if the grid is large: the
-    registration stays coarse), and five times the projections, besides the projections and weights.
+    registration stays coarse), or the size of a larger prior, and five times the projections,
+    besides that prior, the projections and weights.
 
     Args:
         A: the projector, with the believed geometry.
@@ -204,7 +205,7 @@ def prior_tv(
         checks.problems.append(f"share is {quoted(share)}; it must be a number from 0 to 1")
     checks.problems += prior_problems(prior, A.grid, start or Pose.identity())
     checks.done()
-    require_memory(PRIOR_TV, A, _volumes_of(prior, A.grid))
+    require_memory(PRIOR_TV, A, _volumes_beyond(prior, A.grid))
     radius, extras = regularisation, dict[str, Any]()
     if radius is None:
         radius, source = _strength(A, p, known_photons, pixels)
@@ -245,11 +246,12 @@ def prior_tv(
     return Volume(result.array, result.grid, {"world_from_prior": pose} | extras)
 
 
-def _volumes_of(prior: Volume, grid: VolumeGrid) -> float:
-    """Return the memory, in volumes, that a prior in smaller voxels takes beyond one volume."""
-    volumes = prior.array.size / math.prod(grid.shape)
-    # Its splines are as large, and are there while most of the other volumes are not.
-    return max(volumes - 1, 2 * volumes - PRIOR_TV.volumes + 1, 0)
+def _volumes_beyond(prior: Volume, grid: VolumeGrid) -> float:
+    """Return the memory, in volumes, that the splines of a large prior take beyond the usual peak.
+
+    They are as large as the prior, and are there before all other volumes.
+    """
+    return max(prior.array.size / math.prod(grid.shape) - PRIOR_TV.volumes, 0.0)
 
 
 def _strength(

@@ -64,9 +64,9 @@ def doubt_of_prior(volume: Volume) -> str | None:
     if ratio is None or ratio < 1:
         return None
     return (
-        "the prior does not help: volumes from four fifths of the views predict the others "
-        f"{100 * (ratio - 1):.1f} % worse with it than without it; is it of the same object, and "
-        "sharp enough? fista_tv works without a prior"
+        "the prior does not help: volumes from four fifths of the views predict the others no "
+        f"better with it than without it (residuals {ratio:.3f} times as large); is it of the same "
+        "object, and sharp enough? fista_tv works without a prior"
     )
 
 
