@@ -2,6 +2,8 @@
 
 import logging
 import os
+import pickle
+import platform
 import subprocess
 import sys
 from functools import partial
@@ -20,6 +22,8 @@ from twinct.recon.engine import Ratio
 DEVICE = os.environ.get(DEVICE_VARIABLE) or "cpu"
 """Device of the card's kernels: the processor, unless the environment names a card."""
 
+ENGINES = "vector", "plain"
+
 SINGLE = 2e-5
 """Float32 places and sums against float64, of the largest value. Measured 2e-7 to 4e-6."""
 
@@ -31,7 +35,7 @@ SHOWN = 1e-4
 def pair(random_geometry, turned_grid, panel):
     """The same projector with either engine: some rays miss, some views are truncated."""
     geometry = random_geometry(6, panel, np.random.default_rng(0))
-    return [Projector(geometry, turned_grid, engine=name) for name in ("vector", "plain")]
+    return [Projector(geometry, turned_grid, engine=name) for name in ENGINES]
 
 
 @pytest.fixture(params=["vector", "cuda"])
@@ -86,6 +90,85 @@ def test_engines_agree_on_an_update(against_plain, masked):
     for one, plain in zip(*results, strict=True):
         close(one, plain)
     assert (results[0][0] == 0).any(), "the floor was reached"
+
+
+PITCHES = {"small pixels": 0.4, "usual pixels": 1.7, "large pixels": 5.0}
+"""Pixels as large as 0.2, 0.9 and 2.6 voxels: with AVX-512, windows hold the voxels around the rays
+except for the last, and the pixels around voxels except for the first."""
+
+
+@pytest.fixture(params=PITCHES.values(), ids=PITCHES)
+def job(request, random_geometry):
+    """Views with pixels of a size, a grid, a volume, projections, intact pixels and blocks."""
+    pitch, rng = request.param, np.random.default_rng(4)
+    panel = Panel(round(90 / pitch), round(110 / pitch), pitch, pitch)
+    geometry, grid = random_geometry(8, panel, rng), VolumeGrid((70, 43, 38), 1.0)
+    start = rng.random(grid.shape, dtype=np.float32)
+    measured = rng.random((8, *panel.shape), dtype=np.float32) * 50
+    intact = rng.random(panel.shape) >= 0.002
+    blocks = Blocks(np.uint8(rng.random([-(-n // 8) for n in start.shape]) < 0.6))
+    return geometry, grid, start, measured, intact, blocks
+
+
+def done(engine_name, geometry, grid, start, measured, intact, blocks):
+    """Line integrals, and volumes after an update from each view."""
+    A = Projector(geometry, grid, engine_name)
+    found = [A(start)]
+    for part, mask in ((A, None), (A, intact), (A.within(blocks), intact)):
+        x = start.copy()
+        part.blocks.clear(x)
+        for view in range(len(A)):
+            part.update(x, view, measured[view], relaxation=0.5, floor=0.1, mask=mask)
+        assert np.abs(x - start).max() > 0.5
+        found.append(x)
+    return found
+
+
+def test_engines_agree_for_pixels_of_any_size(job):
+    for one, plain in zip(done("vector", *job), done("plain", *job), strict=True):
+        close(one, plain)
+
+
+OLDER = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma"}
+"""A processor without AVX-512, for which the vector engine is compiled."""
+
+CHILD = f"""
+import importlib.util, pickle, sys
+from pathlib import Path
+spec = importlib.util.spec_from_file_location("test_engine", {__file__!r})
+module = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(module)
+from twinct.recon._vector.windows import AVAILABLE
+assert not AVAILABLE
+job = pickle.loads(Path(sys.argv[1]).read_bytes())
+Path(sys.argv[2]).write_bytes(pickle.dumps(module.done("vector", *job)))
+"""
+
+
+@pytest.fixture(scope="module")
+def older(tmp_path_factory):
+    """Surroundings of processes that compile for an older processor, once for this module."""
+    folder = tmp_path_factory.mktemp("older")
+    return os.environ | OLDER | {"NUMBA_CACHE_DIR": str(folder)}
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.tutorial
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="needs an x86-64 processor")
+def test_engines_agree_without_avx512(job, older, tmp_path):
+    given, found = tmp_path / "job", tmp_path / "found"
+    given.write_bytes(pickle.dumps(job))
+    result = subprocess.run(
+        [sys.executable, "-c", CHILD, str(given), str(found)],
+        env=older,
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    volumes = pickle.loads(found.read_bytes())
+    for one, plain in zip(volumes, done("plain", *job), strict=True):
+        close(one, plain)
 
 
 def test_engines_agree_within_blocks(against_plain):

@@ -1,8 +1,9 @@
 """Vector engine: kernels written sixteen samples at a time, in LLVM instructions.
 
-It is fast because one piece of vector code reads and blends sixteen samples (``march``,
-``sample``), and because tiles of rays go through the volume slab by slab, in copies of only the
-voxels that they cross (``brick``). No result depends on the number of threads.
+It is fast because one piece of vector code reads and blends sixteen samples (``march`` and
+``sample``; with AVX-512 ``windows`` and ``cells``), and because tiles of rays go through the volume
+slab by slab, in copies of only the voxels that they cross (``brick``). No result depends on the
+number of threads.
 """
 
 import numpy as np

@@ -13,6 +13,7 @@ from twinct.recon._vector.groups import (
     box_of,
     load,
     mark,
+    of_lattice,
     room,
     slab_of,
 )
@@ -40,14 +41,8 @@ def _weigh(y, rays, pixels, steps, groups):
             rays[slot // LANES * BLOCK + VALUE + slot % LANES] = value
 
 
-_add_slab = slab_of(add_along, add_pairs_along, add_pairs_along, add_guarded)
+_add_slab = slab_of(of_lattice(add_along, add_pairs_along, add_pairs_along), add_guarded)
 """Function that adds the rays' values to the voxels of the planes from start to end."""
-
-
-@njit(inline="always", **OPTIONS)
-def _slab(number, stop):
-    """Return the first and last plane of a slab; no slab goes beyond ``stop``."""
-    return number * PLANES, min((number + 1) * PLANES - 1, stop)
 
 
 @kernel(f"({IMAGE}, {RAYS}, {CUBE}, i8)")
@@ -68,7 +63,7 @@ def adjoint(y, view, out, parts):
             scratch = room()
             rays, bounds = scratch[0][axis], scratch[1][axis]
             edges, brick = scratch[6][axis], scratch[7]
-            marks = np.empty((2, TILE_GROUPS), np.float32)
+            marks = np.empty(TILE_GROUPS, np.float32)
             own = slabs * part // parts, slabs * (part + 1) // parts
             for top in range(0, rows, TILE_ROWS):
                 bottom = min(top + TILE_ROWS, rows)
@@ -78,25 +73,16 @@ def adjoint(y, view, out, parts):
                     groups = scratch[4][axis]
                     _weigh(y, rays, scratch[2][axis], scratch[3][axis], groups)
                     stop = min(own[1] * PLANES, planes) - 1
-                    now, later = marks[0], marks[1]
-                    span = _slab(own[0], stop)
-                    mark(edges, groups, axis, shape, *span, all_filled, now)
-                    box = box_of(edges, groups, axis, shape, *span, now)
                     for slab in range(own[0], own[1]):
-                        start, end = _slab(slab, stop)
-                        span = _slab(slab + 1, stop)
-                        mark(edges, groups, axis, shape, *span, all_filled, later)
-                        then = box_of(edges, groups, axis, shape, *span, later)
-                        ahead = flat, shape, axis, then
+                        start, end = slab * PLANES, min((slab + 1) * PLANES - 1, stop)
+                        mark(edges, groups, axis, shape, start, end, all_filled, marks)
+                        box = box_of(edges, groups, axis, shape, start, end, marks)
                         if box[1] == 0:
-                            box, now, later = then, later, now
                             continue
+                        told = start, end, rays, bounds, edges, groups, marks, False
                         if fits(box):
                             move(flat, shape, axis, box, brick, False)
-                            lattice = in_brick(box, axis, shape)
-                            _add_slab(brick, lattice, start, end, rays, bounds, groups, now, ahead)
+                            _add_slab(brick, in_brick(box, axis, shape), *told)
                             move(flat, shape, axis, box, brick, True)
                         else:
-                            lattice = in_volume(axis, shape)
-                            _add_slab(flat, lattice, start, end, rays, bounds, groups, now, ahead)
-                        box, now, later = then, later, now
+                            _add_slab(flat, in_volume(axis, shape), *told)

@@ -20,11 +20,9 @@ from numba.core import cgutils
 
 from twinct.recon._vector.options import OPTIONS
 from twinct.recon._vector.vectors import (
-    CACHE_LINE,
     I64,
     LANES,
     arguments,
-    ask_for,
     interleaved,
     intrinsic,
     transposed,
@@ -169,35 +167,9 @@ def fits(box):
 
 
 @njit(inline="always", **OPTIONS)
-def ask_for_box(ahead, part, parts):
-    """Prefetch a part of a box, so that ``move`` need not wait for memory.
-
-    ``ahead`` holds the arguments of ``move``: the volume (flat), its shape, the axis and the box.
-    """
-    x, (_, ny, nx), axis, box = ahead
-    start, planes, c0, nc, b0, nb = box
-    if not fits(box):
-        return
-    # Lines of voxels along x, of one cache line or of nb voxels, over an outer and an inner axis.
-    outer, inner, length = (nc, nb, 1) if axis == 0 else (planes, nc, nb)
-    if axis == 0:
-        at, outward, inward = (c0 * ny + b0) * nx + start, ny * nx, nx
-    elif axis == 1:
-        at, outward, inward = (c0 * ny + start) * nx + b0, nx, ny * nx
-    else:
-        at, outward, inward = (start * ny + c0) * nx + b0, ny * nx, nx
-    first, last = outer * inner * part // parts, outer * inner * (part + 1) // parts
-    if first == last:
-        return
-    n = first % inner
-    at += first // inner * outward + n * inward
-    for _ in range(first, last):
-        for along in range(0, length, CACHE_LINE):
-            ask_for(x, at + along)
-        n += 1
-        at += inward
-        if n == inner:
-            n, at = 0, at + outward - inner * inward
+def fits_window(box):
+    """Return True if a brick can hold the box, and the lines that a window reads behind it."""
+    return (box[1] * box[3] + 7) * box[5] + 8 <= ROOM
 
 
 @njit(inline="always", **OPTIONS)

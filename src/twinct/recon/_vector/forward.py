@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from twinct.recon._vector.brick import ROOM, fits, in_pairs, in_volume, take_pairs
+from twinct.recon._vector.brick import (
+    ROOM,
+    fits,
+    fits_window,
+    in_brick,
+    in_pairs,
+    in_volume,
+    move,
+    take_pairs,
+)
 from twinct.recon._vector.groups import (
     TILE_COLUMNS,
     TILE_GROUPS,
@@ -13,6 +22,7 @@ from twinct.recon._vector.groups import (
     box_of,
     load,
     mark,
+    of_lattice,
     room,
     slab_of,
 )
@@ -26,12 +36,15 @@ from twinct.recon._vector.march import (
     read_pairs_along,
 )
 from twinct.recon._vector.options import CUBE, IMAGE, RAYS, kernel
+from twinct.recon._vector.windows import in_window, mostly_narrow
 
 PLANES = 16
 """Planes of a slab; all rays of a tile go through one slab before the next."""
 
 
-_sum_slab = slab_of(read_along, read_pairs_along, read_fours_along, read_guarded)
+_sum_slab = slab_of(
+    of_lattice(read_along, read_pairs_along, read_fours_along), read_guarded, in_window
+)
 """Function that adds up the samples of the planes from start to end."""
 
 
@@ -51,30 +64,30 @@ def forward(x, view, out, lengths, sums):
         out[top:bottom, left:right] = 0.0
         scratch = room()
         blocks, ranges, pixels, steps, groups, _, edges, lines = scratch
-        pairs, marks = np.empty(2 * ROOM, np.float32), np.empty((2, TILE_GROUPS), np.float32)
+        pairs, marks = np.empty(2 * ROOM, np.float32), np.empty(TILE_GROUPS, np.float32)
         load(view, shape, (top, bottom), (left, right), False, scratch, lengths)
         for axis in range(3):
             count = groups[axis]
             if count == 0:
                 continue
             planes, rays, bounds = shape[2 - axis], blocks[axis], ranges[axis]
-            now, later, lanes = marks[0], marks[1], edges[axis]
-            end = min(PLANES, planes) - 1
-            mark(lanes, count, axis, shape, 0, end, sums, now)
-            box = box_of(lanes, count, axis, shape, 0, end, now)
+            marked, lanes = marks[:count], edges[axis]
+            middle = np.float32(0.5 * (planes - 1))
             for start in range(0, planes, PLANES):
-                end, stop = min(start + PLANES, planes) - 1, min(start + 2 * PLANES, planes) - 1
-                mark(lanes, count, axis, shape, end + 1, stop, sums, later)
-                then = box_of(lanes, count, axis, shape, end + 1, stop, later)
-                ahead = flat, shape, axis, then
-                if box[1] > 0 and fits(box):
+                end = min(start + PLANES, planes) - 1
+                mark(lanes, count, axis, shape, start, end, sums, marked)
+                box = box_of(lanes, count, axis, shape, start, end, marked)
+                if box[1] == 0:
+                    continue
+                told = start, end, rays, bounds, lanes, count, marked
+                if fits_window(box) and mostly_narrow(lanes, count, middle, start, end, marked):
+                    move(flat, shape, axis, box, lines, False)
+                    _sum_slab(lines, in_brick(box, axis, shape), *told, True)
+                elif fits(box):
                     take_pairs(flat, shape, axis, box, lines, pairs)
-                    lattice = in_pairs(box, axis, shape)
-                    _sum_slab(pairs, lattice, start, end, rays, bounds, count, now, ahead)
-                elif box[1] > 0:
-                    lattice = in_volume(axis, shape)
-                    _sum_slab(flat, lattice, start, end, rays, bounds, count, now, ahead)
-                box, now, later = then, later, now
+                    _sum_slab(pairs, in_pairs(box, axis, shape), *told, False)
+                else:
+                    _sum_slab(flat, in_volume(axis, shape), *told, False)
             for slot in range(count * LANES):
                 pixel = pixels[axis, slot]
                 if pixel >= 0:

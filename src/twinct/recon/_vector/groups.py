@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from twinct.recon._vector import vectors
-from twinct.recon._vector.brick import ROOM, ask_for_box
+from twinct.recon._vector.brick import ROOM
 from twinct.recon._vector.march import B_MIDDLE, BLOCK, C_MIDDLE, LANES, VALUE
 from twinct.recon._vector.options import OPTIONS
 from twinct.recon._vector.rays import ray_of
@@ -16,8 +16,11 @@ TILE_ROWS = 32
 TILE_COLUMNS = 64
 """Rays of a tile, which go through the volume together so that voxels are read only once."""
 
+CELL = 4
+"""Rows and columns of the rays of a group, if they are neighbours."""
+
 TILE_GROUPS = TILE_ROWS * (TILE_COLUMNS // LANES)
-"""Largest number of groups of one axis in a tile; no group reaches beyond its row."""
+"""Largest number of groups of one axis in a tile; no group reaches beyond its row or its cell."""
 
 EDGES = 10
 """Number of values for a group's edges.
@@ -98,60 +101,71 @@ def _edge(block, kind, near, far, edge):
 def load(view, shape, rows, columns, apart, room, lengths):
     """Sort the rays of a tile by axis, without the rays that miss the volume.
 
-    ``rows`` and ``columns`` are half-open ranges. The rays of a group are neighbours in their row
-    or, if ``apart``, so far from each other that they share no voxels. ``room`` receives, for each
-    axis: blocks with value 0; ranges, the first and last plane that any ray of a group crosses and
-    the first and last plane in which all rays are clear of the border; pixels (row * 65536 +
-    column, -1 for an empty lane); mm per plane; the number of groups; and the groups' edges, see
-    ``_edge``. ``lengths``, (rows, columns), receives path lengths in the grid unless it is empty.
+    ``rows`` and ``columns`` are half-open ranges. The rays of a group are a cell of ``CELL`` x
+    ``CELL`` neighbours or, if ``apart``, lie in one row so far from each other that they share no
+    voxels. ``room`` receives, for each axis: blocks with value 0; ranges, the first and last plane
+    that any ray of a group crosses and the first and last plane in which all rays are clear of the
+    border; pixels (row * 65536 + column, -1 for an empty lane); mm per plane; the number of groups;
+    and the groups' edges, see ``_edge``. ``lengths``, (rows, columns), receives path lengths in the
+    grid unless it is empty.
     """
-    blocks, ranges, pixels, steps, groups, found, edges, _ = room
+    groups, found = room[4], room[5]
     nz, ny, nx = shape
     groups[:] = 0
     counts = np.zeros(3, np.int64)
-    for row in range(rows[0], rows[1]):
-        counts[:] = 0
-        for column in range(columns[0], columns[1]):
-            axis, b_middle, b_slope, c_middle, c_slope, first, last, step, inside = ray_of(
-                view, row, column, nx, ny, nz
-            )
-            if len(lengths) > 0:
-                lengths[row, column] = inside
-            if first <= last:
-                ray = found[axis, counts[axis]]
-                ray[0], ray[1], ray[2], ray[3] = b_middle, b_slope, c_middle, c_slope
-                ray[4], ray[5], ray[6], ray[7] = first, last, step, column
-                counts[axis] += 1
-        for axis in range(3):
-            count = counts[axis]
-            here = (count + LANES - 1) // LANES
-            b_cells, c_cells = cells_of(axis, shape)
-            middle = 0.5 * (shape[2 - axis] - 1)
-            for q in range(here):
-                group = groups[axis] + q
-                near, far, lo, hi = 1e9, -1e9, -1e9, 1e9
-                for lane in range(LANES):
-                    n = lane * here + q if apart else q * LANES + lane
-                    ray = found[axis, min(n, count - 1)]
-                    at = group * BLOCK + lane
-                    for kind in range(6):  # from B_MIDDLE to LAST
-                        blocks[axis, at + kind * LANES] = ray[kind]
-                    blocks[axis, at + VALUE] = 0.0
-                    near, far = min(near, ray[4]), max(far, ray[5])
-                    lo, hi = max(lo, ray[4]), min(hi, ray[5])
-                    lo, hi = _clear(lo, hi, ray[0], ray[1], middle, b_cells)
-                    lo, hi = _clear(lo, hi, ray[2], ray[3], middle, c_cells)
-                    slot = group * LANES + lane
-                    steps[axis, slot] = ray[6]
-                    pixels[axis, slot] = row * 65536 + int(ray[7]) if n < count else -1
-                ranges[axis, group, 0], ranges[axis, group, 1] = int(near), int(far)
-                ranges[axis, group, 2] = int(np.ceil(lo))
-                ranges[axis, group, 3] = int(np.floor(hi))
-                edges[axis, 0, group], edges[axis, 1, group] = near, far
-                block = blocks[axis, group * BLOCK : (group + 1) * BLOCK]
-                _edge(block, B_MIDDLE, near - middle, far - middle, edges[axis, 2:6, group])
-                _edge(block, C_MIDDLE, near - middle, far - middle, edges[axis, 6:10, group])
-            groups[axis] += here
+    height, width = (1, TILE_COLUMNS) if apart else (CELL, CELL)
+    for top in range(rows[0], rows[1], height):
+        for left in range(columns[0], columns[1], width):
+            counts[:] = 0
+            for row in range(top, min(top + height, rows[1])):
+                for column in range(left, min(left + width, columns[1])):
+                    axis, b_middle, b_slope, c_middle, c_slope, first, last, step, inside = ray_of(
+                        view, row, column, nx, ny, nz
+                    )
+                    if len(lengths) > 0:
+                        lengths[row, column] = inside
+                    if first <= last:
+                        ray = found[axis, counts[axis]]
+                        ray[0], ray[1], ray[2], ray[3] = b_middle, b_slope, c_middle, c_slope
+                        ray[4], ray[5], ray[6], ray[7] = first, last, step, row * 65536 + column
+                        counts[axis] += 1
+            for axis in range(3):
+                here = (counts[axis] + LANES - 1) // LANES
+                for q in range(here):
+                    first, stride = (q, here) if apart else (q * LANES, 1)
+                    _group(axis, shape, found[axis, : counts[axis]], first, stride, room)
+
+
+@njit(**OPTIONS)
+def _group(axis, shape, found, first, stride, room):
+    """Add a group of the rays ``found`` from the first one in steps, see ``load``."""
+    blocks, ranges, pixels, steps, groups, _, edges, _ = room
+    group = groups[axis]
+    b_cells, c_cells = cells_of(axis, shape)
+    middle = 0.5 * (shape[2 - axis] - 1)
+    near, far, lo, hi = 1e9, -1e9, -1e9, 1e9
+    for lane in range(LANES):
+        n = first + lane * stride
+        ray = found[min(n, len(found) - 1)]
+        at = group * BLOCK + lane
+        for kind in range(6):  # from B_MIDDLE to LAST
+            blocks[axis, at + kind * LANES] = ray[kind]
+        blocks[axis, at + VALUE] = 0.0
+        near, far = min(near, ray[4]), max(far, ray[5])
+        lo, hi = max(lo, ray[4]), min(hi, ray[5])
+        lo, hi = _clear(lo, hi, ray[0], ray[1], middle, b_cells)
+        lo, hi = _clear(lo, hi, ray[2], ray[3], middle, c_cells)
+        slot = group * LANES + lane
+        steps[axis, slot] = ray[6]
+        pixels[axis, slot] = int(ray[7]) if n < len(found) else -1
+    ranges[axis, group, 0], ranges[axis, group, 1] = int(near), int(far)
+    ranges[axis, group, 2] = int(np.ceil(lo))
+    ranges[axis, group, 3] = int(np.floor(hi))
+    edges[axis, 0, group], edges[axis, 1, group] = near, far
+    block = blocks[axis, group * BLOCK : (group + 1) * BLOCK]
+    _edge(block, B_MIDDLE, near - middle, far - middle, edges[axis, 2:6, group])
+    _edge(block, C_MIDDLE, near - middle, far - middle, edges[axis, 6:10, group])
+    groups[axis] += 1
 
 
 @njit(inline="always", **OPTIONS)
@@ -254,17 +268,32 @@ def _below(lowest, cells):
     return min(max(int(max(lowest, np.float32(0.0))) - 1, 0), cells - 1)
 
 
-def slab_of(along, pairs_along, fours_along, guarded):
-    """Build a function that takes groups through the planes of a slab, with functions of ``march``.
-
-    The function also prefetches the next box: ``ahead``, see ``ask_for_box``. It leaves out the
-    groups with the mark ``FAR``.
-    """
+def of_lattice(along, pairs_along, fours_along):
+    """Build a function of ``march`` that chooses one of these by the lattice."""
 
     @njit(**OPTIONS)
-    def slab(x, lattice, start, end, rays, ranges, groups, marks, ahead):
+    def inside(x, rays, block, first, last, lattice):
+        if lattice[9] == 1:
+            fours_along(x, rays, block, first, last, lattice)
+        elif lattice[6] == 1:
+            pairs_along(x, rays, block, first, last, lattice)
+        else:
+            along(x, rays, block, first, last, lattice)
+
+    return inside
+
+
+def slab_of(inside, guarded, in_window=None):
+    """Build a function that takes groups through the planes of a slab, with functions of ``march``.
+
+    The function leaves out the groups with the mark ``FAR``. ``in_window`` takes a group through
+    planes and returns True, or returns False; it is tried if the function's last argument is true.
+    """
+    try_window = in_window or _in_no_window
+
+    @njit(**OPTIONS)
+    def slab(x, lattice, start, end, rays, ranges, edges, groups, marks, windows):
         for group in range(groups):
-            ask_for_box(ahead, group, groups)
             if marks[group] > 0:
                 continue
             bounds, block = ranges[group], group * BLOCK
@@ -277,13 +306,14 @@ def slab_of(along, pairs_along, fours_along, guarded):
                 lo, hi = last + 1, last
             if first < lo:
                 guarded(x, rays, block, first, lo - 1, lattice)
-            if lattice[9] == 1:
-                fours_along(x, rays, block, lo, hi, lattice)
-            elif lattice[6] == 1:
-                pairs_along(x, rays, block, lo, hi, lattice)
-            else:
-                along(x, rays, block, lo, hi, lattice)
+            if not (windows and try_window(x, rays, block, lo, hi, lattice, edges, group)):
+                inside(x, rays, block, lo, hi, lattice)
             if hi < last:
                 guarded(x, rays, block, hi + 1, last, lattice)
 
     return slab
+
+
+@njit(inline="always", **OPTIONS)
+def _in_no_window(x, rays, block, first, last, lattice, edges, group):
+    return False

@@ -67,7 +67,7 @@ def _cell(
     return whole, builder.fsub(at, builder.sitofp(whole, vec.VECTOR), flags=_FAST)
 
 
-def _pointer(builder: Any, rays: Any, block: Any, place: int) -> Any:
+def pointer(builder: Any, rays: Any, block: Any, place: int) -> Any:
     """Return a pointer to the numbers of one kind in a block."""
     return vec.vector_at(builder, rays, builder.add(block, ir.Constant(vec.I64, place)), LANES)
 
@@ -75,7 +75,7 @@ def _pointer(builder: Any, rays: Any, block: Any, place: int) -> Any:
 def _loaded(builder: Any, rays: Any, block: Any) -> list[Any]:
     """Return the vectors of a block."""
     kinds = (B_MIDDLE, B_SLOPE, C_MIDDLE, C_SLOPE, FIRST, LAST, VALUE)
-    return [builder.load(_pointer(builder, rays, block, place), align=4) for place in kinds]
+    return [builder.load(pointer(builder, rays, block, place), align=4) for place in kinds]
 
 
 def _within(builder: Any, plane: Any, firsts: Any, lasts: Any) -> Any:
@@ -145,7 +145,7 @@ def _emit(word: int, guarded: bool, adds_up: bool, body: _Body) -> Any:
         builder.position_at_end(after)
         if adds_up:
             sums = _join(builder.phi(vec.VECTOR), (values, before), (result, loop))
-            builder.store(sums, _pointer(builder, rays, block, VALUE), align=4)
+            builder.store(sums, pointer(builder, rays, block, VALUE), align=4)
         return context.get_dummy_value()
 
     return codegen
