@@ -40,18 +40,18 @@ def _shadow(a, e, d, a1, e1, d1, columns, rows, nx):
 
 
 @njit(inline="always", **OPTIONS)
-def _copy_row(image, mask, row, wide, fours, weight_fours):
+def _copy_row(image, mask, row, wide, fours, shares):
     """Copy a row to ``wide``, and each pixel and the pixel below to ``fours``, (rows, columns, 2).
 
-    Likewise the mask's to ``weight_fours``.
+    Likewise the mask's to ``shares``.
     """
     below = min(row + 1, len(image) - 1)
     for column in range(image.shape[1]):
         wide[row, column] = image[row, column]
         fours[row, column, 0] = image[row, column]
         fours[row, column, 1] = image[below, column]
-        weight_fours[row, column, 0] = mask[row, column]
-        weight_fours[row, column, 1] = mask[below, column]
+        shares[row, column, 0] = mask[row, column]
+        shares[row, column, 1] = mask[below, column]
 
 
 @njit(inline="always", **OPTIONS)
@@ -121,13 +121,13 @@ def _line(line, k, j, first, last, filled, fours, mask, missing, place, floor, o
 
 
 @njit(inline="always", **OPTIONS)
-def _rest(x, k, j, shape, ranges, filled, fours, mask, missing, matrix, slopes, floor, one, other):
+def _rest(x, shape, ranges, filled, fours, mask, missing, matrix, slopes, floor, one, other):
     """Update the lines of a strip before the first and behind the last cell.
 
-    ``shape`` holds the number of lines, the steps in j and k from line to line, and the first and
-    last voxel of the cells.
+    ``shape`` holds k and j of the first line, the number of lines, the steps in j and k from line
+    to line, and the first and last voxel of the cells.
     """
-    lines, dj, dk, lo, hi = shape
+    k, j, lines, dj, dk, lo, hi = shape
     for n in range(lines):
         first, last = ranges[n, 0], ranges[n, 1]
         if lo <= first and last <= hi:
@@ -153,9 +153,9 @@ def update(x, matrix, image, mask, missing, floor, filled):
     rows, columns = image.shape[0] - 2, image.shape[1] - 2
     wide = np.empty((rows + 2 + WINDOW, columns + 2 + WINDOW), np.float32)
     fours = np.empty((rows + 2, columns + 2, 2), np.float32)
-    weight_fours = np.empty_like(fours)
+    shares = np.empty_like(fours)
     for row in prange(rows + 2):
-        _copy_row(image, mask, row, wide, fours, weight_fours)
+        _copy_row(image, mask, row, wide, fours, shares)
     # The lines of a strip follow each other along the axis that leads further in the image.
     across_z = AVAILABLE and np.hypot(matrix[0, 2], matrix[1, 2]) > np.hypot(
         matrix[0, 1], matrix[1, 1]
@@ -165,7 +165,7 @@ def update(x, matrix, image, mask, missing, floor, filled):
     steps = slopes + _framed((matrix[0, axis], matrix[1, axis], matrix[2, axis]))
     stride, high, deep = dk * ny * nx + dj * nx, 1 + dk * (CELL - 1), 1 + dj * (CELL - 1)
     for slab in prange((nz + high - 1) // high):
-        values, weights = np.empty(CHUNK + WIDE, np.float32), np.empty(CHUNK + WIDE, np.float32)
+        one, other = np.empty(CHUNK + WIDE, np.float32), np.empty(CHUNK + WIDE, np.float32)
         kept, ranges = np.empty((KEPT, CELLS), np.float32), np.empty((CELL, 2), np.int64)
         k = slab * high
         for j in range(0, ny, deep):
@@ -174,42 +174,20 @@ def update(x, matrix, image, mask, missing, floor, filled):
             at, place, start = (k * ny + j) * nx, _framed(_projection(matrix, j, k)) + steps, lo
             while start <= hi:
                 start, end = _run(filled, k, j, start, hi)
-                for one in range(start, end + 1, CELL * CELLS):
-                    last = min(one + CELL * CELLS - 1, end)
-                    count = (last + 1 - one) // CELL
+                for begin in range(start, end + 1, CELL * CELLS):
+                    last = min(begin + CELL * CELLS - 1, end)
+                    count = (last + 1 - begin) // CELL
                     if not update_cells(
-                        flat, at + one, stride, one, count, wide, missing, place, floor, kept
+                        flat, at + begin, stride, begin, count, wide, missing, place, floor, kept
                     ):
                         for n in range(CELL):
                             line = x[k + n * dk, j + n * dj]
                             own = _place(matrix, j + n * dj, k + n * dk, slopes)
                             update_line(
-                                line,
-                                one,
-                                last,
-                                fours,
-                                weight_fours,
-                                missing,
-                                own,
-                                floor,
-                                values,
-                                weights,
+                                line, begin, last, fours, shares, missing, own, floor, one, other
                             )
                 start = end + 1
-            shape = lines, dj, dk, lo, hi
+            shape = k, j, lines, dj, dk, lo, hi
             _rest(
-                x,
-                k,
-                j,
-                shape,
-                ranges,
-                filled,
-                fours,
-                weight_fours,
-                missing,
-                matrix,
-                slopes,
-                floor,
-                values,
-                weights,
+                x, shape, ranges, filled, fours, shares, missing, matrix, slopes, floor, one, other
             )

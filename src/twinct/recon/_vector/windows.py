@@ -86,6 +86,28 @@ def _kept(builder: Any, vector: Any) -> Any:
     return builder.bitcast(room, vector.type.element.as_pointer())
 
 
+def _starts(builder: Any, begin: Any, lines: Any, origins: Any, far: Any) -> Any:
+    """Return sixteen planes, counted from the middle, and where their windows start.
+
+    These are pointers to the planes, to the first b and c of their windows, and to the position
+    of the first voxel in its plane.
+    """
+    ramp = ir.Constant(vec.VECTOR, [float(n) for n in range(vec.WIDE)])
+    zeros = ir.Constant(vec.VECTOR, [0.0] * vec.WIDE)
+    planes = builder.fadd(vec.splat(builder, begin), ramp)
+    wholes = []
+    for n, origin in enumerate(origins):
+        at = builder.fsub(builder.extract_value(lines, 2 * n), origin)
+        slope = vec.splat(builder, builder.extract_value(lines, 2 * n + 1))
+        place = builder.fadd(vec.splat(builder, at), builder.fmul(planes, slope, flags=["fast"]))
+        place = builder.select(builder.fcmp_ordered(">", place, zeros), place, zeros)
+        wholes.append(builder.fptosi(place, vec.INTS))
+    starts = [_kept(builder, builder.sitofp(whole, vec.VECTOR)) for whole in wholes]
+    fars = vec.splat(builder, builder.trunc(far, vec.I32))
+    corners = builder.add(wholes[0], builder.mul(wholes[1], fars))
+    return _kept(builder, planes), starts, _kept(builder, corners)
+
+
 def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     fast = ["fast"]
     x, rays, block, first, last, lattice, lines = vec.arguments(context, builder, signature, args)
@@ -98,22 +120,8 @@ def _emit(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     )
     b_middle = builder.fsub(b_middle, vec.splat(builder, b_from))
     c_middle = builder.fsub(c_middle, vec.splat(builder, c_from))
-    # The planes, and where their windows start: sixteen planes at once.
     begin = builder.fsub(builder.sitofp(first, vec.F32), middle)
-    ramp = ir.Constant(vec.VECTOR, [float(n) for n in range(vec.WIDE)])
-    planes = builder.fadd(vec.splat(builder, begin), ramp)
-    starts, wholes = [], []
-    for n, origin in ((0, b_from), (2, c_from)):
-        at = builder.fsub(builder.extract_value(lines, n), origin)
-        slope = vec.splat(builder, builder.extract_value(lines, n + 1))
-        place = builder.fadd(vec.splat(builder, at), builder.fmul(planes, slope, flags=fast))
-        zeros = ir.Constant(vec.VECTOR, [0.0] * vec.WIDE)
-        place = builder.select(builder.fcmp_ordered(">", place, zeros), place, zeros)
-        wholes.append(builder.fptosi(place, vec.INTS))
-        starts.append(_kept(builder, builder.sitofp(wholes[-1], vec.VECTOR)))
-    fars = vec.splat(builder, builder.trunc(far, vec.I32))
-    corners = _kept(builder, builder.add(wholes[0], builder.mul(wholes[1], fars)))
-    planes = _kept(builder, planes)
+    planes, starts, corners = _starts(builder, begin, lines, (b_from, c_from), far)
     line_start = builder.gep(x, [builder.add(offset, builder.mul(first, stride))])
     count = builder.sub(last, first)
 
