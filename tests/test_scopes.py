@@ -36,6 +36,7 @@ def test_after(): pass
 @pytest.mark.process
 @pytest.mark.tutorial
 def test_a_crash_costs_one_test(tmp_path):
+    (tmp_path / "pytest.ini").write_text("[pytest]\n")  # whatever lies in the folders above
     (tmp_path / "conftest.py").write_text(CONFTEST)
     for number in range(FILES):
         text = CRASH if number == FILES // 2 else "def test_it(): pass"
