@@ -18,9 +18,6 @@ LANES = 8
 WIDE = 16
 """Samples that one call blends: a vector of AVX-512, or two of smaller processors."""
 
-CACHE_LINE = 16
-"""Number of float32 in a cache line."""
-
 F32, I32, I64 = ir.FloatType(), ir.IntType(32), ir.IntType(64)
 VECTOR, INTS = ir.VectorType(F32, WIDE), ir.VectorType(I32, WIDE)
 _PAIR, _FOUR = ir.VectorType(F32, 2), ir.VectorType(F32, 4)
@@ -43,24 +40,6 @@ def arguments(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     for kind, value in zip(signature.args, args, strict=True):
         is_array = isinstance(kind, types.Array)
         yield context.make_array(kind)(context, builder, value).data if is_array else value
-
-
-@intrinsic
-def ask_for(typingctx, source, at):
-    """Prefetch source.flat[at] while other work goes on."""
-    n, void = types.int64, types.void
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        source, at = arguments(context, builder, signature, args)
-        place = builder.bitcast(builder.gep(source, [at]), ir.IntType(8).as_pointer())
-        numbers = [ir.Constant(I32, number) for number in (0, 2, 1)]
-        kind = ir.FunctionType(ir.VoidType(), [place.type, I32, I32, I32])
-        prefetch = builder.module.declare_intrinsic("llvm.prefetch", [place.type], kind)
-        # To be read, into the L2 cache, as data.
-        builder.call(prefetch, [place, *numbers])
-        return context.get_dummy_value()
-
-    return void(source, n), codegen
 
 
 def vector_at(builder: Any, data: Any, first: Any, lanes: int = LANES) -> Any:
