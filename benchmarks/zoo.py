@@ -106,9 +106,9 @@ def baselines(made):
 
 def arguments(made):
     """Return whether a run warns that the object reaches beyond the grid, and then its cure."""
-    beside, ratio = signs_beyond(made.A, made.p)
-    warned = beside > MUCH_BESIDE or ratio > UNEQUAL
-    keys = {"photons": made.case.photons, "margin": 0.0 if warned else 0.2}
+    signs = signs_beyond(made.A, made.p)
+    warned = signs.beside > MUCH_BESIDE or signs.ratio > UNEQUAL
+    keys = {"photons": made.case.photons, "margin": 0.0 if warned else None}
     return warned, without_rest(made) if warned else made.p, keys
 
 

@@ -129,6 +129,15 @@ def test_engines_agree_for_pixels_of_any_size(job):
         close(one, plain)
 
 
+def test_blocks_that_hold_something_have_all_line_integrals(against_plain):
+    x = np.zeros(against_plain[0].domain_shape, np.float32)
+    x[-1, -1, -1], x[5, 9, 2], x[8, 7, 16] = 1, 2, 3
+    holding = Blocks.holding(x)
+    assert holding.filled.sum() == 3
+    for A in against_plain:
+        close(A.within(holding)(x), A(x))
+
+
 OLDER = {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma"}
 """A processor without AVX-512, for which the vector engine is compiled."""
 

@@ -109,10 +109,38 @@ def test_updates_are_those_that_were_promised(bodies):
     seen = []
     fast(A, p, callback=lambda step: seen.append((step.update, step.updates, step.volume.shape[0])))
     assert [update for update, _, _ in seen] == list(range(len(seen)))
-    assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 8}
+    assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 5}
     # The coarse grids have their margin: 10 and 2, and 20 and 4 on each side.
     shapes = [shape for _, _, shape in seen]
-    assert shapes == [14] * 60 * 4 + [28] * 60 * 2 + [40] * 60 * 2
+    assert shapes == [14] * 60 + [28] * 60 * 2 + [40] * 60 * 2
+
+
+def shapes_of(A, p, **keys):
+    """Return the number of planes of the volume in each update."""
+    planes = []
+    fast(A, p, callback=lambda step: bool(planes.append(step.volume.shape[0])), **keys)
+    return planes
+
+
+def test_with_air_around_the_object_coarse_grids_have_no_margin(circle, ellipsoid_integrals):
+    geometry = circle(60, Panel(60, 64, 2.0, 2.0))
+    A = Projector(geometry, VolumeGrid((40, 44, 42), 1.0))
+    whole, beyond = (
+        ellipsoid_integrals(geometry, (4, -3, 2), size) for size in ((9, 7, 11), (9, 25, 11))
+    )
+    assert set(shapes_of(A, whole)) == {10, 20, 40}
+    assert set(shapes_of(A, beyond)) == {14, 28, 40}
+    assert set(shapes_of(A, whole, margin=0.2)) == {14, 28, 40}
+    np.testing.assert_array_equal(fast(A, whole), fast(A, whole, margin=0.0))
+
+
+def test_many_views_need_fewer_passes_in_coarse_voxels(circle, ellipsoid_integrals):
+    geometry = circle(120, Panel(60, 64, 2.0, 2.0))
+    A = Projector(geometry, VolumeGrid((40, 40, 40), 1.0))
+    p = ellipsoid_integrals(geometry, (4, -3, 2), (9, 7, 11))
+    # 120 views are 6 per voxel of the level in between.
+    assert shapes_of(A, p) == [10] * 120 + [20] * 120 + [40] * 120
+    assert shapes_of(A, p, coarse_passes=2) == [10] * 480 + [20] * 240 + [40] * 120
 
 
 def test_many_views_do_not_lower_the_total_variation_more_often(circle, monkeypatch):

@@ -10,9 +10,9 @@ EDGE_ON, OTHERS, RAYS = 100.0, 1.0, 10
 """Sums of squared residuals, and the number of rays, of each view."""
 
 
-def watched(views_per_voxel=0.5, noise=0.0, worst=EDGE_ON, cheap=False):
+def watched(few=True, noise=0.0, worst=EDGE_ON, cheap=False):
     """Return a monitor of ten views, of which one has a larger residual."""
-    monitor = FurtherPasses(10, views_per_voxel, noise, cheap=cheap)
+    monitor = FurtherPasses(10, noise, few=few, cheap=cheap)
     for view in range(10):
         monitor.add(view, worst if view == 4 else OTHERS, RAYS)
     return monitor
@@ -22,7 +22,7 @@ def watched(views_per_voxel=0.5, noise=0.0, worst=EDGE_ON, cheap=False):
     ("keys", "expected"),
     [
         ({}, True),
-        ({"views_per_voxel": 1.0}, False),
+        ({"few": False}, False),
         ({"worst": 8.9 * OTHERS}, False),
         ({"worst": 9.1 * OTHERS}, True),
         ({"worst": OTHERS, "noise": 1.0}, False),

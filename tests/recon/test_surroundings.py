@@ -8,7 +8,7 @@ from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_surroundings
 from twinct.recon.resolution import interpolated
-from twinct.recon.surroundings import coarse_grid
+from twinct.recon.surroundings import coarse_grid, signs_beyond
 
 pytestmark = pytest.mark.usefixtures("engine")
 
@@ -134,3 +134,48 @@ def test_a_volume_stays_where_it_is_between_grids():
     found = interpolated(ramp(coarse), coarse, fine)
     inner = tuple(slice(2, -2) for _ in range(3))  # at the borders the outermost voxels go on
     np.testing.assert_allclose(found[inner], ramp(fine)[inner], atol=1e-4)
+
+
+@pytest.fixture
+def seen(circle, ellipsoid_integrals):
+    """Signs that a ball off the middle gives, by its radius and the panel's columns."""
+
+    def signs(radius, columns=64, mask=None):
+        geometry = circle(30, Panel(60, columns, 2.0, 2.0))
+        p = ellipsoid_integrals(geometry, (4, -3, 2), (radius, radius, radius))
+        return signs_beyond(Projector(geometry, VolumeGrid((40, 40, 40), 1.0)), p, mask)
+
+    return signs
+
+
+def test_a_whole_object_in_the_grid_leaves_no_sign(seen):
+    signs = seen(9)
+    assert (signs.beside, signs.at_rim) == (0, 0)
+    assert signs.ratio < 1.2
+
+
+def test_rays_beside_the_grid_show_what_reaches_beyond_it(seen):
+    assert seen(26).beside > 0.01
+
+
+def test_the_panels_border_shows_an_object_that_it_cuts(seen):
+    signs = seen(9, columns=20)
+    assert signs.beside == 0
+    assert signs.at_rim > 0.1
+
+
+def test_dead_pixels_are_no_border(seen):
+    """A border that does not count moves the rim; pixels within do not."""
+    dead = np.ones((60, 64), np.bool_)
+    dead[:, 30:33] = False
+    dead[[0, -1]] = True  # a gap with an end on all sides
+    assert seen(9, mask=dead).at_rim == 0
+    cut = np.zeros((60, 64), np.bool_)
+    cut[:, 22:42] = True
+    assert seen(9, mask=cut).at_rim > 0.1
+
+
+def test_no_attenuation_gives_no_sign(circle):
+    A = Projector(circle(4, Panel(6, 8, 20.0, 20.0)), VolumeGrid((4, 4, 4), 10.0))
+    signs = signs_beyond(A, np.zeros(A.range_shape))
+    assert (signs.beside, signs.ratio, signs.at_rim) == (0, 1, 0)

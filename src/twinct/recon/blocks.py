@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,14 @@ class Blocks:
     """
 
     filled: NDArray[np.uint8]
+
+    @classmethod
+    def holding(cls, x: NDArray[np.float32]) -> Self:
+        """Return the blocks that hold a volume's voxels other than 0."""
+        shown = x != 0
+        for axis, n in enumerate(x.shape):
+            shown = np.logical_or.reduceat(shown, range(0, n, EDGE), axis)
+        return cls(np.ascontiguousarray(shown, np.uint8))
 
     @cached_property
     def sums(self) -> NDArray[np.int32]:

@@ -3,9 +3,9 @@
 The updates are as in ``sart``, view after view in golden-angle order. From level to level, voxels
 and pixels become half as large, so that a pass takes an eighth of the next level's time. Each level
 starts from the interpolated volume of the previous one, and a pass at full resolution only adds
-details. The coarse grids are larger. The contents of the last one's margin are projected and
-subtracted before the pass at full resolution, as in ``without_surroundings``; coarser voxels would
-describe them less well.
+details. Unless all rays around the object see air, the coarse grids are larger. The contents of the
+last one's margin are projected and subtracted before the pass at full resolution, as in
+``without_surroundings``; coarser voxels would describe them less well.
 
 An update with a relaxation of 1 to 2 makes details in a few passes, but also noise where
 several views see each voxel. The relaxation therefore falls over a level, in geometric steps, from
@@ -52,6 +52,7 @@ from twinct.recon.resolution import interpolated
 from twinct.recon.shared_keys import Stop
 from twinct.recon.steps import Callback, Listener
 from twinct.recon.stopping import BestPass, StopName
+from twinct.recon.surroundings import signs_beyond
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -65,6 +66,9 @@ Each view counts once for each pixel in a voxel's shadow.
 
 FEW_VIEWS, MOST_PASSES = 1.3, 8
 """With fewer views, passes times views per voxel; and the most passes."""
+
+COARSE_PASSES, MOST_COARSE = 2, 6.0
+"""Usual passes of a level with voxels twice as large; and passes times views per voxel, at most."""
 
 QUIET = 0.003
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
@@ -80,14 +84,18 @@ PER_STRENGTH = 0.15
 OF_MODEL = 0.012
 """Errors of the model of the rays, as a share of the range of line integrals; they act as noise."""
 
-BETWEEN, MOST_STEPS = 30.0, 5
+BETWEEN, MOST_STEPS = 60.0, 5
 """Sum of relaxations between two steps of the total variation; or more, for this many in a pass."""
 
 TV_STEPS = 8
 """Dual iterations of such a step."""
 
 MARGIN = 0.2
-"""Usual margin of the coarse grids on each side, as a share of the grid's size."""
+"""Margin of the coarse grids on each side, as a share of the grid's size, unless all rays around
+the object see air."""
+
+AIR_BESIDE, AIR_AT_RIM = 0.002, 0.01
+"""Signs that something lies beyond the grid (``SignsBeyond``) up to which there is only air."""
 
 SMALLEST = 8
 """Smallest number of voxels and pixels along an axis of a coarser level."""
@@ -107,12 +115,13 @@ class Fast(AlgorithmSettings):
         "residual lies in few views, which see flat parts edge-on, further passes follow; in grids "
         "below 96 voxels along each axis, one more follows if the residual is mostly noise.",
     )
-    coarse_passes: int = Field(
-        default=2,
+    coarse_passes: int | None = Field(
+        default=None,
         ge=1,
         le=1000,
         description="Passes over all views with voxels and pixels twice as large; each coarser "
-        "level has twice as many passes.",
+        "level has twice as many passes. By default 2, but in each level at most as many as make "
+        "6 when multiplied by the number of views per voxel along an axis.",
     )
     levels: int = Field(
         default=3,
@@ -142,7 +151,8 @@ class Fast(AlgorithmSettings):
         le=2,
         description="Extra width of the coarse grids on each side, as a share of the grid's size; "
         "the contribution of this margin is removed before the passes at full resolution. By "
-        "default 0.2, or 0 where the surroundings are removed.",
+        "default 0.2; or 0 where the surroundings are removed, or where the rays that miss the "
+        "grid and those at the panel's border see air.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
     stop: Stop = None
@@ -153,11 +163,11 @@ def fast(
     line_integrals: ArrayLike,
     *,
     passes: int | None = None,
-    coarse_passes: int = 2,
+    coarse_passes: int | None = None,
     levels: int = 3,
     first_relaxation: float = 1.5,
     denoising: float | None = None,
-    margin: float = MARGIN,
+    margin: float | None = None,
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
     photons: ArrayLike | None = None,
@@ -175,14 +185,14 @@ def fast(
         passes: passes at full resolution, at least 1; by default 2, 1 with many views, up to 8 with
             few, and then further ones where the residual shows that they pay (``FurtherPasses``).
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
-            level.
+            level; by default 2, and fewer at levels with many views per voxel.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
         first_relaxation: relaxation of the first update of a level, between 0 and 2, both excluded.
         denoising: strength of the total variation at the end in voxel edges times the unit of the
             result; 0 for none; by default it is lowered between the updates, if the noise can be
             known.
         margin: margin of the coarse grids on each side, as a share of the grid's size along each
-            axis; 0 is best for line integrals of the grid alone.
+            axis; by default 0 if nothing seems to lie beyond the grid, else ``MARGIN``.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
         photons: photons of a pixel in the free beam, one number or one for each view, (views,);
@@ -210,18 +220,25 @@ def fast(
     usual = _usual_passes(A)
     goes_on = passes is None and stop is None
     passes = checks.count("passes", usual if passes is None else passes)
-    coarse_passes = checks.count("coarse_passes", coarse_passes)
+    most_coarse = math.inf if coarse_passes else MOST_COARSE / _views_per_voxel(A)
+    coarse_passes = checks.count(
+        "coarse_passes", COARSE_PASSES if coarse_passes is None else coarse_passes
+    )
     levels = checks.count("levels", levels)
     relaxation = checks.relaxation(first_relaxation)
-    margin = checks.not_negative("margin", margin)
+    if margin is not None:
+        margin = checks.not_negative("margin", margin)
     if denoising is not None:
         denoising = checks.not_negative("denoising", denoising)
     best = BestPass.checked(checks, stop)
     checks.done()
     require_memory(FAST, A)
+    if margin is None:
+        margin = _margin(A, p, pixels)
     floor = 0.0 if nonnegative else LOWEST
     first = min(passes, usual) if stop else passes
-    steps = _Steps(passes, first, coarse_passes, levels, relaxation, margin, floor, goes_on)
+    coarse = coarse_passes, most_coarse
+    steps = _Steps(passes, first, *coarse, levels, relaxation, margin, floor, goes_on)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
     steps, level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
     extras: dict[str, Any] = best.extras
@@ -242,6 +259,12 @@ def fast(
     if denoising:
         lower_variation(x, A.grid, A.kernels, denoising * voxel, floor)
     return Volume(x, A.grid, extras)
+
+
+def _margin(A: Projector, p: NDArray[Any], pixels: Mask | None) -> float:
+    """Return 0 if the rays around the grid and at the panel's border see air, else the margin."""
+    signs = signs_beyond(A, p, pixels)
+    return 0.0 if signs.beside <= AIR_BESIDE and signs.at_rim <= AIR_AT_RIM else MARGIN
 
 
 def _filled(x: Singles) -> float:
@@ -281,6 +304,8 @@ class _Steps:
     Attributes:
         passes: number of passes at full resolution.
         first: those of them over which the relaxation falls.
+        coarse_passes: number of passes with voxels twice as large.
+        most_coarse: most passes of coarse levels, times the factor of their voxels.
         goes_on: whether further passes may follow (``FurtherPasses``).
         noise: deviation of the line integrals; 0 if it is unknown.
         most: range of the line integrals.
@@ -292,6 +317,7 @@ class _Steps:
     passes: int
     first: int
     coarse_passes: int
+    most_coarse: float
     levels: int
     relaxation: float
     margin: float
@@ -305,7 +331,10 @@ class _Steps:
 
     def number(self, factor: int) -> int:
         """Return the number of passes of a level."""
-        return self.passes if factor == 1 else self.coarse_passes * factor // 2
+        if factor == 1:
+            return self.passes
+        most = max(1.0, self.most_coarse / factor)
+        return round(min(self.coarse_passes * factor / 2, most))
 
     def filling(self, start: Singles) -> _Steps:
         """Return the steps at full resolution, from the volume before."""
@@ -365,7 +394,7 @@ def _from_coarse_to_fine(
     The volume is without the rest that the level leaves as it is.
     """
     # Only here: scenarios need the settings alone.
-    from twinct.recon.further_passes import SMALL, FurtherPasses
+    from twinct.recon.further_passes import ENOUGH_VIEWS, SMALL, FurtherPasses
 
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
@@ -377,9 +406,10 @@ def _from_coarse_to_fine(
         steps = steps.filling(work.array) if factor == 1 else steps
         shares, order = steps.shares(level.A, factor), spread_order(len(A))
         further = None
-        if factor == 1 and steps.goes_on:
-            cheap = max(A.domain_shape) < SMALL and steps.filled == 1.0
-            further = FurtherPasses(len(A), _views_per_voxel(A), steps.noise, cheap=cheap)
+        cheap = max(A.domain_shape) < SMALL and steps.filled == 1.0
+        few = _views_per_voxel(A) < ENOUGH_VIEWS
+        if factor == 1 and steps.goes_on and (few or cheap):
+            further = FurtherPasses(len(A), steps.noise, few=few, cheap=cheap)
         between = max(BETWEEN, float(shares[: len(A)].sum()) / MOST_STEPS)
         pending = deque(zip(shares, np.resize(order, len(shares)), strict=True))
         wanted = listener.wanted or further is not None
@@ -450,8 +480,8 @@ def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
 
 def _solve(problem: Problem, settings: Fast) -> Volume:
     margin = settings.margin
-    if margin is None:
-        margin = 0.0 if problem.alone else MARGIN
+    if margin is None and problem.alone:
+        margin = 0.0
     return solve_by(fast, problem, settings, nonnegative=not settings.allow_negative, margin=margin)
 
 

@@ -39,16 +39,16 @@ tuning half of the zoo as well: foam has 2.3, a casting 3.1, a skull 10 and more
 class FurtherPasses:
     """Residuals of the views before their latest updates."""
 
-    def __init__(self, views: int, views_per_voxel: float, noise: float, *, cheap: bool) -> None:
+    def __init__(self, views: int, noise: float, *, few: bool, cheap: bool) -> None:
         """Start without residuals.
 
         Args:
             views: number of views.
-            views_per_voxel: number of views, relative to the voxels along an axis.
             noise: deviation of the line integrals; 0 if it is unknown.
+            few: whether there are less than ``ENOUGH_VIEWS``.
             cheap: whether a pass may follow because the residual is mostly noise.
         """
-        self._few, self._noise, self._cheap = views_per_voxel < ENOUGH_VIEWS, noise, cheap
+        self._few, self._noise, self._cheap = few, noise, cheap
         self._squares, self._rays = np.zeros(views), np.zeros(views)
         self._before, self._passes, self._last = math.inf, 0, False
 

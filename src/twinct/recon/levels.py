@@ -60,7 +60,9 @@ class Rest:
         blocks = blocks_of(x, coarse.grid, finer) if coarse.leaves_out else EVERYWHERE
         inside, going_on = _going_on(coarse.grid, finer, blocks)
         rest = np.where(~going_on if beyond else inside & ~going_on, x, np.float32(0))
-        images = coarse(rest) if rest.any() else None
+        holding = Blocks.holding(rest)
+        part = coarse.within(holding) if coarse.leaves_out else coarse
+        images = part(rest) if holding.filled.any() else None
         del inside, going_on, rest
         return cls(*_about(x, coarse.grid, finer), blocks, images)
 

@@ -46,9 +46,14 @@ def binned(
 def _blocks(
     image: NDArray[Any], shape: tuple[int, int], factors: tuple[int, int]
 ) -> NDArray[np.float64]:
-    cut = image[: shape[0] * factors[0], : shape[1] * factors[1]]
-    blocks = cut.reshape(shape[0], factors[0], shape[1], factors[1])
-    return blocks.mean(axis=(1, 3), dtype=np.float64)
+    (rows, columns), (down, across) = shape, factors
+    cut = image[: rows * down, : columns * across].reshape(rows, down, -1)
+    sums = np.add.reduce(cut, axis=1, dtype=np.float64)
+    # One column of each block after the other: sums over short last axes are six times slower.
+    total = np.zeros(shape)
+    for column in range(across):
+        total += sums[:, column::across]
+    return total / (down * across)
 
 
 def interpolated(volume: Singles, of: VolumeGrid, at: VolumeGrid) -> Singles:

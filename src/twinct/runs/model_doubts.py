@@ -46,13 +46,13 @@ def doubt_of_grid(
     A: Projector, integrals: NDArray[np.float32], pixels: NDArray[np.bool_] | None
 ) -> str | None:
     """Return a warning if the projections show that the object reaches beyond the grid."""
-    beside, ratio = signs_beyond(A, integrals, pixels)
-    if beside <= MUCH_BESIDE and ratio <= UNEQUAL:
+    signs = signs_beyond(A, integrals, pixels)
+    if signs.beside <= MUCH_BESIDE and signs.ratio <= UNEQUAL:
         return None
     return (
-        f"the object reaches beyond the grid: {100 * beside:.0f} % of its attenuation is on rays "
-        f"that miss the grid, and the mean that a view shows in the grid varies by a factor of "
-        f"{ratio:.1f}; remove what lies around with "
+        f"the object reaches beyond the grid: {100 * signs.beside:.0f} % of its attenuation is on "
+        f"rays that miss the grid, and the mean that a view shows in the grid varies by a factor "
+        f"of {signs.ratio:.1f}; remove what lies around with "
         "reconstruction.surroundings={margin_mm: ...}, a margin up to the object's end, or use a "
         "larger reconstruction.grid"
     )
@@ -102,8 +102,8 @@ def judged_by_rays(
         return volume, None
     if not course or not leaves_much(rest):
         return volume, None
-    beside, _ = signs_beyond(A, integrals, pixels)
-    causes = "; ".join(_causes(scan, rest, course, _has_metal(volume.array), beside > SOME_BESIDE))
+    around = signs_beyond(A, integrals, pixels).beside > SOME_BESIDE
+    causes = "; ".join(_causes(scan, rest, course, _has_metal(volume.array), around))
     return volume, (
         f"the volume does not explain the projections: it leaves {100 * rest.share:.0f} % of the "
         f"line integrals, beyond noise of {100 * rest.noise:.1f} % and {100 * rest.edges:.1f} % "
