@@ -58,17 +58,8 @@ from twinct.recon.working import WorkingVolume
 
 log = logging.getLogger(__name__)
 
-MANY_VIEWS = 3.0
-"""Views per voxel along an axis from which one pass makes the details.
-
-Each view counts once for each pixel in a voxel's shadow.
-"""
-
-FEW_VIEWS, MOST_PASSES = 1.3, 8
-"""With fewer views, passes times views per voxel; and the most passes."""
-
-COARSE_PASSES, MOST_COARSE = 2, 6.0
-"""Usual passes of a level with voxels twice as large; and passes times views per voxel, at most."""
+COARSE_PASSES = 2
+"""Usual passes of a level with voxels twice as large."""
 
 QUIET = 0.003
 """Noise of line integrals, as a share of their range, from which more views are averaged."""
@@ -120,8 +111,9 @@ class Fast(AlgorithmSettings):
         ge=1,
         le=1000,
         description="Passes over all views with voxels and pixels twice as large; each coarser "
-        "level has twice as many passes. By default 2, but in each level at most as many as make "
-        "6 when multiplied by the number of views per voxel along an axis.",
+        "level has twice as many passes. By default 2; but if the projections show only "
+        "air around the object, in each level at most as many as make 6 when multiplied by the "
+        "number of views per voxel along an axis.",
     )
     levels: int = Field(
         default=3,
@@ -185,7 +177,8 @@ def fast(
         passes: passes at full resolution, at least 1; by default 2, 1 with many views, up to 8 with
             few, and then further ones where the residual shows that they pay (``FurtherPasses``).
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
-            level; by default 2, and fewer at levels with many views per voxel.
+            level; by default 2; with air around the object, fewer where a level has
+            many views per voxel.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
         first_relaxation: relaxation of the first update of a level, between 0 and 2, both excluded.
         denoising: strength of the total variation at the end in voxel edges times the unit of the
@@ -214,13 +207,16 @@ def fast(
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
+    # Only here: scenarios need the settings alone.
+    from twinct.recon.usual_passes import MOST_COARSE, usual_passes, views_per_voxel
+
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     known = checks.photons(photons)
-    usual = _usual_passes(A)
+    usual = usual_passes(A)
     goes_on = passes is None and stop is None
     passes = checks.count("passes", usual if passes is None else passes)
-    most_coarse = math.inf if coarse_passes else MOST_COARSE / _views_per_voxel(A)
+    usual_coarse = coarse_passes is None
     coarse_passes = checks.count(
         "coarse_passes", COARSE_PASSES if coarse_passes is None else coarse_passes
     )
@@ -233,11 +229,13 @@ def fast(
     best = BestPass.checked(checks, stop)
     checks.done()
     require_memory(FAST, A)
+    in_air = margin is None and _in_air(A, p, pixels)
     if margin is None:
-        margin = _margin(A, p, pixels)
+        margin = 0.0 if in_air else MARGIN
     floor = 0.0 if nonnegative else LOWEST
     first = min(passes, usual) if stop else passes
-    coarse = coarse_passes, most_coarse
+    most = MOST_COARSE / views_per_voxel(A) if usual_coarse and in_air else math.inf
+    coarse = coarse_passes, most
     steps = _Steps(passes, first, *coarse, levels, relaxation, margin, floor, goes_on)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
     steps, level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
@@ -261,10 +259,10 @@ def fast(
     return Volume(x, A.grid, extras)
 
 
-def _margin(A: Projector, p: NDArray[Any], pixels: Mask | None) -> float:
-    """Return 0 if the rays around the grid and at the panel's border see air, else the margin."""
+def _in_air(A: Projector, p: NDArray[Any], pixels: Mask | None) -> bool:
+    """Return whether the rays that miss the grid and those at the panel's border see air."""
     signs = signs_beyond(A, p, pixels)
-    return 0.0 if signs.beside <= AIR_BESIDE and signs.at_rim <= AIR_AT_RIM else MARGIN
+    return signs.beside <= AIR_BESIDE and signs.at_rim <= AIR_AT_RIM
 
 
 def _filled(x: Singles) -> float:
@@ -274,23 +272,6 @@ def _filled(x: Singles) -> float:
     """
     some = x[::2, ::2, ::2]
     return max(float(np.mean(some > 0.1 * np.percentile(some, 99.9))), 1e-3)
-
-
-def _usual_passes(A: Projector) -> int:
-    """Return 1 if there are many rays for each voxel, up to 8 if there are few, else 2."""
-    views = _views_per_voxel(A)
-    if views >= MANY_VIEWS:
-        return 1
-    return min(max(2, math.ceil(FEW_VIEWS / views)), MOST_PASSES)
-
-
-def _views_per_voxel(A: Projector) -> float:
-    """Return views per voxel along an axis, each counted once for each pixel of its shadow."""
-    geometry, grid = A.geometry, A.grid
-    magnification = geometry.sdd / geometry.depth(grid.world_from_grid.position)
-    shadow = float(np.median(magnification)) * float(np.mean(grid.voxel))
-    pixels = max(1.0, shadow**2 / (geometry.panel.pitch_u * geometry.panel.pitch_v))
-    return len(A) * pixels / float(np.mean(A.domain_shape))
 
 
 def _of(strength: float, source: str | None) -> dict[str, float | str | None]:
@@ -395,6 +376,7 @@ def _from_coarse_to_fine(
     """
     # Only here: scenarios need the settings alone.
     from twinct.recon.further_passes import ENOUGH_VIEWS, SMALL, FurtherPasses
+    from twinct.recon.usual_passes import views_per_voxel
 
     factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
@@ -407,7 +389,7 @@ def _from_coarse_to_fine(
         shares, order = steps.shares(level.A, factor), spread_order(len(A))
         further = None
         cheap = max(A.domain_shape) < SMALL and steps.filled == 1.0
-        few = _views_per_voxel(A) < ENOUGH_VIEWS
+        few = views_per_voxel(A) < ENOUGH_VIEWS
         if factor == 1 and steps.goes_on and (few or cheap):
             further = FurtherPasses(len(A), steps.noise, few=few, cheap=cheap)
         between = max(BETWEEN, float(shares[: len(A)].sum()) / MOST_STEPS)
