@@ -475,6 +475,7 @@ FAST = Algorithm(
     check=_check,
     updates=lambda own, views: (
         # About: the usual number of passes depends on the grid and on the residual.
-        views * ((own.passes or 4) + own.coarse_passes * (2 ** (own.levels - 1) - 1))
+        views
+        * ((own.passes or 4) + (own.coarse_passes or COARSE_PASSES) * (2 ** (own.levels - 1) - 1))
     ),
 )
