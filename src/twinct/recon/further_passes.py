@@ -45,7 +45,7 @@ class FurtherPasses:
         Args:
             views: number of views.
             noise: deviation of the line integrals; 0 if it is unknown.
-            few: whether there are less than ``ENOUGH_VIEWS``.
+            few: whether there are fewer views per voxel than ``ENOUGH_VIEWS``.
             cheap: whether a pass may follow because the residual is mostly noise.
         """
         self._few, self._noise, self._cheap = few, noise, cheap
