@@ -52,6 +52,7 @@ def compile_rest() -> None:
     _voxelise()
     skull_surface()  # kept on disk for later processes
     _move()
+    _interpolate()
     _paint()
     _cast_shadows()
     _cross()
@@ -134,6 +135,14 @@ def _move() -> None:
         fixed.setflags(write=False)
     _moved_voxels.pull_amounts(amounts, *places, np.empty_like(amounts))
     _moved_voxels.pull_labels(labels, *places, np.empty_like(labels))
+
+
+def _interpolate() -> None:
+    from twinct.geometry import VolumeGrid
+    from twinct.recon.resolution import interpolated
+
+    coarse = VolumeGrid((2, 3, 4), 2.0)
+    interpolated(np.ones(coarse.shape, np.float32), coarse, VolumeGrid((4, 5, 6), 1.0))
 
 
 def _paint() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from twinct.recon.blocks import EDGE, EVERYWHERE, Blocks
 from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector, check_grid
-from twinct.recon.resolution import binned, each_plane, resampled
+from twinct.recon.resolution import Between, binned, blended, each_plane
 from twinct.recon.steps import residual_of
 from twinct.recon.surroundings import coarse_grid
 from twinct.recon.working import WorkingVolume
@@ -71,10 +72,8 @@ class Rest:
         if self.images is None:
             return None
         image = self.images[view]
-        for axis, pixels in enumerate(shape):
-            middles = np.arange(0.5, pixels) / 2 - 0.5
-            image = resampled(image, middles, axis)
-        return image
+        rows, columns = map(_halves, shape, image.shape)
+        return blended(image, rows, columns)
 
     def start(self, grid: VolumeGrid) -> Singles:
         """Return the volume from which the finer level starts: zeros where the rest is."""
@@ -224,6 +223,12 @@ def _about(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> tuple[Singles, Vo
     shift = (first + (np.array(shape[::-1]) - np.array(grid.shape_xyz)) / 2) * grid.voxel
     place = grid.world_from_grid @ Pose.from_matrix(shift, np.eye(3))
     return x[tuple(parts)].copy(), VolumeGrid(shape, grid.voxel, place)
+
+
+@cache
+def _halves(pixels: int, larger: int) -> Between:
+    """Return the centres of pixels between those of pixels twice as large."""
+    return Between.places(np.arange(0.5, pixels) / 2 - 0.5, larger)
 
 
 def _places(grid: VolumeGrid, finer: VolumeGrid) -> list[Floats]:

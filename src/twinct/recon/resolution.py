@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -73,38 +74,50 @@ def each_plane(
     away = at.world_from_grid.position - of.world_from_grid.position
     shift = of.world_from_grid.rotation.T @ away
     z, y, x = (
-        (own + middle) / edge + (n - 1) / 2
+        Between.places((own + middle) / edge + (n - 1) / 2, n)
         for own, middle, edge, n in zip(
             at.axes()[::-1], shift[::-1], of.voxel[::-1], of.shape, strict=True
         )
     )
 
     def use_plane(k: int) -> None:
-        below = int(np.clip(z[k], 0, max(of.shape[0] - 2, 0)))
-        plane = resampled(volume[below : below + 2], z[k : k + 1] - below, 0)[0]
-        use(k, resampled(resampled(plane, y, 0), x, 1))
+        low = volume[z.low[k]]
+        plane = volume[min(z.low[k] + 1, len(volume) - 1)] - low
+        plane *= z.share[k]
+        plane += low
+        use(k, blended(plane, y, x))
 
-    # numpy releases the interpreter lock.
+    # numpy and the kernel release the interpreter lock.
     with ThreadPoolExecutor(threads()) as pool:
         list(pool.map(use_plane, range(at.shape[0])))
 
 
-def resampled(values: Singles, places: Floats, axis: int) -> Singles:
-    """Interpolate linearly between values along an axis; beyond them the outermost continue.
+@dataclass(frozen=True, eq=False)
+class Between:
+    """Places along an axis: (1 - share) of the value ``low``, share of the next one.
 
-    Args:
-        values: array with any number of axes.
-        places: positions, in steps from the first value.
-        axis: axis of the interpolation.
+    Beyond the values the outermost continue.
     """
-    last = values.shape[axis] - 1
-    place = np.clip(places, 0, last)
-    low = np.clip(place.astype(int), 0, max(last - 1, 0))
-    tail = (1,) * (values.ndim - 1 - axis)
-    share = (place - low).astype(np.float32).reshape(-1, *tail)
-    result = values.take(np.minimum(low + 1, last), axis)
-    below = values.take(low, axis)
-    result -= below
-    result *= share
-    result += below
-    return result
+
+    low: NDArray[np.int64]
+    share: Singles
+
+    @classmethod
+    def places(cls, places: Floats, count: int) -> Between:
+        """Return places in steps from the first of ``count`` values."""
+        place = np.clip(places, 0, count - 1)
+        low = np.clip(place.astype(np.int64), 0, max(count - 2, 0))
+        share = (place - low).astype(np.float32)
+        for one in (low, share):
+            one.setflags(write=False)
+        return cls(low, share)
+
+
+def blended(image: Singles, rows: Between, columns: Between) -> Singles:
+    """Return an image at places along both axes, bilinear."""
+    from twinct.recon import _linear  # only here: it loads numba
+
+    kernels: Any = _linear
+    out = np.empty((len(rows.low), len(columns.low)), np.float32)
+    kernels.blend(image, rows.low, rows.share, columns.low, columns.share, out)
+    return out

@@ -79,4 +79,4 @@ def residual_of(measured: Singles, estimate: Singles, counts: Singles) -> tuple[
     ``counts`` is 1 where a ray counts, else 0.
     """
     rest = (measured - estimate) * counts
-    return sum_of_squares(rest[None]), int(np.count_nonzero(counts))
+    return sum_of_squares(rest[None]), int(counts.sum(dtype=np.float64))
