@@ -111,9 +111,9 @@ def test_updates_are_those_that_were_promised(bodies):
     fast(A, p, callback=lambda step: seen.append((step.update, step.updates, step.volume.shape[0])))
     assert [update for update, _, _ in seen] == list(range(len(seen)))
     assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 8}
-    # The coarse grids have their margin: 10 and 2, and 20 and 4 on each side.
+    # The coarse grids have their margin: 10 and 3, and 20 and 6 on each side.
     shapes = [shape for _, _, shape in seen]
-    assert shapes == [14] * 60 * 4 + [28] * 60 * 2 + [40] * 60 * 2
+    assert shapes == [16] * 60 * 4 + [32] * 60 * 2 + [40] * 60 * 2
 
 
 def shapes_of(A, p, **keys):
@@ -130,7 +130,7 @@ def test_with_air_around_the_object_coarse_grids_have_no_margin(circle, ellipsoi
         ellipsoid_integrals(geometry, (4, -3, 2), size) for size in ((9, 7, 11), (9, 25, 11))
     )
     assert set(shapes_of(A, whole)) == {10, 20, 40}
-    assert set(shapes_of(A, beyond)) == {14, 28, 40}
+    assert set(shapes_of(A, beyond)) == {12, 24, 40}
     assert set(shapes_of(A, whole, margin=0.2)) == {14, 28, 40}
     keys = {"coarse_passes": 2}
     np.testing.assert_array_equal(fast(A, whole, **keys), fast(A, whole, margin=0.0, **keys))

@@ -52,7 +52,6 @@ from twinct.recon.resolution import interpolated
 from twinct.recon.shared_keys import Stop
 from twinct.recon.steps import Callback, Listener
 from twinct.recon.stopping import BestPass, StopName
-from twinct.recon.surroundings import signs_beyond
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -80,13 +79,6 @@ BETWEEN, MOST_STEPS = 60.0, 5
 
 TV_STEPS = 8
 """Dual iterations of such a step."""
-
-MARGIN = 0.2
-"""Margin of the coarse grids on each side, as a share of the grid's size, unless all rays around
-the object see air."""
-
-AIR_BESIDE, AIR_AT_RIM = 0.002, 0.01
-"""Signs that something lies beyond the grid (``SignsBeyond``) up to which there is only air."""
 
 SMALLEST = 8
 """Smallest number of voxels and pixels along an axis of a coarser level."""
@@ -143,8 +135,8 @@ class Fast(AlgorithmSettings):
         le=2,
         description="Extra width of the coarse grids on each side, as a share of the grid's size; "
         "the contribution of this margin is removed before the passes at full resolution. By "
-        "default 0.2; or 0 where the surroundings are removed, or where the rays that miss the "
-        "grid and those at the panel's border see air.",
+        "default 0 where the surroundings are removed, or where the rays that miss the grid and "
+        "those at the panel's border see air; else 0.1 to 0.4, until rays that miss it see air.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
     stop: Stop = None
@@ -185,7 +177,7 @@ def fast(
             result; 0 for none; by default it is lowered between the updates, if the noise can be
             known.
         margin: margin of the coarse grids on each side, as a share of the grid's size along each
-            axis; by default 0 if nothing seems to lie beyond the grid, else ``MARGIN``.
+            axis; by default ``usual_margin``.
         nonnegative: clip at zero after every update.
         mask: as in ``sart``.
         photons: photons of a pixel in the free beam, one number or one for each view, (views,);
@@ -208,6 +200,7 @@ def fast(
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
     # Only here: scenarios need the settings alone.
+    from twinct.recon.usual_margin import usual_margin
     from twinct.recon.usual_passes import MOST_COARSE, usual_passes, views_per_voxel
 
     checks = Checks(A.range_shape)
@@ -229,9 +222,11 @@ def fast(
     best = BestPass.checked(checks, stop)
     checks.done()
     require_memory(FAST, A)
-    in_air = margin is None and _in_air(A, p, pixels)
+    in_air = False
     if margin is None:
-        margin = 0.0 if in_air else MARGIN
+        margin = usual_margin(A, p, pixels, _factors(A.domain_shape, A.range_shape[1:], levels)[0])
+        in_air = margin == 0
+        log.info("margin of the coarse grids: %g of the grid's size on each side", margin)
     floor = 0.0 if nonnegative else LOWEST
     first = min(passes, usual) if stop else passes
     most = MOST_COARSE / views_per_voxel(A) if usual_coarse and in_air else math.inf
@@ -257,12 +252,6 @@ def fast(
     if denoising:
         lower_variation(x, A.grid, A.kernels, denoising * voxel, floor)
     return Volume(x, A.grid, extras)
-
-
-def _in_air(A: Projector, p: NDArray[Any], pixels: Mask | None) -> bool:
-    """Return whether the rays that miss the grid and those at the panel's border see air."""
-    signs = signs_beyond(A, p, pixels)
-    return signs.beside <= AIR_BESIDE and signs.at_rim <= AIR_AT_RIM
 
 
 def _filled(x: Singles) -> float:
