@@ -23,13 +23,16 @@ from twinct.recon.blocks import EDGE, EVERYWHERE, Blocks
 from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector, check_grid
-from twinct.recon.resolution import Between, binned, blended, each_plane
+from twinct.recon.resolution import Between, binned, blended, each_plane, interpolated
 from twinct.recon.steps import residual_of
 from twinct.recon.surroundings import coarse_grid
 from twinct.recon.working import WorkingVolume
 
 QUIET_SHARE = 0.02
 """Attenuation below which voxels stay as they are, as a share of the object's."""
+
+SMALLEST_QUIET = 8
+"""Smallest number of larger voxels and pixels along an axis in which a quiet rest is projected."""
 
 AROUND = 2.0
 """Voxels around those of a coarser level that show something."""
@@ -43,7 +46,7 @@ class Rest:
         x: volume of the coarser level about the finer grid, (z, y, x).
         grid: its grid.
         blocks: blocks of the finer grid that go on.
-        images: line integrals of everything else, in the coarser pixels; None if there is nothing.
+        images: line integrals of everything else, in coarser pixels; None if there is nothing.
     """
 
     x: Singles
@@ -61,18 +64,16 @@ class Rest:
         blocks = blocks_of(x, coarse.grid, finer) if coarse.leaves_out else EVERYWHERE
         inside, going_on = _going_on(coarse.grid, finer, blocks)
         rest = np.where(~going_on if beyond else inside & ~going_on, x, np.float32(0))
-        holding = Blocks.holding(rest)
-        part = coarse.within(holding) if coarse.leaves_out else coarse
-        images = part(rest) if holding.filled.any() else None
+        images = _images(coarse, rest, only_quiet=bool(inside.all())) if rest.any() else None
         del inside, going_on, rest
         return cls(*_about(x, coarse.grid, finer), blocks, images)
 
     def at(self, view: int, shape: tuple[int, ...]) -> Singles | None:
-        """Return the rest's line integrals in a view of pixels half as large, bilinear."""
+        """Return the rest's line integrals in a view of the finer pixels, bilinear."""
         if self.images is None:
             return None
         image = self.images[view]
-        rows, columns = map(_halves, shape, image.shape)
+        rows, columns = map(_between, shape, image.shape)
         return blended(image, rows, columns)
 
     def start(self, grid: VolumeGrid) -> Singles:
@@ -225,10 +226,21 @@ def _about(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> tuple[Singles, Vo
     return x[tuple(parts)].copy(), VolumeGrid(shape, grid.voxel, place)
 
 
+def _images(coarse: Projector, rest: Singles, *, only_quiet: bool) -> Singles:
+    """Return the line integrals of a rest; in pixels and voxels twice as large if it is quiet."""
+    grid, views = coarse.grid, coarse.geometry
+    if only_quiet and min(*grid.shape, *views.panel.shape) >= 2 * SMALLEST_QUIET:
+        larger = coarse_grid(grid, 0.0, 2 * grid.voxel)
+        return coarse.on(larger, views.binned(2, 2))(interpolated(rest, grid, larger))
+    part = coarse.within(Blocks.holding(rest)) if coarse.leaves_out else coarse
+    return part(rest)
+
+
 @cache
-def _halves(pixels: int, larger: int) -> Between:
-    """Return the centres of pixels between those of pixels twice as large."""
-    return Between.places(np.arange(0.5, pixels) / 2 - 0.5, larger)
+def _between(pixels: int, larger: int) -> Between:
+    """Return the centres of pixels between those of pixels two or four times as large."""
+    factor = 2 if pixels // 2 == larger else 4
+    return Between.places(np.arange(0.5, pixels) / factor - 0.5, larger)
 
 
 def _places(grid: VolumeGrid, finer: VolumeGrid) -> list[Floats]:

@@ -198,7 +198,7 @@ class _Room:
         estimate: A x, (rows, columns), where the kernels work.
         length: path lengths in the grid, likewise.
         ratio: residuals over lengths, likewise.
-        shown: copies of ``estimate`` and ``ratio.counts``, for the caller.
+        shown: ``estimate`` and ``ratio.counts`` for the caller, or copies if they are on a card.
     """
 
     estimate: Singles
@@ -208,10 +208,10 @@ class _Room:
 
     @classmethod
     def of(cls, kernels: Kernels, rows: int, columns: int) -> _Room:
-        estimate, length = kernels.room((rows, columns)), kernels.room((rows, columns))
-        ratio = Ratio.room(kernels, rows, columns)
         shown = np.empty((rows, columns), np.float32), np.empty((rows + 2, columns + 2), np.float32)
-        return cls(estimate, length, ratio, shown)
+        estimate, counts = map(kernels.hold, shown)
+        ratio = Ratio.room(kernels, rows, columns)._replace(counts=counts)
+        return cls(estimate, kernels.room((rows, columns)), ratio, shown)
 
 
 def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:

@@ -166,14 +166,16 @@ def signs_beyond(
     beside = everywhere = at_rim = 0.0
     rim_rays = rays = 0
     means: list[float] = []
+    counting = rim = np.zeros(0, np.bool_)
     for view in range(0, len(A), -(-len(A) // MOST_VIEWS)):
         image, lengths = masked_image(p, view, pixels), A[view].chords()[0]
         total = float(image.sum(dtype=np.float64))
         missing = float(image[lengths == 0].sum(dtype=np.float64))
         beside, everywhere = beside + missing, everywhere + total
         means.append((total - missing) / max(float(lengths.sum(dtype=np.float64)), 1e-9))
-        counting = np.ones(image.shape, np.bool_) if pixels is None else mask_of(pixels, view)
-        rim = counting & _rim(counting)
+        if view == 0 or (pixels is not None and pixels.ndim == 3):
+            counting = np.ones(image.shape, np.bool_) if pixels is None else mask_of(pixels, view)
+            rim = counting & _rim(counting)
         at_rim += float(image[rim].sum(dtype=np.float64))
         rim_rays, rays = rim_rays + int(rim.sum()), rays + int(counting.sum())
     if not everywhere > 0:
