@@ -4,6 +4,9 @@ The next level changes only blocks of voxels in which the coarser volume shows s
 grid is smaller. All else, the rest, stays as the coarser level has it: its line integrals are
 subtracted, rays and updates leave it out, and it returns at the end. So nothing is lost: air, and
 what has less than ``QUIET_SHARE`` of the object's density, keep the coarser resolution.
+
+The rest is projected in the coarser pixels; in pixels and voxels twice as large again if all of it
+is air or nearly so, because these line integrals are small and smooth.
 """
 
 from __future__ import annotations
