@@ -44,7 +44,7 @@ from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_
 from twinct.recon.checks import Checks, Mask
 from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.engine import Singles
-from twinct.recon.levels import Level, with_margin
+from twinct.recon.levels import SMALLEST, Level, with_margin
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector
@@ -79,9 +79,6 @@ BETWEEN, MOST_STEPS = 60.0, 5
 
 TV_STEPS = 8
 """Dual iterations of such a step."""
-
-SMALLEST = 8
-"""Smallest number of voxels and pixels along an axis of a coarser level."""
 
 
 class Fast(AlgorithmSettings):
@@ -136,7 +133,7 @@ class Fast(AlgorithmSettings):
         description="Extra width of the coarse grids on each side, as a share of the grid's size; "
         "the contribution of this margin is removed before the passes at full resolution. By "
         "default 0 where the surroundings are removed, or where the rays that miss the grid and "
-        "those at the panel's border see air; else 0.1 to 0.4, until rays that miss it see air.",
+        "those at the panel's border see air; else 0.1 to 0.3, as a short trial requires.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
     stop: Stop = None

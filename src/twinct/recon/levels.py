@@ -34,8 +34,8 @@ from twinct.recon.working import WorkingVolume
 QUIET_SHARE = 0.02
 """Attenuation below which voxels stay as they are, as a share of the object's."""
 
-SMALLEST_QUIET = 8
-"""Smallest number of larger voxels and pixels along an axis in which a quiet rest is projected."""
+SMALLEST = 8
+"""Smallest number of larger voxels and pixels along an axis."""
 
 AROUND = 2.0
 """Voxels around those of a coarser level that show something."""
@@ -232,7 +232,7 @@ def _about(x: Singles, grid: VolumeGrid, finer: VolumeGrid) -> tuple[Singles, Vo
 def _images(coarse: Projector, rest: Singles, *, only_quiet: bool) -> Singles:
     """Return the line integrals of a rest; in pixels and voxels twice as large if it is quiet."""
     grid, views = coarse.grid, coarse.geometry
-    if only_quiet and min(*grid.shape, *views.panel.shape) >= 2 * SMALLEST_QUIET:
+    if only_quiet and min(*grid.shape, *views.panel.shape) >= 2 * SMALLEST:
         larger = coarse_grid(grid, 0.0, 2 * grid.voxel)
         return coarse.on(larger, views.binned(2, 2))(interpolated(rest, grid, larger))
     part = coarse.within(Blocks.holding(rest)) if coarse.leaves_out else coarse

@@ -13,6 +13,7 @@ from twinct.recon._vector.cache import kernels_from_disk
 from twinct.recon.blocks import EVERYWHERE
 
 with kernels_from_disk():
+    from twinct.recon import _linear as _linear  # compiled with the others
     from twinct.recon import _plain
     from twinct.recon._plain import bring, hold, leave_out, require, room
     from twinct.recon._vector import adjoint as _adjoint

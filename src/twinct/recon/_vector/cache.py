@@ -79,7 +79,7 @@ def _folder() -> Path:
 
 def _digest() -> str:
     """Return the digest of everything that compiled kernels depend on."""
-    sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_plain.py"])
+    sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_linear.py", _HERE.parent / "_plain.py"])
     parts = [source.read_bytes() for source in sources]
     # numba also distinguishes sources by their location.
     machine = (str(_HERE), sys.version, numba.__version__, llvmlite.__version__, config.OPT, EDGE)
