@@ -346,12 +346,13 @@ def test_kernels_on_disk_go_by_all_their_sources(tmp_path, monkeypatch):
 
     package = tmp_path / "_vector"
     package.mkdir()
-    for source in (package / "march.py", package / "rays.py", tmp_path / "_plain.py"):
+    engine = package / "march.py", tmp_path / "_linear.py", tmp_path / "_plain.py"
+    for source in (*engine, package / "rays.py"):
         source.write_text("old")
     monkeypatch.setattr(cache, "_HERE", package)
     before = cache._digest()
     assert cache._digest() == before
-    for source in (package / "march.py", tmp_path / "_plain.py"):
+    for source in engine:
         source.write_text("new")
         assert cache._digest() != before
         source.write_text("old")
