@@ -31,9 +31,9 @@ from twinct.recon import (
     sirt,
     without_surroundings,
 )
+from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.denoise import lower_variation
 from twinct.recon.resolution import binned
-from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
 from twinct.runs.reconstruction import load_scan
 from twinct.scan import line_integrals
@@ -169,13 +169,6 @@ def preset(passes):
     )
 
 
-def stopped(case, options, found):
-    """``fast``, after as many passes as it finds best."""
-    start = time.perf_counter()
-    volume = fast(case.A, case.p, passes=6, stop="auto")
-    return [case.judged(volume.array, time.perf_counter() - start, volume.extras["passes"])]
-
-
 def eighth(case, options, found):
     """``fast``, stopped in its last pass after an eighth of the time of SART's ten."""
     if "sart" not in found:
@@ -214,7 +207,6 @@ WAYS = {
     "fast 1": (preset(1), "fast, one pass"),
     "fast 2": (preset(2), "fast, two passes"),
     "fast 3": (preset(3), "fast, three passes"),
-    "fast auto": (stopped, "fast, stop: auto"),
     "eighth": (eighth, "fast, stopped at 1/8 of the time of SART's ten passes"),
     "os_sart": (
         better(

@@ -1,16 +1,16 @@
 """Where `stop: auto` ends a reconstruction, against the best of 20 passes, by noise of the poses.
 
 python benchmarks/bench_stopping.py --out out/stopping
-python benchmarks/bench_stopping.py --out out/stopping --only sart --sigma 0.3 --seeds 1 --every 4
+python benchmarks/bench_stopping.py --out out/stopping --sigma 0.3 --seeds 1 --every 4
 
 The paper's path is scanned once, on 320 x 240 pixels, into OUT/scan (``--scan`` takes a run's
 folder instead; ``--factor 2`` voxels and pixels twice as large, ``--every 4`` each fourth view);
 the poses' noise is drawn anew for each seed, cut off at 1.5 sigma as the paper's. Errors are those
 within 3 mm of bone in the region that every view sees. `sart` makes ``--passes`` passes; the rule
-judges each and would have ended before the first that it finds worse. `fast` is run as it stops by
-itself, and against it without the rule after each of so many passes, and with 1 and 2 in all. With
-``--until 1.25`` runs end once their error is so many times the lowest: errors that have begun to
-rise do so to the end (noise 0 and 0.1 mm were run to pass 20 to see it).
+judges each and would have ended before the first that it finds worse. `fast`, with whose volume the
+rule compares them, is a line of its own. With ``--until 1.25`` runs end once their error is so many
+times the lowest: errors that have begun to rise do so to the end (noise 0 and 0.1 mm were run to
+pass 20 to see it).
 
 Each pass is a line of OUT/passes-VOXELS-VIEWS.jsonl; what is there is not done again, and `sart`
 goes on from its newest volume. Another scan, or other photons, surroundings, relaxation or bounds
@@ -18,6 +18,7 @@ belong into another OUT.
 """
 
 import argparse
+import itertools
 import json
 import time
 from pathlib import Path
@@ -29,8 +30,7 @@ from scipy import ndimage
 import twinct
 from twinct.core.files.writing import complete
 from twinct.recon import fast, sart, without_surroundings
-from twinct.recon.denoise import SHARE, lower_variation, noise
-from twinct.recon.stopping import error_change
+from twinct.recon.error_estimate import error_estimate
 from twinct.runs.reconstruction import derive_geometry
 from twinct.scan import line_integrals
 from twinct.scenario import load_scenario
@@ -109,6 +109,9 @@ def of_sart(case, lines, options, which):
     """Pass after pass, each from the volume before, as one run has them to the last bit."""
     named = {"way": "sart", **which}
     size = f"{case.grid.shape[0]}-{len(case.A)}-{which['sigma_mm']:g}-{which['seed']}"
+    if not lines.of(way="fast", **which):
+        lines.add(way="fast", **which, error=case.error(fast(case.A, case.p).array))
+    estimate = error_estimate(case.A, case.p, None, None)
     newest, done, x = options.out / f"newest-{size}.npz", 0, None
     if newest.exists():
         with np.load(newest) as content:
@@ -120,48 +123,16 @@ def of_sart(case, lines, options, which):
         keys = {"relaxation": options.relaxation, "nonnegative": options.nonnegative}
         made = sart(case.A, case.p, iterations=1, x0=x, **keys).array
         middle = time.perf_counter()
-        change = None if x is None else error_change(x, made)
+        estimated = estimate(made)
         end = time.perf_counter()
         x = made
         if not lines.of(**named, number=number):
             seconds = {"pass_s": round(middle - start, 1), "judging_s": round(end - middle, 1)}
-            lines.add(**named, number=number, error=case.error(x), change=change, **seconds)
+            lines.add(**named, number=number, error=case.error(x), estimated=estimated, **seconds)
         with complete(newest) as draft:
             np.savez(draft, done=number, x=x)
         left = (options.passes - number) * (time.perf_counter() - start)
         print(f"  {left / 60:.0f} min to the end of this run", flush=True)
-
-
-def of_fast(case, lines, options, which):
-    """As it stops, in 1 and 2 passes, and after each pass of a run that does not stop."""
-    ways = {
-        "fast, auto": lambda: fast(case.A, case.p, passes=options.passes, stop="auto"),
-        "fast 1": lambda: fast(case.A, case.p, passes=1),
-        "fast 2": lambda: fast(case.A, case.p, passes=2),
-    }
-    for way, solve in ways.items():
-        if not lines.of(way=way, **which):
-            start = time.perf_counter()
-            volume = solve()
-            seconds = round(time.perf_counter() - start, 1)
-            number = volume.extras.get("passes", int(way[-1]) if way[-1].isdigit() else 0)
-            found = {"number": number, "error": case.error(volume.array), "pass_s": seconds}
-            lines.add(way=way, **which, **found)
-    named, views = {"way": f"fast of {options.passes}", **which}, len(case.A)
-    known = {one["number"] for one in lines.of(**named)}
-    least = [one for one in lines.of(**which) if one["way"] in ways]
-    if len(known) >= options.passes or risen(least + lines.of(**named), options.until):
-        return
-
-    def watch(step):
-        number = (step.update + 1 - step.updates) // views + options.passes
-        if (step.update + 1) % views == 0 and number > 0 and number not in known:
-            x, edge = step.volume.copy(), float(case.grid.voxel.mean())
-            lower_variation(x, case.grid, case.A.kernels, SHARE * (noise(x) or 0.0) * edge, 0.0)
-            lines.add(**named, number=number, error=case.error(x))
-        return risen(least + lines.of(**named), options.until)
-
-    fast(case.A, case.p, passes=options.passes, callback=watch)
 
 
 def risen(points, factor):
@@ -172,35 +143,26 @@ def risen(points, factor):
 
 def chosen(points):
     """The last pass before the first that was found worse."""
-    for point in points:
-        if (point["change"] or 0) > 0:
-            return points[point["number"] - 2]
+    for before, after in itertools.pairwise(points):
+        if after["estimated"] > before["estimated"]:
+            return before
     return points[-1]
 
 
 def summary(lines, sigmas):
-    """One line for each algorithm and noise."""
+    """One line for each noise."""
     for sigma in sigmas:
-        seeds = sorted({one["seed"] for one in lines.of(sigma_mm=sigma)})
-        for name in ("sart", "fast"):
-            found = []
-            for seed in seeds:
-                which = {"sigma_mm": sigma, "seed": seed}
-                points = lines.of(way=name, **which)
-                if name == "fast":
-                    points = [one for one in lines.of(**which) if one["way"].startswith("fast ")]
-                if not points:
-                    continue
-                own = chosen(points) if name == "sart" else lines.of(way="fast, auto", **which)[0]
-                best = min(points, key=lambda point: point["error"])
+        found = []
+        for seed in sorted({one["seed"] for one in lines.of(sigma_mm=sigma)}):
+            points = lines.of(way="sart", sigma_mm=sigma, seed=seed)
+            if points:
+                own, best = chosen(points), min(points, key=lambda point: point["error"])
                 found.append(
                     (own["number"], own["error"], best["number"], best["error"], len(points))
                 )
-            if found:
-                over = [100 * (own / best - 1) for _, own, _, best, _ in found]
-                print(
-                    f"{name}, noise {sigma:g} mm: {max(over):.1f} % above the best at most", found
-                )
+        if found:
+            over = [100 * (own / best - 1) for _, own, _, best, _ in found]
+            print(f"noise {sigma:g} mm: {max(over):.1f} % above the best at most", found)
 
 
 def main():
@@ -214,13 +176,12 @@ def main():
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--photons", type=float, help="photons per pixel; default: no noise")
     parser.add_argument("--surroundings", type=float, help="margin to remove, mm")
-    parser.add_argument("--nonnegative", action="store_true", help="for sart")
-    parser.add_argument("--relaxation", type=float, default=0.3, help="for sart")
+    parser.add_argument("--nonnegative", action="store_true")
+    parser.add_argument("--relaxation", type=float, default=0.3)
     parser.add_argument("--passes", type=int, default=20)
     parser.add_argument("--until", type=float, default=np.inf, metavar="FACTOR")
     parser.add_argument("--sigma", type=float, nargs="+", default=[0.0, 0.1, 0.3])
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--only", nargs="+", choices=("sart", "fast"), default=["sart", "fast"])
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     folder = options.scan or options.out / "scan"
@@ -241,10 +202,7 @@ def main():
         lines = lines or Lines(options.out / name)
         which = {"sigma_mm": sigma, "seed": seed}
         print(f"noise {sigma:g} mm, seed {seed}", flush=True)
-        if "sart" in options.only:
-            of_sart(case, lines, options, which)
-        if "fast" in options.only:
-            of_fast(case, lines, options, which)
+        of_sart(case, lines, options, which)
         summary(lines, options.sigma)
 
 

@@ -28,9 +28,9 @@ from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, THIN, TUNING, Made
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import cgls, fast, sart, without_surroundings
 from twinct.recon.denoise import lower_variation
-from twinct.recon.surroundings import signs_beyond
+from twinct.recon.signs_beyond import signs_beyond
 from twinct.recon.unexplained import compared_views, unexplained
-from twinct.runs.model_doubts import MUCH_BESIDE, UNEQUAL, leaves_much
+from twinct.runs.model_doubts import MUCH_BESIDE, UNEQUAL, doubt_of_thin_parts, leaves_much
 
 PASSES, RELAXATIONS = 20, (0.1, 0.3, 1.0)
 DENOISED = (1, 2, 3, 4, 6, 8, 12, 16, 20)
@@ -119,7 +119,8 @@ def of_fast(made):
     volume = fast(made.A, p, **keys)
     seconds = time.process_time() - start
     found = {"error": made.error(volume.array), "seconds": seconds, "warned": bool(warned)}
-    return {"fast": found | {"denoising": volume.extras["denoising"]}}
+    thin = doubt_of_thin_parts(volume) is not None
+    return {"fast": found | {"denoising": volume.extras["denoising"], "thin": thin}}
 
 
 def of_doubts(made):
@@ -139,7 +140,7 @@ def of_auto(made):
     """Return the error where ``stop: auto`` ends."""
     keys = {"iterations": PASSES, "relaxation": AUTO, "nonnegative": True, "stop": "auto"}
     p = without_rest(made) if made.case.truncated else made.p
-    volume = sart(made.A, p, **keys)
+    volume = sart(made.A, p, photons=made.case.photons, **keys)
     return {"auto": {"error": made.error(volume.array), "passes": volume.extras["passes"]}}
 
 
@@ -193,7 +194,7 @@ def table(cases, size, lines):
     print(f"RMSE within {NEAR_MM:g} mm of the object, % of mu; grids of {SPAN_MM:g} mm")
     print(f"| scan | {' | '.join(COLUMNS)} |\n|---|{'---|' * len(COLUMNS)}")
     ratios, over = {"sart": [], "sart, denoised": [], "seconds": []}, []
-    doubts = []
+    doubts, thin = [], {True: [], False: []}
     for case in cases:
         seeds = {}
         for (name, voxels, seed, _), found in lines.found.items():
@@ -211,6 +212,8 @@ def table(cases, size, lines):
                 for one in ("sart", "sart, denoised"):
                     ratios[one].append(f["fast"]["error"] / f[one]["error"])
                 ratios["seconds"].append(f["fast"]["seconds"] / f["sart"]["seconds"])
+                if "thin" in f["fast"]:
+                    thin[f["fast"]["thin"]].append(ratios["sart"][-1])
             if "doubts" in f:
                 error = f["doubts"]["error"] / f["sart"]["error"] if "sart" in f else np.nan
                 doubts.append((f["doubts"]["warned"], case.name, error))
@@ -222,6 +225,10 @@ def table(cases, size, lines):
             of = "sart" if one == "seconds" else one
             low, middle, high = np.quantile(values, (0, 0.5, 1))
             print(f"fast, {told} relative to {of}: {low:.2f} to {high:.2f}, median {middle:.2f}")
+    for warned, values in thin.items():
+        if values:
+            told = "with a" if warned else "without"
+            print(f"{len(values)} scans {told} warning of thin parts: at most {max(values):.2f}")
     if doubts:
         named = [f"{name} ({error:.2f} x)" for warned, name, error in doubts if warned]
         print(f"warnings: {len(named)} of {len(doubts)} scans, error to sart: {', '.join(named)}")

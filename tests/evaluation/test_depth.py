@@ -7,8 +7,8 @@ import pytest
 from scipy import ndimage
 
 from twinct.evaluation.depth import RegionDepth, depth_names, region_depth, rmse_by_depth
-from twinct.evaluation.region import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
+from twinct.geometry.region import region_of_interest
 
 PANEL = Panel(24, 32, 10.0, 10.0)
 

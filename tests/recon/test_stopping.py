@@ -2,7 +2,6 @@
 
 import math
 import tracemalloc
-from functools import cache
 
 import numpy as np
 import pytest
@@ -10,24 +9,29 @@ from scipy import ndimage
 
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, fast, peak_bytes, sart, stopping, without_surroundings
-from twinct.recon.fast import FAST
+from twinct.geometry.region import region_of_interest
+from twinct.recon import Projector, fast, peak_bytes, sart, without_surroundings
+from twinct.recon.error_estimate import error_estimate
 from twinct.recon.sart import SART as SART_ITSELF
-from twinct.recon.stopping import VOLUMES, BestPass, error_change
+from twinct.recon.stopping import BestPass
 
 PASSES = 20
 VIEWS = 60
-TOLERANCE = 1.05
-"""Error at the chosen pass, of that at the best: what the rule is for."""
+TOLERANCE, WITHOUT_NOISE = 1.05, 1.2
+"""Error at the chosen pass, of that at the best: what the rule is for; without noise, ``fast`` has
+mostly the errors that late passes of ``sart`` have, too."""
+
+MU = 0.04
+"""Attenuation of the bodies, 1/mm: noise is that of line integrals without unit."""
 
 BODIES = [((4, -3, 2), (12, 10, 14)), ((-14, 9, -6), (5, 7, 6)), ((10, 14, 10), (4, 4, 9))]
-"""Centres and half axes of ellipsoids of value 1, mm."""
+"""Centres and half axes of ellipsoids, mm."""
 
 
 def with_noise(p, photons):
-    """Poisson's, of so many photons through bodies of 0.04/mm."""
-    counts = np.random.default_rng(5).poisson(photons * np.exp(-0.04 * p))
-    return -np.log(np.maximum(counts, 0.5) / photons) / 0.04
+    """Poisson's, of so many photons."""
+    counts = np.random.default_rng(5).poisson(photons * np.exp(-p))
+    return -np.log(np.maximum(counts, 0.5) / photons)
 
 
 @pytest.fixture
@@ -38,7 +42,7 @@ def case(circle, ellipsoid_integrals):
         geometry = circle(views, Panel(64, 64, 2.0, 2.0))
         A = Projector(geometry, VolumeGrid((48, 48, 48), 1.0))
         bodies = [*BODIES, ((30, 4, 0), (10, 8, 12))] if outside else BODIES
-        p = sum(ellipsoid_integrals(geometry, *body) for body in bodies)
+        p = MU * sum(ellipsoid_integrals(geometry, *body) for body in bodies)
         if photons is not None:
             p = with_noise(p, photons)
         if outside:
@@ -47,7 +51,7 @@ def case(circle, ellipsoid_integrals):
         near = ndimage.binary_dilation(truth > 0.5, iterations=3)
 
         def error(volume):
-            return float(np.sqrt(np.mean((np.asarray(volume) - truth)[near] ** 2)))
+            return float(np.sqrt(np.mean((np.asarray(volume) / MU - truth)[near] ** 2)))
 
         return A, p, error
 
@@ -102,7 +106,9 @@ def test_sart_ends_near_its_best_pass(case, name, nonnegative, figure):
     chosen, best = volume.extras["passes"], 1 + int(np.argmin(errors))
     np.testing.assert_array_equal(volume, made[chosen - 1])
     figure(f"{name}: pass {chosen}, {errors[chosen - 1]:.4f}; best {best}, {min(errors):.4f}")
-    assert errors[chosen - 1] < TOLERANCE * min(errors)
+    most = WITHOUT_NOISE if name == "clean" else TOLERANCE
+    assert errors[chosen - 1] < most * min(errors)
+    assert errors[-1] > 1.3 * min(errors) or name == "few views"
 
 
 def test_no_constant_number_of_passes_would_do(case):
@@ -116,14 +122,16 @@ def test_no_constant_number_of_passes_would_do(case):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_fast_ends_near_its_best_number_of_passes(case, name, figure):
-    A, p, error = case(**CASES[name])
-    errors = {passes: error(fast(A, p, passes=passes)) for passes in (1, 2, 4)}
-    volume = fast(A, p, passes=PASSES, stop="auto")
-    best = min(errors, key=lambda passes: errors[passes])
-    chosen = volume.extras["passes"]
-    figure(f"fast, {name}: pass {chosen}, {error(volume):.4f}; best {best}, {errors[best]:.4f}")
-    assert error(volume) < TOLERANCE * errors[best]
+def test_fast_makes_its_usual_passes_up_to_the_stated_number(case, name):
+    A, p, _ = case(**CASES[name])
+    usual, volume = fast(A, p), fast(A, p, stop="auto")
+    passes = volume.extras["passes"]
+    np.testing.assert_array_equal(volume, usual)
+    np.testing.assert_array_equal(fast(A, p, passes=PASSES, stop="auto"), usual)
+    for fewer in {1, passes - 1}:
+        limited = fast(A, p, passes=fewer, stop="auto")
+        assert limited.extras["passes"] == fewer
+    np.testing.assert_array_equal(fast(A, p, passes=1, stop="auto"), fast(A, p, passes=1))
 
 
 def test_it_goes_on_where_every_pass_helps(case):
@@ -167,7 +175,6 @@ def test_without_it_nothing_changes(case):
     plain = sart(A, p, **keys)
     assert "passes" not in plain.extras
     assert not np.array_equal(plain, sart(A, p, stop="auto", **keys))
-    np.testing.assert_array_equal(fast(A, p, passes=1, stop="auto"), fast(A, p, passes=1))
 
 
 @pytest.mark.parametrize(
@@ -180,40 +187,52 @@ def test_another_word_is_refused(case, solve, stop):
         solve(A, p, stop=stop)
 
 
-@cache
-def balls():
-    """Voxels of a few balls, sharp."""
-    grid = VolumeGrid((64, 60, 68), 1.0)
-    return fraction(grid, [((x, y, z), (7, 7, 7)) for x, y, z in ((0, 5, 2), (12, -9, 6))])
+def passes_to(errors):
+    """Passes that a monitor allows, and the volumes that it leaves."""
+    best = BestPass(lambda x: float(x[0]))
+    for number, error in enumerate(errors):
+        x = np.array([error, number], np.float32)
+        if best.is_over(x):
+            return best.passes, x[1]
+    return best.passes, None
 
 
-def blurred(sigma, noise=0.0):
-    rng = np.random.default_rng(2)
-    soft = ndimage.gaussian_filter(balls(), sigma)
-    return (soft + rng.normal(0, noise, soft.shape)).astype(np.float32)
+def test_passes_end_before_the_first_that_raises_the_error():
+    assert passes_to([3, 2, 2, 2.5, 1]) == (3, 2)
+    assert passes_to([3, 2, 1]) == (3, None)
 
 
-def test_sharper_edges_are_gain_and_noise_and_rings_are_loss():
-    soft, sharp, noisy = blurred(1.5), blurred(0.8), blurred(0.8, 0.1)
-    rings = sharp + 0.5 * (sharp - blurred(2.0))
-    assert error_change(soft, sharp) < 0 < error_change(sharp, soft)
-    assert error_change(noisy, sharp) < 0 < error_change(sharp, noisy)
-    assert error_change(balls() * 1, rings) > 0
-    assert error_change(soft, soft) == 0
+def test_a_start_counts_as_a_volume_but_not_as_a_pass():
+    best = BestPass(lambda x: float(x[0]))
+    best.start(np.array([1.0], np.float32))
+    x = np.array([2.0], np.float32)
+    assert best.is_over(x)
+    assert (best.passes, x[0]) == (0, 1)
 
 
-def test_its_estimate_is_about_the_true_change():
-    """Noise alone: what it adds is known."""
-    near = ndimage.maximum_filter(balls() > 0.5, 5)
-    sharp, noisy = balls() * 1, blurred(0.0, 0.05)
-    true = np.sum((noisy - sharp)[near] ** 2)
-    assert error_change(sharp, noisy) == pytest.approx(true, rel=0.1)
+def test_the_estimate_is_the_distance_to_fast_near_what_every_view_sees(case):
+    A, p, _ = case(photons=1e4)
+    stand_in = fast(A, p).array
+    estimate = error_estimate(A, p, None, None)
+    assert estimate(stand_in) == 0
+    bodies = fraction(A.grid, BODIES) > 0.5
+    changed = stand_in + np.where(ndimage.binary_dilation(bodies), np.float32(0.01), 0)
+    assert 0.005 < estimate(changed) < 0.01
+    far = ~ndimage.binary_dilation(bodies, iterations=5)
+    assert estimate(stand_in + np.float32(0.01) * far) < estimate(changed)
 
 
-def test_values_on_their_way_are_no_right_ones():
-    """Few views with a small relaxation: edges are where they shall be, and values rise."""
-    low, higher = blurred(0.8) * np.float32(0.5), blurred(0.8) * np.float32(0.7)
-    assert error_change(low, higher) < 0
+def test_what_no_view_sees_whole_does_not_count(circle, ellipsoid_integrals):
+    """The panel cuts a body; only the middle is in every view."""
+    geometry = circle(VIEWS, Panel(64, 24, 2.0, 2.0))
+    A = Projector(geometry, VolumeGrid((48, 48, 48), 1.0))
+    p = MU * ellipsoid_integrals(geometry, (0, 0, 0), (20, 20, 20))
+    estimate, stand_in = error_estimate(A, p, None, None), fast(A, p).array
+    region = region_of_interest(geometry, A.grid)
+    inside = fraction(A.grid, [((0, 0, 0), (20, 20, 20))]) > 0.5
+    assert (inside & ~region).sum() > 1000
+    assert estimate(stand_in + (~region).astype(np.float32)) == 0
+    assert estimate(stand_in + region.astype(np.float32)) > 0
 
 
 def peak_of(work):
@@ -226,65 +245,15 @@ def peak_of(work):
         tracemalloc.stop()
 
 
-def test_it_holds_the_volumes_that_are_stated(monkeypatch):
-    """Beside its blocks, which are bounded whatever the volume."""
-    monkeypatch.setattr(stopping, "_blocks", lambda box: iter(()))
-    x = np.random.default_rng(0).random((160, 160, 160), np.float32)
-    watch = BestPass("auto")
-    watch.start(x)
-    peak = x.nbytes + peak_of(lambda: watch.is_over(x))
-    assert VOLUMES - 0.2 < peak / x.nbytes < VOLUMES
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "solve"),
-    [
-        (SART_ITSELF, lambda A, p: sart(A, p, stop="auto", iterations=2, relaxation=0.3)),
-        (FAST, lambda A, p: fast(A, p, stop="auto", passes=2, levels=1)),
-    ],
-    ids=["sart", "fast"],
-)
-def test_memory_is_as_stated(circle, algorithm, solve):
-    A = Projector(circle(4, Panel(16, 16, 20.0, 20.0)), VolumeGrid((144, 144, 144), 1.0))
+@pytest.mark.parametrize("panel", [Panel(16, 16, 20.0, 20.0), Panel(256, 256, 1.25, 1.25)])
+def test_memory_is_as_stated(circle, panel):
+    A = Projector(circle(24, panel), VolumeGrid((144, 144, 144), 1.0))
     p = A(np.ones(A.domain_shape, np.float32))
+
+    def solve(A, p):
+        sart(A, p, stop="auto", iterations=2, relaxation=0.3)
+
     solve(A[:1], p[:1])  # compiles
-    voxels = math.prod(A.domain_shape)
-    more = algorithm.extra_volumes(algorithm.settings(stop="auto"))
-    assert algorithm.volumes + more > 1.5
-    assert peak_of(lambda: solve(A, p)) < peak_bytes(algorithm, voxels, p.size, more)
-
-
-def test_blocks_bound_what_a_judgement_takes():
-    for n in (150, 200):
-        before = np.random.default_rng(0).random((n, n, n), np.float32)
-        after = before * np.float32(1.1)
-        assert peak_of(lambda one=before, other=after: error_change(one, other)) < 60e6
-
-
-def test_blocks_and_threads_change_next_to_nothing(monkeypatch):
-    before, after = blurred(1.0), blurred(0.8, 0.05)
-    whole = error_change(before, after)
-    monkeypatch.setenv("TWINCT_THREADS", "1")
-    assert error_change(before, after) == whole
-    monkeypatch.setattr("twinct.recon.stopping.BLOCK", 17)
-    assert error_change(before, after) == pytest.approx(whole, rel=1e-5)
-
-
-def test_units_do_not_matter():
-    before, after = blurred(1.0), blurred(0.8, 0.05)
-    small = error_change(before * np.float32(1e-3), after * np.float32(1e-3))
-    assert small == pytest.approx(1e-6 * error_change(before, after), rel=1e-3)
-
-
-def test_no_pass_is_too_many_that_lowers_the_residual_much():
-    """Whatever the borders tell: they mislead where materials are more than two."""
-    ball = np.zeros((24, 24, 24), np.float32)
-    ball[6:18, 6:18, 6:18] = 1
-    noisy = ball + np.random.default_rng(1).normal(0, 0.2, ball.shape).astype(np.float32)
-    assert error_change(ball, noisy) > 0
-    for after, over in ((0.9, False), (0.95, True)):
-        left = iter([1.0, after])
-        best = BestPass("auto", lambda _, left=left: next(left))
-        assert not best.is_over(ball.copy())
-        assert best.is_over(noisy.copy()) == over
-        assert best.passes == 2 - over
+    extra = SART_ITSELF.extra(SART_ITSELF.settings(stop="auto"))
+    stated = peak_bytes(SART_ITSELF, math.prod(A.domain_shape), p.size, *extra)
+    assert peak_of(lambda: solve(A, p)) < stated

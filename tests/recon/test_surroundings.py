@@ -7,8 +7,9 @@ from twinct.core.errors import InputError
 from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_surroundings
+from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.resolution import interpolated
-from twinct.recon.surroundings import coarse_grid, signs_beyond
+from twinct.recon.signs_beyond import signs_beyond
 
 pytestmark = pytest.mark.usefixtures("engine")
 

@@ -1,5 +1,6 @@
 """From a scan to a volume: masks, checkpoints and memory, on projections without robots."""
 
+import math
 import tracemalloc
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ from twinct.core.errors import InputError, MemoryShortageError
 from twinct.geometry import ScanGeometry
 from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
-from twinct.recon.stopping import VOLUMES
+from twinct.recon.error_estimate import PROJECTIONS, VOLUMES
 from twinct.recon.unexplained import Unexplained, unexplained
 from twinct.recon.volume import Volume
 from twinct.runs import (
@@ -270,10 +271,11 @@ def test_progress_ends_at_its_total_though_there_are_more_passes(scan, monkeypat
     assert ended.done == ended.total == 12 * 4
 
 
-def test_stopping_takes_memory_for_the_volume_before(scan):
+def test_stopping_takes_memory_for_the_volumes_of_fast_and_of_the_pass_before(scan):
     views = scan().commanded.geometry(settings().detector.panel)
     plain, stopping = memory_needed(settings(), views), memory_needed(settings(stop="auto"), views)
-    assert stopping["sart"] - plain["sart"] == pytest.approx(4 * VOLUMES * 24**3, abs=1)
+    more = VOLUMES * 24**3 + PROJECTIONS * len(views) * math.prod(views.panel.shape)
+    assert stopping["sart"] - plain["sart"] == pytest.approx(4 * more, abs=1)
 
 
 def test_a_volume_of_before_is_still_that_of_its_scenario():

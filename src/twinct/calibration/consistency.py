@@ -27,8 +27,8 @@ from twinct.core.errors import InputError
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.recon import Projector, fista_tv, sart
+from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.resolution import binned, interpolated
-from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
 
 ROBUST = 1.5

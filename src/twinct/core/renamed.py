@@ -21,6 +21,7 @@ RENAMED = {
     "twinct.errors": "twinct.core.errors",
     "twinct.evaluate": "twinct.evaluation",
     "twinct.evaluation.places": "twinct.evaluation.region_voxels",
+    "twinct.evaluation.region": "twinct.geometry.region",
     "twinct.evaluation.sight": "twinct.evaluation.visibility",
     "twinct.extensions": "twinct.core.extensions",
     "twinct.extras": "twinct.core.extras",

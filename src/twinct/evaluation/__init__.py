@@ -24,7 +24,6 @@ from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
 from twinct.evaluation.observer import detectability
 from twinct.evaluation.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
-from twinct.evaluation.region import region_of_interest, views_needed
 from twinct.evaluation.region_voxels import (
     Voxels,
     ball,
@@ -37,6 +36,7 @@ from twinct.evaluation.region_voxels import (
 )
 from twinct.evaluation.streaks import around_axis, streak_index
 from twinct.evaluation.visibility import Sight, coarse, sight
+from twinct.geometry.region import region_of_interest, views_needed
 
 __all__ = [
     "DEPTHS_MM",

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.evaluation.bits import read_only
-from twinct.evaluation.region import half_spaces
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.geometry.region import half_spaces
 
 DEPTHS_MM = (5.0, 10.0, 20.0, 40.0)
 """Limits between the bins of depth."""

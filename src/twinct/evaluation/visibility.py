@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twinct.evaluation.region import region_of_interest, views_needed
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.geometry.region import region_of_interest, views_needed
 
 COARSE_VOXELS = 48
 """Voxels per axis of a coarse grid that is tried first: the whole grid takes seconds."""

@@ -87,7 +87,8 @@ class Algorithm(Generic[SettingsT]):
         updates: updates per pass, from settings and number of views, for the progress.
         check: raises InputError, before any work, for keys, their files, views or a grid that the
             algorithm cannot work with.
-        extra_volumes: memory in addition to ``volumes``, from the settings.
+        extra: memory in addition to ``volumes`` and ``projections``, from the settings: volumes,
+            and copies of the projections.
         expects: expected volume, (z, y, x), from A, p, the mask and the settings, if the algorithm
             knows it beforehand; it improves the estimate of the grid's surroundings.
     """
@@ -102,7 +103,7 @@ class Algorithm(Generic[SettingsT]):
     check: Callable[[SettingsT, ScanGeometry, VolumeGrid], object] = field(
         default=lambda own, views, grid: None
     )
-    extra_volumes: Callable[[SettingsT], float] = field(default=lambda settings: 0.0)
+    extra: Callable[[SettingsT], tuple[float, float]] = field(default=lambda settings: (0.0, 0.0))
     expects: Callable[[Projector, Singles, Mask | None, SettingsT], Singles] | None = None
 
     @property

@@ -109,6 +109,11 @@ class Checks:
             self.problems.append(f"photons is {quoted(photons)}; it must be positive and finite")
         return np.broadcast_to(numbers, views)
 
+    def stop(self, stop: object) -> None:
+        """Refuse a stopping rule that does not exist."""
+        if not (stop is None or (isinstance(stop, str) and stop == "auto")):
+            self.problems.append(f"stop is {quoted(stop)}; it must be auto or None")
+
     def count(self, name: str, value: int, at_most: float = math.inf) -> int:
         """Return a whole number of at least 1."""
         limit = "" if math.isinf(at_most) else f" and at most {at_most}"

@@ -49,9 +49,8 @@ from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.resolution import interpolated
-from twinct.recon.shared_keys import Stop
+from twinct.recon.shared_keys import Stop, StopName
 from twinct.recon.steps import Callback, Listener
-from twinct.recon.stopping import BestPass, StopName
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -179,24 +178,24 @@ def fast(
         mask: as in ``sart``.
         photons: photons of a pixel in the free beam, one number or one for each view, (views,);
             without them, air in the projections shows the noise.
-        stop: ``auto``: end with the last pass at full resolution that improves the volume; see
-            ``BestPass``. The relaxation falls over the usual number of passes, and stays in any
-            further one.
+        stop: ``auto``: make as many passes as by default, but at most ``passes``.
         predicted_views: numbers of views to predict.
         callback: called after each update; see ``Step``. Volumes of coarse levels are coarse. True
             stops.
 
     Returns:
         The volume. Its extras hold, with ``stop``, the number of ``passes`` at full resolution;
-        without a given strength, ``denoising``: its ``strength`` in a pass with a relaxation of 1,
-        in the unit of ``denoising``, and ``from``, the source of the noise: ``photons``, ``air``,
-        ``volume`` or None; with ``predicted_views``, ``predicted``: their line integrals through
-        the volume and what lies around it, (len(predicted_views), rows, columns).
+        without a given strength, ``denoising``: its ``strength`` in a
+        pass with a relaxation of 1, in the unit of ``denoising``, and ``from``, the source of the
+        noise: ``photons``, ``air``, ``volume`` or None; with ``predicted_views``, ``predicted``:
+        their line integrals through the volume and what lies around it,
+        (len(predicted_views), rows, columns).
 
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
     # Only here: scenarios need the settings alone.
+    from twinct.recon.further_passes import MOST_FURTHER
     from twinct.recon.usual_margin import usual_margin
     from twinct.recon.usual_passes import MOST_COARSE, usual_passes, views_per_voxel
 
@@ -204,8 +203,8 @@ def fast(
     p, pixels = checks.projections(line_integrals, mask)
     known = checks.photons(photons)
     usual = usual_passes(A)
-    goes_on = passes is None and stop is None
-    passes = checks.count("passes", usual if passes is None else passes)
+    limit = math.inf if passes is None else checks.count("passes", passes)
+    checks.stop(stop)
     usual_coarse = coarse_passes is None
     coarse_passes = checks.count(
         "coarse_passes", COARSE_PASSES if coarse_passes is None else coarse_passes
@@ -216,7 +215,6 @@ def fast(
         margin = checks.not_negative("margin", margin)
     if denoising is not None:
         denoising = checks.not_negative("denoising", denoising)
-    best = BestPass.checked(checks, stop)
     checks.done()
     require_memory(FAST, A)
     in_air = False
@@ -225,13 +223,15 @@ def fast(
         in_air = margin == 0
         log.info("margin of the coarse grids: %g of the grid's size on each side", margin)
     floor = 0.0 if nonnegative else LOWEST
-    first = min(passes, usual) if stop else passes
     most = MOST_COARSE / views_per_voxel(A) if usual_coarse and in_air else math.inf
     coarse = coarse_passes, most
-    steps = _Steps(passes, first, *coarse, levels, relaxation, margin, floor, goes_on)
+    chosen = passes is None or stop is not None
+    passes = int(min(usual, limit)) if chosen else int(limit)
+    further = min(MOST_FURTHER, limit - passes) if chosen else 0
+    steps = _Steps(passes, *coarse, levels, relaxation, margin, floor, further)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
-    steps, level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, best, callback)
-    extras: dict[str, Any] = best.extras
+    steps, level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, callback)
+    extras: dict[str, Any] = {} if stop is None else {"passes": steps.passes}
     if len(predicted_views) and whole:
         extras = extras | {"predicted": level.line_integrals(x, predicted_views)}
     x = level.whole(x) if whole else interpolated(level.whole(x), level.A.grid, A.grid)
@@ -245,7 +245,6 @@ def fast(
     if denoising is None:
         denoising, source = _of_volume(x)
         extras = extras | {"denoising": _of(denoising, source)}
-    del best
     if denoising:
         lower_variation(x, A.grid, A.kernels, denoising * voxel, floor)
     return Volume(x, A.grid, extras)
@@ -270,10 +269,9 @@ class _Steps:
 
     Attributes:
         passes: number of passes at full resolution.
-        first: those of them over which the relaxation falls.
         coarse_passes: number of passes with voxels twice as large.
         most_coarse: most passes of coarse levels, times the factor of their voxels.
-        goes_on: whether further passes may follow (``FurtherPasses``).
+        further: most passes that may follow (``FurtherPasses``).
         noise: deviation of the line integrals; 0 if it is unknown.
         most: range of the line integrals.
         strength: of the total variation for one view, mm times the unit of the volume.
@@ -282,14 +280,13 @@ class _Steps:
     """
 
     passes: int
-    first: int
     coarse_passes: int
     most_coarse: float
     levels: int
     relaxation: float
     margin: float
     floor: float
-    goes_on: bool
+    further: float
     noise: float = 0.0
     most: float = 0.0
     strength: float = 0.0
@@ -312,14 +309,12 @@ class _Steps:
 
     def shares(self, A: Projector, factor: int) -> NDArray[np.float64]:
         """Return the relaxation of each update of a level."""
-        number = self.number(factor)
-        first = self.first if factor == 1 else number
+        updates = self.number(factor) * len(A)
         last = self.relaxation * min(1.0, float(np.mean(A.domain_shape)) / len(A))
         if factor == 1 and self.noise > 0:
             quiet = QUIET * self.most / self.noise
             last *= min(1.0, quiet / self.filled**2)
-        falling = np.geomspace(self.relaxation, last, first * len(A))
-        return np.concatenate([falling, np.full((number - first) * len(A), last)])
+        return np.geomspace(self.relaxation, last, updates)
 
 
 def _for_noise(
@@ -353,7 +348,6 @@ def _from_coarse_to_fine(
     p: NDArray[Any],
     pixels: Mask | None,
     steps: _Steps,
-    best: BestPass,
     callback: Callback | None = None,
 ) -> tuple[_Steps, Level, Singles, bool]:
     """Return the last level's steps, the level, its volume, and False if the callback stopped it.
@@ -376,8 +370,8 @@ def _from_coarse_to_fine(
         further = None
         cheap = max(A.domain_shape) < SMALL and steps.filled == 1.0
         few = views_per_voxel(A) < ENOUGH_VIEWS
-        if factor == 1 and steps.goes_on and (few or cheap):
-            further = FurtherPasses(len(A), steps.noise, few=few, cheap=cheap)
+        if factor == 1 and steps.further and (few or cheap):
+            further = FurtherPasses(len(A), steps.noise, few=few, cheap=cheap, most=steps.further)
         between = max(BETWEEN, float(shares[: len(A)].sum()) / MOST_STEPS)
         pending = deque(zip(shares, np.resize(order, len(shares)), strict=True))
         wanted = listener.wanted or further is not None
@@ -388,8 +382,6 @@ def _from_coarse_to_fine(
             ended = factor == 1 and len(pending) % len(A) == 0
             if steps.strength and factor == 1 and (ended or since > between):
                 work, since = _lowered(level.A, work, since * steps.strength, steps.floor), 0.0
-            if best.watches and ended and best.is_over(work.array):
-                break
             if further:
                 further.add(int(view), square, rays)
                 if not pending and further.another_pass():
@@ -399,7 +391,8 @@ def _from_coarse_to_fine(
                 return steps, level, work.array, False
             done += 1
         if factor == 1:
-            return steps, level, work.array, True
+            made = steps.passes + (further.passes if further else 0)
+            return replace(steps, passes=made), level, work.array, True
         before = level, level.whole(work.array)
         del level, work  # frees the card
     raise AssertionError("the last factor is 1")

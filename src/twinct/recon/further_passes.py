@@ -37,9 +37,15 @@ tuning half of the zoo as well: foam has 2.3, a casting 3.1, a skull 10 and more
 
 
 class FurtherPasses:
-    """Residuals of the views before their latest updates."""
+    """Residuals of the views before their latest updates.
 
-    def __init__(self, views: int, noise: float, *, few: bool, cheap: bool) -> None:
+    Attributes:
+        passes: number of further passes that paid.
+    """
+
+    def __init__(
+        self, views: int, noise: float, *, few: bool, cheap: bool, most: float = MOST_FURTHER
+    ) -> None:
         """Start without residuals.
 
         Args:
@@ -47,10 +53,12 @@ class FurtherPasses:
             noise: deviation of the line integrals; 0 if it is unknown.
             few: whether there are fewer views per voxel than ``ENOUGH_VIEWS``.
             cheap: whether a pass may follow because the residual is mostly noise.
+            most: most further passes, at least 1.
         """
         self._few, self._noise, self._cheap = few, noise, cheap
         self._squares, self._rays = np.zeros(views), np.zeros(views)
-        self._before, self._passes, self._last = math.inf, 0, False
+        self.passes, self._most = 0, most
+        self._before, self._last = math.inf, False
 
     def add(self, view: int, square: float, rays: int) -> None:
         """Store a view's sum of squared residuals before an update, and the number of its rays."""
@@ -64,12 +72,12 @@ class FurtherPasses:
         before, self._before = self._before, rest
         if self._last:
             return False
-        if not self._passes:
+        if not self.passes:
             worst = np.sort(rests)[-math.ceil(WORST * len(rests)) :]
             pays = self._few and rest > 0 and float(worst.sum()) >= MUCH * rest
             if not pays and self._cheap and self._noise > 0:
                 pays = self._last = float(self._squares.sum()) < MOSTLY_NOISE * float(noise.sum())
         else:
-            pays = rest < LITTLE**2 * before and self._passes < MOST_FURTHER
-        self._passes += pays
+            pays = rest < LITTLE**2 * before and self.passes < self._most
+        self.passes += pays
         return pays

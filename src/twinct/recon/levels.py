@@ -24,11 +24,11 @@ from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon.blocks import EDGE, EVERYWHERE, Blocks
 from twinct.recon.checks import Mask, mask_of, masked_image
+from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.resolution import Between, binned, blended, each_plane, interpolated
 from twinct.recon.steps import residual_of
-from twinct.recon.surroundings import coarse_grid
 from twinct.recon.working import WorkingVolume
 
 QUIET_SHARE = 0.02

@@ -15,11 +15,16 @@ SPARE_BYTES = 96 * 2**20
 
 
 def peak_bytes(
-    algorithm: Algorithm[Any], voxels: int, pixels: int, extra_volumes: float = 0.0
+    algorithm: Algorithm[Any],
+    voxels: int,
+    pixels: int,
+    extra_volumes: float = 0.0,
+    extra_projections: float = 0.0,
 ) -> int:
     """Return the bytes that an algorithm needs besides its input; pixels of all views together."""
     volumes = algorithm.volumes + extra_volumes
-    return int(4 * (volumes * voxels + algorithm.projections * pixels)) + SPARE_BYTES
+    projections = algorithm.projections + extra_projections
+    return int(4 * (volumes * voxels + projections * pixels)) + SPARE_BYTES
 
 
 def refuse_if_short(needed: int, what: str, advice: str) -> None:
@@ -32,16 +37,21 @@ def refuse_if_short(needed: int, what: str, advice: str) -> None:
         )
 
 
-def require_memory(algorithm: Algorithm[Any], A: Projector, extra_volumes: float = 0.0) -> None:
+def require_memory(
+    algorithm: Algorithm[Any],
+    A: Projector,
+    extra_volumes: float = 0.0,
+    extra_projections: float = 0.0,
+) -> None:
     """Raise MemoryShortageError unless the algorithm fits into memory, and a volume on the card."""
     voxels, pixels = math.prod(A.domain_shape), math.prod(A.range_shape)
     A.kernels.require(4 * voxels)
     extra_volumes += A.own_volumes
     parts = f"{algorithm.volumes + extra_volumes:g} x {voxels * 4 / 2**30:.2f} GiB of voxels"
-    if algorithm.projections:
-        parts += f" and {algorithm.projections:g} x {pixels * 4 / 2**30:.2f} GiB of pixels"
+    if projections := algorithm.projections + extra_projections:
+        parts += f" and {projections:g} x {pixels * 4 / 2**30:.2f} GiB of pixels"
     refuse_if_short(
-        peak_bytes(algorithm, voxels, pixels, extra_volumes),
+        peak_bytes(algorithm, voxels, pixels, extra_volumes, extra_projections),
         f"{algorithm.name} with a grid of {A.domain_shape} voxels and {A.range_shape} pixels "
         f"({parts})",
         advice(algorithm),

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.checks import Checks, Mask, counting_rays
+from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 from twinct.recon.resolution import binned
 from twinct.recon.sart import sart
-from twinct.recon.surroundings import coarse_grid
 from twinct.recon.volume import Volume
 
 log = logging.getLogger(__name__)

@@ -25,12 +25,13 @@ from numpy.typing import ArrayLike
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
+from twinct.recon.error_estimate import PROJECTIONS, VOLUMES, error_estimate
 from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import LOWEST, Projector
-from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxation, Stop
+from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxation, Stop, StopName
 from twinct.recon.steps import Callback, Listener, residual_of
-from twinct.recon.stopping import VOLUMES, BestPass, StopName, residual_in
+from twinct.recon.stopping import BestPass
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -58,11 +59,13 @@ def sart(
     order: Order = "golden",
     rng: Rng | None = None,
     stop: StopName | None = None,
+    photons: ArrayLike | None = None,
     callback: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals, one view per update.
 
-    Peak memory: 1 volume and a few images, besides the projections; 2.3 volumes with ``stop``.
+    Peak memory: 1 volume and a few images, besides the projections; with ``stop``, 3.5 volumes and
+    half of the projections.
 
     Args:
         A: the projector, with the believed geometry.
@@ -78,7 +81,9 @@ def sart(
             a permutation of the views.
         rng: generator or seed of the random order.
         stop: ``auto``: end with the last pass that improves the volume, or with ``x0`` if none
-            does; see ``BestPass``. The last update of the pass after it is not reported.
+            does, as far as the volume of ``fast`` shows it; see ``error_estimate``. The last
+            update of the pass after it is not reported.
+        photons: as in ``fast``, which ``stop`` needs.
         callback: called after each update; see ``Step``. True stops.
 
     Returns:
@@ -94,9 +99,11 @@ def sart(
     relaxation = checks.relaxation(relaxation)
     x0 = checks.start(x0, A.domain_shape)
     views = view_order(checks, A.geometry, order, rng)
-    best = BestPass.checked(checks, stop, residual_in(A, p, pixels) if stop else None)
+    known = checks.photons(photons)
+    checks.stop(stop)
     checks.done()
-    require_memory(SART, A, best.volumes)
+    require_memory(SART, A, *_more(stop))
+    best = BestPass(error_estimate(A, p, pixels, known) if stop else None)
     x = start_volume(A, x0, nonnegative)
     if x0 is not None:
         best.start(x)
@@ -116,11 +123,16 @@ def sart(
     return Volume(work.array, A.grid, best.extras)
 
 
+def _more(stop: StopName | None) -> tuple[float, float]:
+    """Return the memory that the rule takes: volumes, and copies of the projections."""
+    return (VOLUMES, PROJECTIONS) if stop else (0.0, 0.0)
+
+
 SART = Algorithm(
     Sart,
     partial(solve_by, sart),
     volumes=1,
-    extra_volumes=lambda own: VOLUMES if own.stop else 0.0,
+    extra=lambda own: _more(own.stop),
     resumes=True,
     updates=lambda _, views: views,
 )

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from twinct.core.settings import facts
 from twinct.recon.order import OrderName
-from twinct.recon.stopping import StopName
 
 _PAPER = facts(source="the paper")
 
@@ -34,11 +33,12 @@ Ordering = Annotated[
 Subsets = Annotated[
     int | None, Field(ge=1, description="Number of groups of views; by default one per 10 views.")
 ]
+StopName = Literal["auto"]
 Stop = Annotated[
     StopName | None,
     Field(
-        description="auto: stop before the first pass that makes the volume worse, as far as the "
-        "algorithm can tell (docs/algorithms.md); the number of passes is then the maximum."
+        description="auto: the algorithm chooses the number of passes (docs/algorithms.md); the "
+        "stated number is then the maximum."
     ),
 ]
 Nonnegative = Annotated[bool, Field(description="Whether voxels are kept at 0 or above.")]

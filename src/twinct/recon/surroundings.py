@@ -21,25 +21,21 @@ to explain little but the surroundings.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
-from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
-from twinct.recon.checks import Checks, Mask, mask_of, masked_image, remainder, start_volume
+from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.recon.checks import Checks, mask_of, masked_image, remainder, start_volume
+from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
-
-MOST_VIEWS = 16
-"""Number of views from which ``signs_beyond`` are taken."""
 
 
 def without_surroundings(
@@ -130,67 +126,6 @@ def without_surroundings(
     return rest
 
 
-@dataclass(frozen=True)
-class SignsBeyond:
-    """Signs that the object reaches beyond the grid.
-
-    Attributes:
-        beside: share of the attenuation on rays that miss the grid; about 0 for an object inside.
-        ratio: ratio of the largest to the smallest mean attenuation that a view shows in the grid;
-            about 1 for an object inside, or 1 if a view shows none.
-        at_rim: mean line integral of the panel's outermost rays that count, relative to the mean
-            of all rays; about 0 if every view shows the whole object.
-    """
-
-    beside: float
-    ratio: float
-    at_rim: float
-
-
-def signs_beyond(
-    A: Projector, line_integrals: ArrayLike, mask: ArrayLike | None = None
-) -> SignsBeyond:
-    """Return signs that the object reaches beyond the grid, from up to 16 spread views.
-
-    Args:
-        A: the projector, with the grid that will be reconstructed.
-        line_integrals: p, (views, rows, columns).
-        mask: as in ``without_surroundings``.
-
-    Raises:
-        InputError: the line integrals or the mask do not fit the projector.
-    """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
-    checks.done()
-    beside = everywhere = at_rim = 0.0
-    rim_rays = rays = 0
-    means: list[float] = []
-    counting = rim = np.zeros(0, np.bool_)
-    for view in range(0, len(A), -(-len(A) // MOST_VIEWS)):
-        image, lengths = masked_image(p, view, pixels), A[view].chords()[0]
-        total = float(image.sum(dtype=np.float64))
-        missing = float(image[lengths == 0].sum(dtype=np.float64))
-        beside, everywhere = beside + missing, everywhere + total
-        means.append((total - missing) / max(float(lengths.sum(dtype=np.float64)), 1e-9))
-        if view == 0 or (pixels is not None and pixels.ndim == 3):
-            counting = np.ones(image.shape, np.bool_) if pixels is None else mask_of(pixels, view)
-            rim = counting & _rim(counting)
-        at_rim += float(image[rim].sum(dtype=np.float64))
-        rim_rays, rays = rim_rays + int(rim.sum()), rays + int(counting.sum())
-    if not everywhere > 0:
-        return SignsBeyond(0.0, 1.0, 0.0)
-    share = min(max(beside / everywhere, 0.0), 1.0)
-    ratio = max(means) / min(means) if min(means) > 0 else 1.0
-    return SignsBeyond(share, ratio, max(at_rim / max(rim_rays, 1), 0.0) / (everywhere / rays))
-
-
-def _rim(counting: Mask) -> Mask:
-    """Return the outermost pixels of the part of a panel that counts, with holes filled."""
-    filled = scipy.ndimage.binary_fill_holes(counting)
-    return filled & ~scipy.ndimage.binary_erosion(filled)
-
-
 def check_margin(
     geometry: ScanGeometry, grid: VolumeGrid, margin_mm: float | ArrayLike, voxel_mm: float
 ) -> None:
@@ -217,20 +152,6 @@ def surroundings_bytes(
     coarser = geometry.panel.rows // across * (geometry.panel.columns // up)
     pixels = len(geometry) * (math.prod(geometry.panel.shape) + coarser)
     return 4 * (math.prod(grid.shape) + 2 * math.prod(coarse.shape) + pixels)
-
-
-def coarse_grid(
-    grid: VolumeGrid, margin_mm: float | ArrayLike, voxel_mm: float | Floats
-) -> VolumeGrid:
-    """Return a grid larger by a margin, with voxel borders along the borders of the given grid."""
-    across = np.maximum(np.round(grid.size_mm / voxel_mm), 1).astype(int)
-    edges = grid.size_mm / across
-    margins = np.broadcast_to(np.asarray(margin_mm, dtype=np.float64), (2, 3))
-    below, above = np.ceil(margins / edges - 1e-9).astype(int)
-    place = grid.world_from_grid
-    if (below != above).any():
-        place = place @ Pose.from_matrix((above - below) * edges / 2, np.eye(3))
-    return VolumeGrid((across + below + above)[::-1].tolist(), edges, place)
 
 
 def _binning(geometry: ScanGeometry, coarse: VolumeGrid) -> tuple[int, int]:

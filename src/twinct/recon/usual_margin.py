@@ -15,17 +15,19 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
-from twinct.recon.checks import Mask
+from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.levels import with_margin
+from twinct.recon.order import spread_order
 from twinct.recon.projector import Projector
 from twinct.recon.resolution import binned
-from twinct.recon.sart import sart
+from twinct.recon.signs_beyond import signs_beyond
 from twinct.recon.steps import sum_of_squares
-from twinct.recon.surroundings import signs_beyond
+from twinct.recon.working import WorkingVolume
 
 AIR_BESIDE, AIR_AT_RIM = 0.002, 0.01
 """Signs that something lies beyond the grid (``SignsBeyond``) up to which there is only air."""
@@ -96,10 +98,12 @@ class _SmallScan:
     def left_by(self, margin: float) -> float:
         """Return the root of the sum of squares that a volume with a margin leaves."""
         A = self.A.on(with_margin(self.A.geometry, self.A.grid, self.factor, margin))
-        x = sart(
-            A, self.p, iterations=PASSES, relaxation=1.0, nonnegative=True, mask=self.pixels
-        ).array
-        rest = self.p - A(x)
+        work = WorkingVolume(A.kernels, np.zeros(A.domain_shape, np.float32))
+        for view in PASSES * spread_order(len(A)).tolist():
+            image, mask = masked_image(self.p, view, self.pixels), mask_of(self.pixels, view)
+            A.update(work.held, view, image, relaxation=1.0, mask=mask, floor=0.0)
+            work.changed()
+        rest = self.p - A(work.array)
         if self.pixels is not None:
             rest *= self.pixels
         return math.sqrt(sum_of_squares(rest))

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.recon.projector import Projector
-from twinct.recon.surroundings import signs_beyond
+from twinct.recon.signs_beyond import signs_beyond
+from twinct.recon.thin_parts import mean_thickness
 from twinct.recon.unexplained import Unexplained, typical_attenuation, unexplained
 from twinct.recon.volume import Volume
 from twinct.scan import Scan
@@ -41,6 +42,9 @@ DENSER, FEWEST_VOXELS = 3.0, 27
 SOME_BESIDE = 0.01
 """Share of the attenuation on rays beside the grid from which something may lie around it."""
 
+THIN, SPARSE = 1.8, 0.12
+"""Thickness of parts in voxels, and their share of the grid, below which ``fast`` may fail."""
+
 
 def doubt_of_grid(
     A: Projector, integrals: NDArray[np.float32], pixels: NDArray[np.bool_] | None
@@ -67,6 +71,18 @@ def doubt_of_prior(volume: Volume) -> str | None:
         "the prior does not help: volumes from four fifths of the views predict the others no "
         f"better with it than without it (residuals {ratio:.3f} times as large); is it of the same "
         "object, and sharp enough? fista_tv works without a prior"
+    )
+
+
+def doubt_of_thin_parts(volume: Volume) -> str | None:
+    """Return a warning if the object consists of parts that are too thin for ``fast``."""
+    thickness, share = mean_thickness(volume.array)
+    if thickness >= THIN or share >= SPARSE:
+        return None
+    return (
+        f"the object consists of parts about {thickness:.1f} voxels thick: there, fast can leave "
+        "up to twice the error of sart with 10 passes, and stop: auto, which uses it, can end too "
+        "early; use smaller voxels (reconstruction.grid), or sart with a fixed number of passes"
     )
 
 

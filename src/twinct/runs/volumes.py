@@ -162,7 +162,7 @@ def _reconstruct(
             return _counted(Volume(finished, grid, results), section, done)
     # Only here: few modules at the start.
     from twinct.recon.unexplained import compared_views
-    from twinct.runs.model_doubts import doubt_of_prior, judged_by_rays
+    from twinct.runs.model_doubts import doubt_of_prior, doubt_of_thin_parts, judged_by_rays
 
     A = projector_of(scan, poses, grid)
     integrals, metal, warnings = _corrected(scan, A, algorithm, pixels, audience)
@@ -188,6 +188,8 @@ def _reconstruct(
         _counted(volume, section, done), A, integrals, scan, pixels, residuals
     )
     _warn(audience, warnings, doubt, doubt_of_prior(volume))
+    if algorithm.name == "fast" or getattr(section, "stop", None):
+        _warn(audience, warnings, doubt_of_thin_parts(volume))
     if warnings:
         volume = replace(volume, extras={**volume.extras, "warnings": warnings})
     saved.keep_results(volume)
@@ -384,7 +386,7 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
         # Plus measured and corrected line integrals, and path lengths in the dense material.
         stages["implants"] = held + 12 * pixels + implant_bytes(voxels, pixels)
     held += motion_bytes(scenario, len(views))
-    own = peak_bytes(algorithm, voxels, pixels, algorithm.extra_volumes(section))
+    own = peak_bytes(algorithm, voxels, pixels, *algorithm.extra(section))
     stages[algorithm.name] = held + own
     return stages
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.geometry.arrays import Floats
+from twinct.geometry.grid import VolumeGrid
+from twinct.geometry.scan import ScanGeometry
 
 BOUNDARY_SLACK_PX = 1e-9
 """Tolerance for voxel centres on the boundary: rounding must not break the symmetry of a scan."""

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from twinct.evaluation import region_of_interest
-from twinct.evaluation.region import views_needed
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.geometry.region import views_needed
 
 
 @pytest.fixture
