@@ -295,6 +295,22 @@ def test_an_object_beyond_the_grid_is_named_with_its_cure(scan, caplog):
     assert "beyond the grid" not in caplog.text
 
 
+@pytest.mark.parametrize(
+    ("radius_mm", "keys", "is_named"),
+    [
+        (6.0, {"algorithm": "fast"}, True),
+        (6.0, {"stop": "auto"}, True),
+        (6.0, {}, False),
+        (40.0, {"algorithm": "fast"}, False),
+    ],
+)
+def test_parts_that_are_too_thin_for_fast_are_named(scan, caplog, radius_mm, keys, is_named):
+    """Balls in voxels of 5 mm; ``sart`` alone does not depend on ``fast``."""
+    volume = reconstruct(scan(radius_mm), **keys)
+    named = [one for one in volume.extras.get("warnings", []) if "voxels thick" in one]
+    assert bool(named) == ("voxels thick" in caplog.text) == is_named
+
+
 def moved(geometry, millimetres):
     """The geometry with each view's panel off by some of these."""
     off = np.random.default_rng(1).normal(0, millimetres, (len(geometry), 2))

@@ -65,9 +65,10 @@ def usual_margin(A: Projector, p: NDArray[Any], pixels: Mask | None, factor: int
         try:
             for larger in (factor, scan.factor):
                 with_margin(A.geometry, A.grid, larger, margin)
-        except InputError:
+        except InputError as error:
             if not possible:
-                raise
+                cure = "state a smaller margin of fast (reconstruction.margin), or 0"
+                raise InputError(f"{one}; {cure}" for one in error.problems) from None
             break
         possible.append(margin)
     most = AS_LITTLE * scan.left_by(possible[-1])
