@@ -31,7 +31,6 @@ from twinct.recon import (
     sirt,
     without_surroundings,
 )
-from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.denoise import lower_variation
 from twinct.recon.resolution import binned
 from twinct.recon.volume import Volume
@@ -55,7 +54,7 @@ class Case:
         transmission, _ = binned(scan.transmission[views], None, (factor, factor))
         truth = Volume.read(Path(folder) / "truth.nii").array
         self.p = line_integrals(transmission)
-        self.grid = coarse_grid(grid, 0.0, factor * grid.voxel)
+        self.grid = grid.with_voxels(factor * grid.voxel)
         self.truth = fewer_voxels(truth, factor)
         self.region = region_of_interest(scan.executed.geometry(panel)[views], self.grid)
         self.mu = float(truth.max())

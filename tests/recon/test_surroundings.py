@@ -7,7 +7,6 @@ from twinct.core.errors import InputError
 from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector, cgls, sart, without_surroundings
-from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.resolution import interpolated
 from twinct.recon.signs_beyond import signs_beyond
 
@@ -93,7 +92,7 @@ def test_few_views_need_to_know_what_the_grid_holds(circle, ellipsoid_integrals)
 
 def test_coarse_planes_include_the_borders_of_the_grid():
     grid = VolumeGrid((50, 40, 30), (1.0, 1.1, 0.9))
-    coarse = coarse_grid(grid, 11.0, 4.0)
+    coarse = grid.with_voxels(4.0, 11.0)
     margin = (coarse.size_mm - grid.size_mm) / 2
     assert (margin >= 11.0).all()
     np.testing.assert_allclose(margin / coarse.voxel, np.round(margin / coarse.voxel), atol=1e-9)
@@ -114,7 +113,7 @@ def test_margins_may_differ_from_side_to_side():
     place = Pose.from_euler((5, -3, 2), (10, 20, 30))
     grid = VolumeGrid((50, 40, 30), (1.0, 1.1, 0.9), place)
     below, above = np.array([4.0, 0.0, 9.0]), np.array([0.0, 13.0, 2.0])
-    coarse = coarse_grid(grid, (below, above), 4.0)
+    coarse = grid.with_voxels(4.0, (below, above))
     middle = grid.world_from_grid.inverse().apply(coarse.world_from_grid.position)
     for side, least in ((-1, below), (1, above)):
         spare = coarse.size_mm / 2 + side * middle - grid.size_mm / 2
@@ -125,7 +124,7 @@ def test_margins_may_differ_from_side_to_side():
 def test_a_volume_stays_where_it_is_between_grids():
     place = Pose.from_euler((5, -3, 2), (10, 20, 30))
     fine = VolumeGrid((12, 14, 16), 1.0, place)
-    coarse = coarse_grid(fine, ((4.0, 0.0, 9.0), (0.0, 13.0, 2.0)), 4.0)
+    coarse = fine.with_voxels(4.0, ((4.0, 0.0, 9.0), (0.0, 13.0, 2.0)))
 
     def ramp(grid):
         k, j, i = np.indices(grid.shape).reshape(3, -1)

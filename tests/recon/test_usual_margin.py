@@ -56,5 +56,7 @@ def test_it_stays_in_front_of_the_sources(scan):
     for sod, margin in ((60.0, 0.3), (54.0, 0.2), (48.0, 0.1)):
         assert usual_margin(*scan(ending(14), sod=sod), None, FACTOR) == margin
     A, p = scan(ending(14), sod=42.0)
-    with pytest.raises(InputError, match=r"with a margin of 0\.1 .* behind .* \(reconstruction\.margin\), or 0"):
+    with pytest.raises(
+        InputError, match=r"with a margin of 0\.1 .* behind .* \(reconstruction\.margin\), or 0"
+    ):
         usual_margin(A, p, None, FACTOR)

@@ -14,7 +14,7 @@ from twinct.core.errors import InputError, MemoryShortageError
 from twinct.geometry import ScanGeometry
 from twinct.observers import StageEnded, audience
 from twinct.recon import Projector, memory
-from twinct.recon.error_estimate import PROJECTIONS, VOLUMES
+from twinct.recon.stopping import PROJECTIONS, VOLUMES
 from twinct.recon.unexplained import Unexplained, unexplained
 from twinct.recon.volume import Volume
 from twinct.runs import (

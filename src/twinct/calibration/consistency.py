@@ -27,7 +27,6 @@ from twinct.core.errors import InputError
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.recon import Projector, fista_tv, sart
-from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.volume import Volume
 
@@ -134,7 +133,7 @@ def self_calibrated(
     with progress.stage("self-calibration", len(rounds)) as step:
         for one in rounds:
             p, counts = binned(line_integrals, mask, (one.factor, one.factor))
-            coarse = coarse_grid(grid, 0.0, one.factor * grid.voxel)
+            coarse = grid.with_voxels(one.factor * grid.voxel)
             geometry = free.all(believed, change)
             A = Projector(geometry.binned(one.factor, one.factor), coarse)
             volume = _fitted(A, p, counts, one.passes, volume)

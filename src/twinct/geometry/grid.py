@@ -73,6 +73,23 @@ class VolumeGrid:
         local[:3, 3] = self.first_voxel_mm
         return self.world_from_grid.matrix @ local
 
+    def with_voxels(self, voxel_mm: float | Floats, margin_mm: ArrayLike = 0.0) -> VolumeGrid:
+        """Return a grid of other voxels, larger by a margin, with voxel borders along this one's.
+
+        Args:
+            voxel_mm: voxel edges, adjusted so that a whole number of them spans this grid.
+            margin_mm: margin on each side; or for each axis; or ((x, y, z), (x, y, z)) on the lower
+                and on the upper sides. It is rounded up to whole voxels.
+        """
+        across = np.maximum(np.round(self.size_mm / voxel_mm), 1).astype(int)
+        edges = self.size_mm / across
+        margins = np.broadcast_to(np.asarray(margin_mm, dtype=np.float64), (2, 3))
+        below, above = np.ceil(margins / edges - 1e-9).astype(int)
+        place = self.world_from_grid
+        if (below != above).any():
+            place = place @ Pose.from_matrix((above - below) * edges / 2, np.eye(3))
+        return VolumeGrid((across + below + above)[::-1].tolist(), edges, place)
+
     def __eq__(self, other: object) -> bool:
         """Compare two lattices, to the last bit."""
         return (

@@ -38,10 +38,6 @@ FAINTEST = 0.1
 AROUND = 2
 """Distance from these voxels within which others count as well, in voxels: edges lie there."""
 
-VOLUMES, PROJECTIONS = 2.5, 0.5
-"""Peak memory of an algorithm that ends by the estimate, in addition to its own: the volume of
-``fast``, the one before a pass, and masks; and half of the projections, while ``fast`` runs."""
-
 
 def error_estimate(
     A: Projector, p: Singles, pixels: Mask | None, photons: NDArray[np.float64] | None

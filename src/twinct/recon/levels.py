@@ -24,7 +24,6 @@ from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon.blocks import EDGE, EVERYWHERE, Blocks
 from twinct.recon.checks import Mask, mask_of, masked_image
-from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.resolution import Between, binned, blended, each_plane, interpolated
@@ -173,7 +172,7 @@ class Level:
 def with_margin(views: ScanGeometry, grid: VolumeGrid, factor: int, margin: float) -> VolumeGrid:
     """Return the grid of a level; raise InputError unless it lies in front of all sources."""
     size = margin * grid.size_mm
-    wide = coarse_grid(grid, size, factor * grid.voxel)
+    wide = grid.with_voxels(factor * grid.voxel, size)
     try:
         check_grid(views, wide)
     except InputError as error:
@@ -233,7 +232,7 @@ def _images(coarse: Projector, rest: Singles, *, only_quiet: bool) -> Singles:
     """Return the line integrals of a rest; in pixels and voxels twice as large if it is quiet."""
     grid, views = coarse.grid, coarse.geometry
     if only_quiet and min(*grid.shape, *views.panel.shape) >= 2 * SMALLEST:
-        larger = coarse_grid(grid, 0.0, 2 * grid.voxel)
+        larger = grid.with_voxels(2 * grid.voxel)
         return coarse.on(larger, views.binned(2, 2))(interpolated(rest, grid, larger))
     part = coarse.within(Blocks.holding(rest)) if coarse.leaves_out else coarse
     return part(rest)

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.checks import Checks, Mask, counting_rays
-from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 from twinct.recon.resolution import binned
@@ -78,7 +77,7 @@ def registered(
     pose = start or Pose.identity()
     smallest = min(*A.domain_shape, *A.range_shape[1:])
     for factor in [f for f in FACTORS if FEWEST <= smallest // f <= MOST] or [1]:
-        grid = coarse_grid(A.grid, 0.0, factor * A.grid.voxel)
+        grid = A.grid.with_voxels(factor * A.grid.voxel)
         level = A.on(grid, A.geometry.binned(factor, factor))
         pose = _at_level(level, *binned(p, pixels, (factor, factor)), prior, pose)
     if not covered(moved(prior.grid, pose), A.grid).any():

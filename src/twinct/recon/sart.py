@@ -21,17 +21,18 @@ from __future__ import annotations
 from functools import partial
 from typing import Literal
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
-from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
-from twinct.recon.error_estimate import PROJECTIONS, VOLUMES, error_estimate
+from twinct.recon.checks import Checks, Mask, mask_of, masked_image, start_volume
+from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxation, Stop, StopName
 from twinct.recon.steps import Callback, Listener, residual_of
-from twinct.recon.stopping import BestPass
+from twinct.recon.stopping import PROJECTIONS, VOLUMES, BestPass, Estimate
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -103,7 +104,7 @@ def sart(
     checks.stop(stop)
     checks.done()
     require_memory(SART, A, *_more(stop))
-    best = BestPass(error_estimate(A, p, pixels, known) if stop else None)
+    best = BestPass(_estimate(A, p, pixels, known) if stop else None)
     x = start_volume(A, x0, nonnegative)
     if x0 is not None:
         best.start(x)
@@ -121,6 +122,14 @@ def sart(
             if over or listener(iteration, update, square, rays, work):
                 return Volume(work.array, A.grid, best.extras)
     return Volume(work.array, A.grid, best.extras)
+
+
+def _estimate(
+    A: Projector, p: Singles, pixels: Mask | None, photons: NDArray[np.float64] | None
+) -> Estimate:
+    from twinct.recon.error_estimate import error_estimate  # only here: few modules at the start
+
+    return error_estimate(A, p, pixels, photons)
 
 
 def _more(stop: StopName | None) -> tuple[float, float]:

@@ -29,7 +29,6 @@ from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.checks import Checks, mask_of, masked_image, remainder, start_volume
-from twinct.recon.coarse_grid import coarse_grid
 from twinct.recon.engine import Singles
 from twinct.recon.memory import advice, refuse_if_short
 from twinct.recon.projector import Projector, check_grid
@@ -92,7 +91,7 @@ def without_surroundings(
         )
     expected = checks.start(expected, A.domain_shape, "expected")
     checks.done()
-    coarse = coarse_grid(grid, margins, voxel_mm)
+    coarse = grid.with_voxels(voxel_mm, margins)
     factors = _binning(geometry, coarse)
     refuse_if_short(
         surroundings_bytes(geometry, grid, margin_mm=margins, voxel_mm=voxel_mm),
@@ -135,7 +134,7 @@ def check_margin(
         InputError: the coarse grid reaches behind a source.
     """
     try:
-        check_grid(geometry, coarse_grid(grid, margin_mm, voxel_mm))
+        check_grid(geometry, grid.with_voxels(voxel_mm, margin_mm))
     except InputError as error:
         widest = float(np.max(margin_mm))
         raise InputError(
@@ -147,7 +146,7 @@ def surroundings_bytes(
     geometry: ScanGeometry, grid: VolumeGrid, *, margin_mm: float | ArrayLike, voxel_mm: float
 ) -> int:
     """Return the bytes that ``without_surroundings`` needs besides the given line integrals."""
-    coarse = coarse_grid(grid, margin_mm, voxel_mm)
+    coarse = grid.with_voxels(voxel_mm, margin_mm)
     across, up = _binning(geometry, coarse)
     coarser = geometry.panel.rows // across * (geometry.panel.columns // up)
     pixels = len(geometry) * (math.prod(geometry.panel.shape) + coarser)

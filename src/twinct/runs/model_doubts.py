@@ -14,6 +14,7 @@ from twinct.recon.thin_parts import mean_thickness
 from twinct.recon.unexplained import Unexplained, typical_attenuation, unexplained
 from twinct.recon.volume import Volume
 from twinct.scan import Scan
+from twinct.scenario import Reconstruction
 
 MUCH_BESIDE = 0.2
 """Share of the attenuation on rays beside the grid from which the user is warned."""
@@ -74,8 +75,10 @@ def doubt_of_prior(volume: Volume) -> str | None:
     )
 
 
-def doubt_of_thin_parts(volume: Volume) -> str | None:
-    """Return a warning if the object consists of parts that are too thin for ``fast``."""
+def doubt_of_thin_parts(volume: Volume, section: Reconstruction) -> str | None:
+    """Return a warning if ``fast`` was used, and the object's parts are too thin for it."""
+    if section.algorithm != "fast" and getattr(section, "stop", None) is None:
+        return None
     thickness, share = mean_thickness(volume.array)
     if thickness >= THIN or share >= SPARSE:
         return None

@@ -187,9 +187,7 @@ def _reconstruct(
     volume, doubt = judged_by_rays(
         _counted(volume, section, done), A, integrals, scan, pixels, residuals
     )
-    _warn(audience, warnings, doubt, doubt_of_prior(volume))
-    if algorithm.name == "fast" or getattr(section, "stop", None):
-        _warn(audience, warnings, doubt_of_thin_parts(volume))
+    _warn(audience, warnings, doubt, doubt_of_prior(volume), doubt_of_thin_parts(volume, section))
     if warnings:
         volume = replace(volume, extras={**volume.extras, "warnings": warnings})
     saved.keep_results(volume)
