@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from twinct.core.errors import InputError
-from twinct.geometry import Panel, VolumeGrid
+from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector
+from twinct.recon.deformation import Deformation
+from twinct.recon.moving import MovingProjector
 from twinct.recon.usual_margin import usual_margin
 
 FACTOR = 4
@@ -41,6 +43,13 @@ def test_it_is_narrow_if_the_panel_cuts_the_object(scan):
     """No ray tells apart what lies beyond all of them."""
     A, p = scan(((0, 0, 0), (34, 34, 34)), panel=54)
     assert usual_margin(A, p, None, FACTOR) == 0.1
+
+
+def test_it_is_the_same_for_a_body_that_could_move(scan):
+    A, p = scan(ending(9))
+    still = Deformation(lambda points: 0.0 * points, Pose.identity())
+    moving = MovingProjector(A.geometry, A.grid, [still] * len(A))
+    assert usual_margin(moving, p, None, FACTOR) == 0.2
 
 
 @pytest.mark.parametrize("of_each_view", [False, True])

@@ -94,7 +94,7 @@ class _SmallScan:
         mask = pixels if pixels is None or pixels.ndim == 2 else pixels[few]
         rows, columns = (min(factor, n) for n in A.range_shape[1:])
         views = A[few].geometry.binned(rows, columns)
-        return cls(A.on(A.grid, views), *binned(p[few], mask, (rows, columns)), factor)
+        return cls(A[few].on(A.grid, views), *binned(p[few], mask, (rows, columns)), factor)
 
     def left_by(self, margin: float) -> float:
         """Return the root of the sum of squares that a volume with a margin leaves."""
