@@ -29,7 +29,7 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
     """Add results to the description of a volume, in one line; implants have a table instead."""
     words: list[str] = []
     if "passes" in data:
-        words.append(f"{data['passes']} were best")
+        words.append("1 pass" if data["passes"] == 1 else f"{data['passes']} passes")
     if "metal_voxels" in data:
         words.append(f"{data['metal_voxels'] or 'no'} metal voxels")
     if density := data.get("metal_density_rel"):

@@ -337,7 +337,7 @@ def _counted(volume: Volume, section: Reconstruction, before: int) -> Volume:
     if getattr(section, "stop", None) is None:
         return volume
     passes = before + volume.extras.get("passes", 0)
-    log.info("the best volume took %d passes", passes)
+    log.info("the volume took %d passes", passes)
     return replace(volume, extras={**volume.extras, "passes": passes})
 
 
