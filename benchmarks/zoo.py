@@ -28,10 +28,10 @@ from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, THIN, TUNING, Made
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import cgls, fast, sart, without_surroundings
 from twinct.recon.denoise import lower_variation
-from twinct.recon.fast import Fast
 from twinct.recon.signs_beyond import signs_beyond
+from twinct.recon.thin_parts import mean_thickness
 from twinct.recon.unexplained import compared_views, unexplained
-from twinct.runs.model_doubts import MUCH_BESIDE, UNEQUAL, doubt_of_thin_parts, leaves_much
+from twinct.runs.model_doubts import MUCH_BESIDE, SPARSE, TOO_THIN, UNEQUAL, leaves_much
 
 PASSES, RELAXATIONS = 20, (0.1, 0.3, 1.0)
 DENOISED = (1, 2, 3, 4, 6, 8, 12, 16, 20)
@@ -120,7 +120,8 @@ def of_fast(made):
     volume = fast(made.A, p, **keys)
     seconds = time.process_time() - start
     found = {"error": made.error(volume.array), "seconds": seconds, "warned": bool(warned)}
-    thin = doubt_of_thin_parts(volume, Fast()) is not None
+    thickness, share = mean_thickness(volume.array)
+    thin = bool(thickness < TOO_THIN and share < SPARSE)
     return {"fast": found | {"denoising": volume.extras["denoising"], "thin": thin}}
 
 

@@ -43,7 +43,7 @@ DENSER, FEWEST_VOXELS = 3.0, 27
 SOME_BESIDE = 0.01
 """Share of the attenuation on rays beside the grid from which something may lie around it."""
 
-THIN, SPARSE = 1.8, 0.12
+TOO_THIN, SPARSE = 1.8, 0.12
 """Thickness of parts in voxels, and their share of the grid, below which ``fast`` may fail."""
 
 
@@ -80,7 +80,7 @@ def doubt_of_thin_parts(volume: Volume, section: Reconstruction) -> str | None:
     if section.algorithm != "fast" and getattr(section, "stop", None) is None:
         return None
     thickness, share = mean_thickness(volume.array)
-    if thickness >= THIN or share >= SPARSE:
+    if thickness >= TOO_THIN or share >= SPARSE:
         return None
     return (
         f"the object consists of parts about {thickness:.1f} voxels thick: there, fast can leave "
