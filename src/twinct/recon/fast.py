@@ -455,6 +455,9 @@ FAST = Algorithm(
     updates=lambda own, views: (
         # About: the usual number of passes depends on the grid and on the residual.
         views
-        * ((own.passes or 4) + (own.coarse_passes or COARSE_PASSES) * (2 ** (own.levels - 1) - 1))
+        * (
+            (min(own.passes or 4, 4) if own.stop else own.passes or 4)
+            + (own.coarse_passes or COARSE_PASSES) * (2 ** (own.levels - 1) - 1)
+        )
     ),
 )
