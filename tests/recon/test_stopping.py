@@ -222,6 +222,16 @@ def test_the_estimate_is_the_distance_to_fast_near_what_every_view_sees(case):
     assert estimate(stand_in + np.float32(0.01) * far) < estimate(changed)
 
 
+def test_the_updates_of_fast_are_reported_before_the_first_pass(case):
+    A, p, _ = case()
+    expected, heard = [], []
+    fast(A, p, callback=lambda step: expected.append(step.residual))
+    told = {"preparing": lambda step: heard.append(step.residual), "callback": heard.append}
+    sart(A, p, iterations=1, relaxation=0.3, stop="auto", **told)
+    assert heard[: len(expected)] == expected
+    assert len(heard) == len(expected) + VIEWS
+
+
 def test_what_no_view_sees_whole_does_not_count(circle, ellipsoid_integrals):
     """The panel cuts a body; only the middle is in every view."""
     geometry = circle(VIEWS, Panel(64, 24, 2.0, 2.0))

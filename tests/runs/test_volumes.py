@@ -12,7 +12,7 @@ from waiting import HANG_S
 from twinct.core import card
 from twinct.core.errors import InputError, MemoryShortageError
 from twinct.geometry import ScanGeometry
-from twinct.observers import StageEnded, audience
+from twinct.observers import IterationDone, Observer, StageEnded, StageStep, audience
 from twinct.recon import Projector, memory
 from twinct.recon.stopping import PROJECTIONS, VOLUMES
 from twinct.recon.unexplained import Unexplained, unexplained
@@ -24,6 +24,7 @@ from twinct.runs import (
     require_feasible,
     volumes,
 )
+from twinct.runs.checkpoints import Follower
 from twinct.runs.integrals import hardening_corrected
 from twinct.runs.model_doubts import judged_by_rays, leaves_much
 from twinct.runs.volumes import memory_needed
@@ -269,6 +270,23 @@ def test_progress_ends_at_its_total_though_there_are_more_passes(scan, monkeypat
     reconstruct(fine, algorithm="fast", levels=1, observers=[heard.append])
     (ended,) = (event for event in heard if isinstance(event, StageEnded))
     assert ended.done == ended.total == 12 * 4
+
+
+def test_progress_counts_the_updates_of_fast_that_show_the_best_pass(scan, monkeypatch):
+    heard, prepared = [], []
+    prepare = Follower.prepare
+    monkeypatch.setattr(
+        Follower, "prepare", lambda self, step: prepared.append(step) or prepare(self, step)
+    )
+    stops = scan(stop="auto", iterations=2, relaxation=0.1)
+    reconstruct(stops, observers=[Observer(heard.append, lossless=True)])
+    first = next(n for n, event in enumerate(heard) if isinstance(event, IterationDone))
+    steps = [event.done for event in heard[:first] if isinstance(event, StageStep)]
+    expected = 12 * (4 + 2 * 3)
+    assert len(prepared) > 12
+    assert steps[-1] == expected + 12
+    (ended,) = (event for event in heard if isinstance(event, StageEnded))
+    assert ended.done == ended.total == expected + 2 * 12
 
 
 def test_stopping_takes_memory_for_the_volumes_of_fast_and_of_the_pass_before(scan):

@@ -43,6 +43,7 @@ class Problem:
         x0: initial volume, (z, y, x).
         rng: generator or seed for random draws.
         callback: called after each update; see ``Step``.
+        preparing: called after each update that precedes the first pass.
         exposures: mAs of each view, (views,), in one unit for all; None: equal exposures.
         photons: photons of a pixel in the free beam, by view, (views,); None: unknown.
         alone: the line integrals are those of the grid, without its surroundings.
@@ -57,6 +58,7 @@ class Problem:
     x0: NDArray[np.float32] | None = None
     rng: np.random.Generator | int = 0
     callback: Callback | None = None
+    preparing: Callback | None = None
     exposures: NDArray[np.float64] | None = None
     photons: NDArray[np.float64] | None = None
     alone: bool = False
@@ -85,6 +87,7 @@ class Algorithm(Generic[SettingsT]):
         resumes: n iterations, then m from their result as ``x0``, equal n + m, to the last bit.
         masks: the algorithm can leave pixels out; otherwise a mask is refused.
         updates: updates per pass, from settings and number of views, for the progress.
+        prepares: likewise, about the number of updates that precede the first pass.
         check: raises InputError, before any work, for keys, their files, views or a grid that the
             algorithm cannot work with.
         extra: memory in addition to ``volumes`` and ``projections``, from the settings: volumes,
@@ -100,6 +103,7 @@ class Algorithm(Generic[SettingsT]):
     resumes: bool = False
     masks: bool = True
     updates: Callable[[SettingsT, int], int] = field(default=lambda settings, views: 1)
+    prepares: Callable[[SettingsT, int], int] = field(default=lambda settings, views: 0)
     check: Callable[[SettingsT, ScanGeometry, VolumeGrid], object] = field(
         default=lambda own, views, grid: None
     )

@@ -27,7 +27,7 @@ from twinct.recon.checks import Mask
 from twinct.recon.engine import Singles
 from twinct.recon.fast import fast
 from twinct.recon.projector import Projector
-from twinct.recon.steps import sum_of_squares
+from twinct.recon.steps import Callback, sum_of_squares
 from twinct.recon.stopping import Estimate
 
 log = logging.getLogger(__name__)
@@ -40,7 +40,11 @@ AROUND = 2
 
 
 def error_estimate(
-    A: Projector, p: Singles, pixels: Mask | None, photons: NDArray[np.float64] | None
+    A: Projector,
+    p: Singles,
+    pixels: Mask | None,
+    photons: NDArray[np.float64] | None,
+    callback: Callback | None = None,
 ) -> Estimate:
     """Return a function of a volume: the root mean square of its difference from that of ``fast``.
 
@@ -52,9 +56,10 @@ def error_estimate(
         p: line integrals, (views, rows, columns).
         pixels: mask, as in ``fast``.
         photons: photons of a pixel in the free beam, by view, (views,), if known.
+        callback: called after each update of ``fast``.
     """
     log.info("the volume of fast will show the best pass")
-    stand_in = fast(A, p, mask=pixels, photons=photons).array
+    stand_in = fast(A, p, mask=pixels, photons=photons, callback=callback).array
     counts = stand_in > FAINTEST * np.percentile(stand_in[::2, ::2, ::2], 99.9)
     counts = scipy.ndimage.binary_dilation(counts, iterations=AROUND)
     seen = counts & region_of_interest(A.geometry, A.grid)

@@ -62,6 +62,7 @@ def sart(
     stop: StopName | None = None,
     photons: ArrayLike | None = None,
     callback: Callback | None = None,
+    preparing: Callback | None = None,
 ) -> Volume:
     """Reconstruct a volume from line integrals, one view per update.
 
@@ -86,6 +87,7 @@ def sart(
             update of the pass after it is not reported.
         photons: as in ``fast``, which ``stop`` needs.
         callback: called after each update; see ``Step``. True stops.
+        preparing: called after each update of ``fast``, with ``stop``.
 
     Returns:
         The volume; with ``stop``, its extras hold the number of ``passes`` that made it.
@@ -104,7 +106,7 @@ def sart(
     checks.stop(stop)
     checks.done()
     require_memory(SART, A, *_more(stop))
-    best = BestPass(_estimate(A, p, pixels, known) if stop else None)
+    best = BestPass(_estimate(A, p, pixels, known, preparing) if stop else None)
     x = start_volume(A, x0, nonnegative)
     if x0 is not None:
         best.start(x)
@@ -125,16 +127,28 @@ def sart(
 
 
 def _estimate(
-    A: Projector, p: Singles, pixels: Mask | None, photons: NDArray[np.float64] | None
+    A: Projector,
+    p: Singles,
+    pixels: Mask | None,
+    photons: NDArray[np.float64] | None,
+    preparing: Callback | None,
 ) -> Estimate:
     from twinct.recon.error_estimate import error_estimate  # only here: few modules at the start
 
-    return error_estimate(A, p, pixels, photons)
+    return error_estimate(A, p, pixels, photons, preparing)
 
 
 def _more(stop: StopName | None) -> tuple[float, float]:
     """Return the memory that the rule takes: volumes, and copies of the projections."""
     return (VOLUMES, PROJECTIONS) if stop else (0.0, 0.0)
+
+
+def _prepares(own: Sart, views: int) -> int:
+    if not own.stop:
+        return 0
+    from twinct.recon.fast import FAST, Fast  # only here, as in ``_estimate``
+
+    return FAST.updates(Fast(), views)
 
 
 SART = Algorithm(
@@ -144,4 +158,5 @@ SART = Algorithm(
     extra=lambda own: _more(own.stop),
     resumes=True,
     updates=lambda _, views: views,
+    prepares=_prepares,
 )

@@ -31,13 +31,24 @@ OF_RAYS = "unexplained", "warnings"
 
 @dataclass
 class Follower:
-    """Callback of an algorithm: reports progress, sums up residuals, writes checkpoints."""
+    """Callback of an algorithm: reports progress, sums up residuals, writes checkpoints.
+
+    Attributes:
+        tick: advances the progress by one update.
+        checkpoints: where volumes are written.
+        on_iteration: called after each pass, with its number, residual and volume.
+        done: number of passes that an earlier run made.
+        residuals: residual of each pass.
+        prepares: number of updates expected before the first pass.
+        updates: number of updates expected, with those before the first pass.
+    """
 
     tick: Callable[[], None]
     checkpoints: Checkpoints
     on_iteration: Callable[[int, float, NDArray[np.float32]], None]
     done: int
     residuals: list[float]
+    prepares: int
     updates: int
     square: float = field(default=0.0, init=False)
     rays: int = field(default=0, init=False)
@@ -45,18 +56,21 @@ class Follower:
 
     def finish(self) -> None:
         """End the progress: an algorithm may stop early, or need fewer levels than it may have."""
-        while self.ticks < self.updates:
-            self._advance()
+        self._advance_to(self.updates)
 
-    def _advance(self) -> None:
-        """Show an update, unless the algorithm makes more of them than expected."""
-        if self.ticks < self.updates:
+    def prepare(self, step: Step) -> None:
+        """Hear of an update that precedes the first pass."""
+        self._advance_to(min(self.ticks + 1, self.prepares))
+
+    def _advance_to(self, updates: int) -> None:
+        """Show a number of updates, but no more than expected."""
+        while self.ticks < min(updates, self.updates):
             self.tick()
             self.ticks += 1
 
     def __call__(self, step: Step) -> None:
         """Hear of an update; at the end of a pass, write a checkpoint and report the pass."""
-        self._advance()
+        self._advance_to(max(self.ticks, self.prepares) + 1)
         self.square += step.rays * step.residual**2
         self.rays += step.rays
         if step.update + 1 < step.updates:

@@ -226,11 +226,14 @@ def _solved(
             now = iteration, iterations, residual, Volume(volume.copy(), grid)
             audience.tell(IterationDone(*course.named, *now))
 
-    stage = audience.stage(name, iterations * updates, done * updates)
+    prepares = algorithm.prepares(section, len(problem.projector))
+    total = prepares + iterations * updates
+    stage = audience.stage(name, total, done * updates)
     with keeping(lambda: saved.in_words(iterations)), stage as tick:
-        left = (iterations - done) * updates
-        follower = Follower(tick, saved, on_iteration, done, course.residuals, left)
-        volume = algorithm.solve(replace(problem, callback=follower), section)
+        left = total - done * updates
+        follower = Follower(tick, saved, on_iteration, done, course.residuals, prepares, left)
+        problem = replace(problem, callback=follower, preparing=follower.prepare)
+        volume = algorithm.solve(problem, section)
         follower.finish()
     return volume
 
