@@ -29,9 +29,9 @@ from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import cgls, fast, sart, without_surroundings
 from twinct.recon.denoise import lower_variation
 from twinct.recon.signs_beyond import signs_beyond
-from twinct.recon.thin_parts import mean_thickness
+from twinct.recon.thin_parts import SPARSE, mean_thickness
 from twinct.recon.unexplained import compared_views, unexplained
-from twinct.runs.model_doubts import MUCH_BESIDE, SPARSE, TOO_THIN, UNEQUAL, leaves_much
+from twinct.runs.model_doubts import MUCH_BESIDE, TOO_THIN, UNEQUAL, leaves_much
 
 PASSES, RELAXATIONS = 20, (0.1, 0.3, 1.0)
 DENOISED = (1, 2, 3, 4, 6, 8, 12, 16, 20)

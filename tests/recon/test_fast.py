@@ -13,6 +13,7 @@ from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.denoise import lower_variation, noise
 from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
+from twinct.recon.further_passes import FOR_THICK, SLOW_PASSES
 from twinct.recon.levels import QUIET_SHARE
 from twinct.recon.usual_passes import MOST_PASSES
 from twinct.report import with_results
@@ -134,6 +135,33 @@ def test_with_air_around_the_object_coarse_grids_have_no_margin(circle, ellipsoi
     assert set(shapes_of(A, whole, margin=0.2)) == {14, 28, 40}
     keys = {"coarse_passes": 2}
     np.testing.assert_array_equal(fast(A, whole, **keys), fast(A, whole, margin=0.0, **keys))
+
+
+def test_noise_does_not_widen_the_coarse_grids(circle, ellipsoid_integrals):
+    """A small ball: the noise at the border is a large part of the mean of all rays."""
+    geometry = circle(60, Panel(60, 64, 2.0, 2.0))
+    A = Projector(geometry, VolumeGrid((40, 40, 40), 1.0))
+    ball = 0.05 * ellipsoid_integrals(geometry, (4, -3, 2), (3, 3, 3))
+    for seed in range(5):
+        noise = np.random.default_rng(seed).normal(0, 0.05, A.range_shape)
+        assert set(shapes_of(A, ball + noise)) == {10, 20, 40}
+
+
+def test_thin_parts_in_air_are_reconstructed_again_with_small_updates(circle, ellipsoid_integrals):
+    """Wires; not so in a large body, in which they stand out like metal."""
+    A = Projector(circle(80, Panel(60, 64, 2.0, 2.0)), VolumeGrid((40, 40, 40), 1.0))
+    places = [((x, y, 0), (0.7, 0.7, 15)) for x, y in ((-9, 4), (2, -6), (8, 9))]
+    p = 0.1 * sum(ellipsoid_integrals(A.geometry, *place) for place in places)
+    body = 0.01 * ellipsoid_integrals(A.geometry, (0, 0, 0), (16, 16, 16))
+    seen = []
+    fast(A, p, callback=seen.append)
+    assert [step.update for step in seen] == list(range(len(seen)))
+    assert seen[-1].updates == len(seen)
+    assert shapes_of(A, p).count(40) >= 80 * (2 + SLOW_PASSES)
+    assert shapes_of(A, p + body).count(40) <= 80 * (2 + FOR_THICK)
+    for keys in ({"passes": 2}, {"levels": 2}, {"first_relaxation": 1.4}, {"margin": 0.1}):
+        assert shapes_of(A, p, **keys).count(40) == 80 * 2
+    assert shapes_of(A, p, stop="auto", passes=4).count(40) == 80 * 2
 
 
 def test_many_views_need_fewer_passes_in_coarse_voxels(circle, ellipsoid_integrals):

@@ -175,6 +175,20 @@ def test_dead_pixels_are_no_border(seen):
     assert seen(9, mask=cut).at_rim > 0.1
 
 
+def test_errors_of_the_signs_are_those_of_noise(circle):
+    """Of air alone, both signs are noise, whose deviation many draws show."""
+    A = Projector(circle(16, Panel(24, 24, 20.0, 20.0)), VolumeGrid((8, 8, 8), 5.0))
+    whole = A(np.full(A.domain_shape, 0.05, np.float32))
+    rng = np.random.default_rng(5)
+    drawn = [signs_beyond(A, whole + rng.normal(0, 0.05, A.range_shape)) for _ in range(200)]
+    # ``at_rim`` and ``beside`` are never negative: half of a normal distribution.
+    for size, error in (
+        ([one.beside for one in drawn], drawn[0].errors[0]),
+        ([one.at_rim for one in drawn], drawn[0].errors[1]),
+    ):
+        assert np.sqrt(2 * np.mean(np.square(size))) == pytest.approx(error, rel=0.2)
+
+
 def test_no_attenuation_gives_no_sign(circle):
     A = Projector(circle(4, Panel(6, 8, 20.0, 20.0)), VolumeGrid((4, 4, 4), 10.0))
     signs = signs_beyond(A, np.zeros(A.range_shape))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twinct.recon.thin_parts import mean_thickness
+from twinct.recon.thin_parts import are_thick, are_thin, mean_thickness
 
 COUNTED = 0.15
 """Relative error of areas that are counted in faces of voxels: 1.5 is the mean over directions."""
@@ -51,3 +51,15 @@ def test_noise_and_units_hardly_matter():
 
 def test_nothing_has_no_thickness():
     assert mean_thickness(np.zeros((8, 8, 8), np.float32)) == (np.inf, 0.0)
+
+
+def test_parts_are_thin_or_thick_by_their_thickness_and_share():
+    wire, plate, ball = body(from_line, 3), body(from_plane, 4), body(from_middle, 54)
+    assert are_thin(wire) and not are_thick(wire)
+    assert not are_thin(plate) and not are_thick(plate)
+    assert are_thick(ball) and not are_thin(ball)
+    small = body(from_middle, 24)  # as thick as a part may be, but far from filling the grid
+    assert not are_thick(small) and not are_thin(small)
+    many = np.zeros((60, 60, 60), np.float32)
+    many[::4] = 1  # thin, but not far apart
+    assert not are_thin(many)

@@ -31,7 +31,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,7 +54,13 @@ from twinct.recon.steps import Callback, Listener
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
+if TYPE_CHECKING:
+    from twinct.recon.further_passes import FurtherPasses
+
 log = logging.getLogger(__name__)
+
+LEVELS, FIRST_RELAXATION = 3, 1.5
+"""Usual number of resolutions, and relaxation of the first update of each."""
 
 COARSE_PASSES = 2
 """Usual passes of a level with voxels twice as large."""
@@ -92,7 +98,8 @@ class Fast(AlgorithmSettings):
         "three times as many views as voxels along an axis; 3 to 8 if there are less than 0.65 "
         "times as many, each view counted once for each pixel in a voxel's shadow. If most of the "
         "residual lies in few views, which see flat parts edge-on, further passes follow; in grids "
-        "below 96 voxels along each axis, one more follows if the residual is mostly noise.",
+        "below 96 voxels along each axis, up to 3 more for thick parts or noise, and at least 5, "
+        "with small updates, for thin parts.",
     )
     coarse_passes: int | None = Field(
         default=None,
@@ -104,13 +111,13 @@ class Fast(AlgorithmSettings):
         "number of views per voxel along an axis.",
     )
     levels: int = Field(
-        default=3,
+        default=LEVELS,
         ge=1,
         le=6,
         description="Number of resolutions; each halves the voxels and pixels of the one before.",
     )
     first_relaxation: float = Field(
-        default=1.5,
+        default=FIRST_RELAXATION,
         gt=0,
         lt=2,
         description="Relaxation of the first update of a level; it decreases where there are many "
@@ -144,8 +151,8 @@ def fast(
     *,
     passes: int | None = None,
     coarse_passes: int | None = None,
-    levels: int = 3,
-    first_relaxation: float = 1.5,
+    levels: int = LEVELS,
+    first_relaxation: float = FIRST_RELAXATION,
     denoising: float | None = None,
     margin: float | None = None,
     nonnegative: bool = True,
@@ -195,7 +202,7 @@ def fast(
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
     # Only here: scenarios need the settings alone.
-    from twinct.recon.further_passes import MOST_FURTHER
+    from twinct.recon.further_passes import MOST_FURTHER, suit_slow_passes
     from twinct.recon.usual_margin import usual_margin
     from twinct.recon.usual_passes import MOST_COARSE, usual_passes, views_per_voxel
 
@@ -206,6 +213,7 @@ def fast(
     limit = math.inf if passes is None else checks.count("passes", passes)
     checks.stop(stop)
     usual_coarse = coarse_passes is None
+    as_usual = usual_coarse and (levels, first_relaxation) == (LEVELS, FIRST_RELAXATION)
     coarse_passes = checks.count(
         "coarse_passes", COARSE_PASSES if coarse_passes is None else coarse_passes
     )
@@ -230,6 +238,8 @@ def fast(
     further = min(MOST_FURTHER, limit - passes) if chosen else 0
     steps = _Steps(passes, *coarse, levels, relaxation, margin, floor, further)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
+    if as_usual and further == MOST_FURTHER and steps.strength:
+        steps = replace(steps, may_repeat=margin == 0 and suit_slow_passes(A))
     steps, level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, callback)
     extras: dict[str, Any] = {} if stop is None else {"passes": steps.passes}
     if len(predicted_views) and whole:
@@ -272,6 +282,8 @@ class _Steps:
         coarse_passes: number of passes with voxels twice as large.
         most_coarse: most passes of coarse levels, times the factor of their voxels.
         further: most passes that may follow (``FurtherPasses``).
+        may_repeat: whether thin parts are reconstructed again, slowly.
+        slow: whether this is being done.
         noise: deviation of the line integrals; 0 if it is unknown.
         most: range of the line integrals.
         strength: of the total variation for one view, mm times the unit of the volume.
@@ -292,6 +304,8 @@ class _Steps:
     strength: float = 0.0
     source: str | None = None
     filled: float = 1.0
+    may_repeat: bool = False
+    slow: bool = False
 
     def number(self, factor: int) -> int:
         """Return the number of passes of a level."""
@@ -307,9 +321,30 @@ class _Steps:
         less = math.hypot(filled * self.noise, model) / all_noise if all_noise else 1.0
         return replace(self, filled=filled, strength=less * self.strength)
 
+    def further_passes(self, A: Projector) -> FurtherPasses | None:
+        """Return the monitor that asks for further passes at full resolution, if any may follow."""
+        from twinct.recon.further_passes import ENOUGH_VIEWS, FOR_THICK, SMALL, FurtherPasses
+        from twinct.recon.usual_passes import MOST_PASSES, views_per_voxel
+
+        few = views_per_voxel(A) < ENOUGH_VIEWS
+        small = max(A.domain_shape) < SMALL and self.passes + FOR_THICK <= MOST_PASSES
+        if not self.further or not (few or small):
+            return None
+        kinds = {"few": few, "small": small, "fills": self.filled == 1.0, "slow": self.slow}
+        return FurtherPasses(len(A), self.noise, **kinds, most=self.further)
+
+    def slowly(self) -> _Steps:
+        """Return the steps with which thin parts are reconstructed again."""
+        from twinct.recon.further_passes import SLOW_PASSES, SLOW_RELAXATION
+
+        slow = {"passes": SLOW_PASSES, "relaxation": SLOW_RELAXATION, "slow": True}
+        return replace(self, **slow, may_repeat=False)
+
     def shares(self, A: Projector, factor: int) -> NDArray[np.float64]:
         """Return the relaxation of each update of a level."""
         updates = self.number(factor) * len(A)
+        if self.slow:
+            return np.full(updates, self.relaxation)
         last = self.relaxation * min(1.0, float(np.mean(A.domain_shape)) / len(A))
         if factor == 1 and self.noise > 0:
             quiet = QUIET * self.most / self.noise
@@ -355,23 +390,19 @@ def _from_coarse_to_fine(
     The volume is without the rest that the level leaves as it is.
     """
     # Only here: scenarios need the settings alone.
-    from twinct.recon.further_passes import ENOUGH_VIEWS, SMALL, FurtherPasses
-    from twinct.recon.usual_passes import views_per_voxel
+    from twinct.recon.thin_parts import are_thin
 
-    factors = _factors(A.domain_shape, A.range_shape[1:], steps.levels)
+    factors = deque(_factors(A.domain_shape, A.range_shape[1:], steps.levels))
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
     done, before = 0, None
-    for factor in factors:
+    while factors:
+        factor = factors.popleft()
         level = Level.of(A, p, pixels, factor, steps.margin, before)
         before = None  # frees the coarser level, as does each ``del``
         work, since = WorkingVolume(level.A.kernels, level.start()), 0.0
-        steps = steps.filling(work.array) if factor == 1 else steps
-        shares, order = steps.shares(level.A, factor), spread_order(len(A))
-        further = None
-        cheap = max(A.domain_shape) < SMALL and steps.filled == 1.0
-        few = views_per_voxel(A) < ENOUGH_VIEWS
-        if factor == 1 and steps.further and (few or cheap):
-            further = FurtherPasses(len(A), steps.noise, few=few, cheap=cheap, most=steps.further)
+        own = steps.filling(work.array) if factor == 1 else steps
+        shares, order = own.shares(level.A, factor), spread_order(len(A))
+        further = own.further_passes(A) if factor == 1 else None
         between = max(BETWEEN, float(shares[: len(A)].sum()) / MOST_STEPS)
         pending = deque(zip(shares, np.resize(order, len(shares)), strict=True))
         wanted = listener.wanted or further is not None
@@ -380,20 +411,26 @@ def _from_coarse_to_fine(
             square, rays = level.update(work, int(view), float(share), steps.floor, wanted)
             since += float(share)
             ended = factor == 1 and len(pending) % len(A) == 0
-            if steps.strength and factor == 1 and (ended or since > between):
-                work, since = _lowered(level.A, work, since * steps.strength, steps.floor), 0.0
+            if own.strength and factor == 1 and (ended or since > between):
+                work, since = _lowered(level.A, work, since * own.strength, steps.floor), 0.0
             if further:
                 further.add(int(view), square, rays)
-                if not pending and further.another_pass():
+                if not pending and further.another_pass(work.array):
                     pending.extend((shares[-1], one) for one in order)
                     listener.updates += len(order)
+            sparse = factor == 1 and steps.may_repeat and own.filled < 1
+            if not pending and sparse and are_thin(work.array):
+                log.info("the object consists of thin parts: again, with small updates")
+                steps = steps.slowly()
+                factors.append(1)
+                listener.updates += steps.passes * len(A)
             if listener(0, done, square, rays, work):
-                return steps, level, work.array, False
+                return own, level, work.array, False
             done += 1
-        if factor == 1:
-            made = steps.passes + (further.passes if further else 0)
-            return replace(steps, passes=made), level, work.array, True
-        before = level, level.whole(work.array)
+        if not factors:
+            made = own.passes + (further.passes if further else 0)
+            return replace(own, passes=made), level, work.array, True
+        before = None if factor == 1 else (level, level.whole(work.array))
         del level, work  # frees the card
     raise AssertionError("the last factor is 1")
 

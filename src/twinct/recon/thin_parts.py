@@ -12,6 +12,23 @@ MEAN_FACES = 1.5
 """Faces of voxels per face of the surface that they approximate, the mean over all directions."""
 
 
+THIN, THICK, SPARSE = 2.3, 5.5, 0.12
+"""Thickness of parts in voxels, and their share of the grid, up to which parts are thin, or from
+which they are thick. From the tuning half of the zoo; a skull in 64^3 voxels has 3.1 and 0.12."""
+
+
+def are_thin(x: Singles) -> bool:
+    """Return whether the dense parts of a volume, (z, y, x), are thin and far apart."""
+    thickness, share = mean_thickness(x)
+    return thickness < THIN and share < SPARSE
+
+
+def are_thick(x: Singles) -> bool:
+    """Return whether the dense parts of a volume, (z, y, x), are thick and fill much of it."""
+    thickness, share = mean_thickness(x)
+    return thickness >= THICK and share >= SPARSE
+
+
 def mean_thickness(x: Singles) -> tuple[float, float]:
     """Return the mean thickness of the dense parts in voxels, and their share of the volume.
 

@@ -32,6 +32,9 @@ from twinct.recon.working import WorkingVolume
 AIR_BESIDE, AIR_AT_RIM = 0.002, 0.01
 """Signs that something lies beyond the grid (``SignsBeyond``) up to which there is only air."""
 
+OF_NOISE = 3.0
+"""Standard errors by which they may exceed this."""
+
 MARGINS, VERY_WIDE = (0.1, 0.2, 0.3), 0.6
 """Margins on each side, as shares of the grid's size, and that with which they are compared.
 
@@ -57,7 +60,8 @@ def usual_margin(A: Projector, p: NDArray[Any], pixels: Mask | None, factor: int
         InputError: even the narrowest margin reaches behind a source.
     """
     signs = signs_beyond(A, p, pixels)
-    if signs.beside <= AIR_BESIDE and signs.at_rim <= AIR_AT_RIM:
+    beside, at_rim = (OF_NOISE * error for error in signs.errors)
+    if signs.beside <= AIR_BESIDE + beside and signs.at_rim <= AIR_AT_RIM + at_rim:
         return 0.0
     scan = _SmallScan.of(A, p, pixels)
     possible: list[float] = []

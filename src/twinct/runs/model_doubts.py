@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twinct.recon.projector import Projector
 from twinct.recon.signs_beyond import signs_beyond
-from twinct.recon.thin_parts import mean_thickness
+from twinct.recon.thin_parts import SPARSE, mean_thickness
 from twinct.recon.unexplained import Unexplained, typical_attenuation, unexplained
 from twinct.recon.volume import Volume
 from twinct.scan import Scan
@@ -43,8 +43,8 @@ DENSER, FEWEST_VOXELS = 3.0, 27
 SOME_BESIDE = 0.01
 """Share of the attenuation on rays beside the grid from which something may lie around it."""
 
-TOO_THIN, SPARSE = 1.8, 0.12
-"""Thickness of parts in voxels, and their share of the grid, below which ``fast`` may fail."""
+TOO_THIN = 1.8
+"""Thickness of sparse parts, in voxels, below which ``fast`` may be worse than SART."""
 
 
 def doubt_of_grid(
@@ -84,8 +84,8 @@ def doubt_of_thin_parts(volume: Volume, section: Reconstruction) -> str | None:
         return None
     return (
         f"the object consists of parts about {thickness:.1f} voxels thick: there, fast can leave "
-        "up to twice the error of sart with 10 passes, and stop: auto, which uses it, can end too "
-        "early; use smaller voxels (reconstruction.grid), or sart with a fixed number of passes"
+        "up to twice the error of sart at its best pass, and stop: auto, which uses it, can end at "
+        "another pass; use smaller voxels (reconstruction.grid)"
     )
 
 
