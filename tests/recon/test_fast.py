@@ -150,9 +150,9 @@ def test_noise_does_not_widen_the_coarse_grids(circle, ellipsoid_integrals):
 def test_thin_parts_in_air_are_reconstructed_again_with_small_updates(circle, ellipsoid_integrals):
     """Wires; not so in a large body, in which they stand out like metal."""
     A = Projector(circle(80, Panel(60, 64, 2.0, 2.0)), VolumeGrid((40, 40, 40), 1.0))
-    places = [((x, y, 0), (0.7, 0.7, 15)) for x, y in ((-9, 4), (2, -6), (8, 9))]
-    p = 0.1 * sum(ellipsoid_integrals(A.geometry, *place) for place in places)
-    body = 0.01 * ellipsoid_integrals(A.geometry, (0, 0, 0), (16, 16, 16))
+    places = [((x, y, 0), (1.2, 1.2, 15)) for x, y in ((-9, 4), (2, -6), (8, 9))]
+    p = 0.3 * sum(ellipsoid_integrals(A.geometry, *place) for place in places)
+    body = 0.04 * ellipsoid_integrals(A.geometry, (0, 0, 0), (16, 16, 16))
     seen = []
     fast(A, p, callback=seen.append)
     assert [step.update for step in seen] == list(range(len(seen)))
