@@ -319,11 +319,14 @@ def test_an_object_beyond_the_grid_is_named_with_its_cure(scan, caplog):
         (6.0, {"algorithm": "fast"}, True),
         (6.0, {"stop": "auto"}, True),
         (6.0, {}, False),
+        (18.0, {"algorithm": "fast"}, False),
+        (18.0, {"stop": "auto"}, True),
+        (40.0, {"stop": "auto"}, False),
         (40.0, {"algorithm": "fast"}, False),
     ],
 )
 def test_parts_that_are_too_thin_for_fast_are_named(scan, caplog, radius_mm, keys, is_named):
-    """Balls in voxels of 5 mm; ``sart`` alone does not depend on ``fast``."""
+    """Balls in voxels of 5 mm, and a third of their diameter thick; ``sart`` alone has no limit."""
     volume = reconstruct(scan(radius_mm), **keys)
     named = [one for one in volume.extras.get("warnings", []) if "voxels thick" in one]
     assert bool(named) == ("voxels thick" in caplog.text) == is_named

@@ -43,8 +43,9 @@ DENSER, FEWEST_VOXELS = 3.0, 27
 SOME_BESIDE = 0.01
 """Share of the attenuation on rays beside the grid from which something may lie around it."""
 
-TOO_THIN = 1.8
-"""Thickness of sparse parts, in voxels, below which ``fast`` may be worse than SART."""
+TOO_THIN, TOO_THIN_TO_STOP = 1.8, 4.0
+"""Thickness of sparse parts, in voxels, below which ``fast`` may be worse than SART, and ``stop:
+auto`` end too early or too late."""
 
 
 def doubt_of_grid(
@@ -76,16 +77,21 @@ def doubt_of_prior(volume: Volume) -> str | None:
 
 
 def doubt_of_thin_parts(volume: Volume, section: Reconstruction) -> str | None:
-    """Return a warning if ``fast`` was used, and the object's parts are too thin for it."""
-    if section.algorithm != "fast" and getattr(section, "stop", None) is None:
+    """Return a warning if parts are too thin for ``fast`` or ``stop: auto``, if one was used."""
+    is_fast = section.algorithm == "fast"
+    if not is_fast and getattr(section, "stop", None) is None:
         return None
     thickness, share = mean_thickness(volume.array)
-    if thickness >= TOO_THIN or share >= SPARSE:
+    if thickness >= (TOO_THIN if is_fast else TOO_THIN_TO_STOP) or share >= SPARSE:
         return None
+    limit = (
+        "fast can leave up to twice the error of sart at its best pass"
+        if is_fast
+        else "stop: auto can end too early or too late, with up to a fifth more error"
+    )
     return (
-        f"the object consists of parts about {thickness:.1f} voxels thick: there, fast can leave "
-        "up to twice the error of sart at its best pass, and stop: auto, which uses it, can end at "
-        "another pass; use smaller voxels (reconstruction.grid)"
+        f"the object consists of parts about {thickness:.1f} voxels thick: there, {limit}; use "
+        "smaller voxels (reconstruction.grid)"
     )
 
 
