@@ -137,14 +137,14 @@ def test_with_air_around_the_object_coarse_grids_have_no_margin(circle, ellipsoi
     np.testing.assert_array_equal(fast(A, whole, **keys), fast(A, whole, margin=0.0, **keys))
 
 
-def test_noise_does_not_widen_the_coarse_grids(circle, ellipsoid_integrals):
+def test_noise_is_no_object_around_thin_parts(circle, ellipsoid_integrals):
     """A small ball: the noise at the border is a large part of the mean of all rays."""
     geometry = circle(60, Panel(60, 64, 2.0, 2.0))
     A = Projector(geometry, VolumeGrid((40, 40, 40), 1.0))
     ball = 0.05 * ellipsoid_integrals(geometry, (4, -3, 2), (3, 3, 3))
     for seed in range(5):
         noise = np.random.default_rng(seed).normal(0, 0.05, A.range_shape)
-        assert set(shapes_of(A, ball + noise)) == {10, 20, 40}
+        assert shapes_of(A, ball + noise).count(40) >= 60 * (2 + SLOW_PASSES)
 
 
 def test_thin_parts_in_air_are_reconstructed_again_with_small_updates(circle, ellipsoid_integrals):

@@ -203,7 +203,7 @@ def fast(
     """
     # Only here: scenarios need the settings alone.
     from twinct.recon.further_passes import MOST_FURTHER, suit_slow_passes
-    from twinct.recon.usual_margin import usual_margin
+    from twinct.recon.usual_margin import is_in_air, usual_margin
     from twinct.recon.usual_passes import MOST_COARSE, usual_passes, views_per_voxel
 
     checks = Checks(A.range_shape)
@@ -213,7 +213,6 @@ def fast(
     limit = math.inf if passes is None else checks.count("passes", passes)
     checks.stop(stop)
     usual_coarse = coarse_passes is None
-    as_usual = usual_coarse and (levels, first_relaxation) == (LEVELS, FIRST_RELAXATION)
     coarse_passes = checks.count(
         "coarse_passes", COARSE_PASSES if coarse_passes is None else coarse_passes
     )
@@ -224,6 +223,7 @@ def fast(
     if denoising is not None:
         denoising = checks.not_negative("denoising", denoising)
     checks.done()
+    as_usual = usual_coarse and (levels, relaxation, margin or 0) == (LEVELS, FIRST_RELAXATION, 0)
     require_memory(FAST, A)
     in_air = False
     if margin is None:
@@ -239,7 +239,7 @@ def fast(
     steps = _Steps(passes, *coarse, levels, relaxation, margin, floor, further)
     steps = _for_noise(A, p, pixels, steps, known, lowers=denoising is None)
     if as_usual and further == MOST_FURTHER and steps.strength:
-        steps = replace(steps, may_repeat=margin == 0 and suit_slow_passes(A))
+        steps = replace(steps, may_repeat=suit_slow_passes(A) and is_in_air(A, p, pixels))
     steps, level, x, whole = _from_coarse_to_fine(A, p, pixels, steps, callback)
     extras: dict[str, Any] = {} if stop is None else {"passes": steps.passes}
     if len(predicted_views) and whole:
@@ -338,7 +338,7 @@ class _Steps:
         from twinct.recon.further_passes import SLOW_PASSES, SLOW_RELAXATION
 
         slow = {"passes": SLOW_PASSES, "relaxation": SLOW_RELAXATION, "slow": True}
-        return replace(self, **slow, may_repeat=False)
+        return replace(self, **slow, margin=0.0, may_repeat=False)
 
     def shares(self, A: Projector, factor: int) -> NDArray[np.float64]:
         """Return the relaxation of each update of a level."""
