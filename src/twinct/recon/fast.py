@@ -170,7 +170,7 @@ def fast(
         A: the projector, with the believed geometry.
         line_integrals: p, (views, rows, columns), mm times the unit of the result.
         passes: passes at full resolution, at least 1; by default 2, 1 with many views, up to 8 with
-            few, and then further ones where the residual shows that they pay (``FurtherPasses``).
+            few, and then further ones; thin parts may start again (see ``further_passes``).
         coarse_passes: passes at half the resolution, at least 1; twice as many at each coarser
             level; by default 2; with air around the object, fewer where a level has
             many views per voxel.

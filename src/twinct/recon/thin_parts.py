@@ -11,7 +11,6 @@ from twinct.recon.engine import Singles
 MEAN_FACES = 1.5
 """Faces of voxels per face of the surface that they approximate, the mean over all directions."""
 
-
 THIN, THICK, SPARSE = 2.3, 5.5, 0.12
 """Thickness of parts in voxels, and their share of the grid, up to which parts are thin, or from
 which they are thick. From the tuning half of the zoo; a skull in 64^3 voxels has 3.1 and 0.12."""
