@@ -1,0 +1,92 @@
+"""Runs of version 1.0 of every kind are read, verified, reported, resumed and reconstructed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+from twinct import load_scan, reconstruct, run
+from twinct.cli import run_command
+from twinct.recon.volume import Volume
+from twinct.runs import reconstruct_run, rewrite_report
+from twinct.study import load_results
+
+KEPT = Path(__file__).parent / "version_1_0"
+
+ALIKE = 1e-5
+"""Of the largest voxel: other versions of the libraries round otherwise."""
+
+SCANS = ["local", "ros2", "gantry", "calibrated", "measured", "recorded"]
+WITH_VOLUME = ["local", "ros2", "gantry", "calibrated"]
+
+
+def kept(name: str, into: Path) -> Path:
+    """Unpack a kept run."""
+    shutil.unpack_archive(KEPT / f"{name}.tar.xz", into, filter="data")
+    return into / name
+
+
+@pytest.mark.parametrize("name", SCANS)
+def test_a_scan_is_read_and_intact(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = kept(name, tmp_path)
+    scan = load_scan(folder)
+    assert len(scan.transmission) == (24 if name in ("gantry", "measured") else 6)
+    assert scan.transmission.min() < 0.9 and scan.transmission.max() > 0.9
+    assert run_command(["verify", str(folder)]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", WITH_VOLUME)
+def test_its_volume_is_what_it_was(name: str, tmp_path: Path) -> None:
+    folder = kept(name, tmp_path)
+    then, now = Volume.read(folder / "volume.nii"), reconstruct(load_scan(folder))
+    assert np.abs(now.array - then.array).max() <= ALIKE * then.array.max()
+
+
+@pytest.mark.parametrize("name", WITH_VOLUME)
+def test_its_figures_are_what_they_were(name: str, tmp_path: Path) -> None:
+    folder = kept(name, tmp_path)
+    then = json.loads((folder / "metrics.json").read_text())
+    rewrite_report(folder)
+    now = json.loads((folder / "metrics.json").read_text())
+    for figure in ("rmse_rel", "rmse_bone_rel", "mean_bone_rel"):
+        assert now["image"][figure] == pytest.approx(then["image"][figure], rel=1e-4)
+    assert (folder / "report.html").is_file()
+
+
+def test_a_calibrated_geometry_reconstructs_again(tmp_path: Path) -> None:
+    folder = kept("calibrated", tmp_path)
+    made = reconstruct_run(folder, [], geometry="self")
+    assert (made.path / "volume.nii").is_file()
+
+
+def test_a_measured_scan_is_reconstructed_again(tmp_path: Path) -> None:
+    folder = kept("measured", tmp_path)
+    then = Volume.read(folder / "reconstructions" / "fast" / "volume.nii")
+    assert run_command(["reconstruct", str(folder), "--as", "again"]) == 0
+    now = Volume.read(folder / "reconstructions" / "again" / "volume.nii")
+    assert np.abs(now.array - then.array).max() <= ALIKE * then.array.max()
+
+
+@pytest.mark.process
+def test_half_a_scan_is_resumed(tmp_path: Path) -> None:
+    folder = kept("half", tmp_path)
+    store: Any = zarr.open_array(str(folder / "scan.zarr" / "transmission"), mode="r")
+    before = store[:5]
+    run(folder / "scenario.yaml", folder, resume=True, link="local")
+    after = load_scan(folder).transmission
+    assert len(after) == 60 and before.min() < 0.9
+    np.testing.assert_array_equal(after[:5], before)
+
+
+def test_a_study_is_read(tmp_path: Path) -> None:
+    table = load_results(kept("study", tmp_path))
+    assert len(table) == 4 and table["image.rmse_rel"].between(0, 1).all()
