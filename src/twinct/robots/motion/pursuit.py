@@ -71,13 +71,16 @@ class PursuingSimulation(RobotSimulation):
             if count % self._sample_steps == 0 or count == len(states):
                 yield count
 
-    def idle(self, seconds: float) -> None:
+    def idle(self, seconds: float) -> float:
         """Let simulated time pass; arms that move come to rest, which ends the plan of the views.
 
         The joints are told once, at the end.
 
         Args:
             seconds: simulated time.
+
+        Returns:
+            simulated time at the end.
 
         Raises:
             TargetRefusedError: the gate stopped the arms.
@@ -89,6 +92,7 @@ class PursuingSimulation(RobotSimulation):
             self._step(lead[step] if step < len(lead) else rest)
         if self.on_joints is not None:
             self._tell(self.on_joints)
+        return self.time_s
 
     def stand(self) -> Reached:
         """Bring the arms to rest, and take a view there.
