@@ -172,7 +172,9 @@ def test_a_collision_ends_the_motion(planner: Planner) -> None:
     trajectory = {"joint_names": [name], "points": points((5.0, [goal_at]))}
     status, code, text = planner.run(trajectory=trajectory)
     assert (status, code) == (6, -4)
-    assert text == "the source arm's upper arm touches the source arm's wrist 2"
+    assert (
+        text == "the source arm's upper arm touches the source arm's wrist 2; the arms were stopped"
+    )
     assert planner.robots.time_s < 4
     assert np.abs(planner.robots.joints[3] - goal_at) > 0.3
 

@@ -101,6 +101,8 @@ def test_a_driven_node_goes_where_it_can_and_home_again(driven, short):
     node = driven((sys.executable, "-m", "twinct", "node"), short)
     fresh, at_home = node.home()
     assert "clearance" in fresh.message
+    told = len(node.joints)
+    node.node.until(lambda: len(node.joints) > told + 5, "joints at rest")
     home, at_home_s = np.array(at_home.position), _time_s(at_home)
     assert at_home_s > 0
     node.node.until(lambda: node.descriptions, "the robot description")

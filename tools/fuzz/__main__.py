@@ -23,7 +23,7 @@ from driver import fuzz
 KINDS = {
     **{"scenarios": "scenario_files", "schema": "generated", "bodies": "bodies"},
     **{"files": "input_files", "imports": "imports", "stores": "store_files"},
-    "messages": "message_fields",
+    **{"messages": "message_fields", "goals": "goals"},
 }
 """Name of the module of each kind, which has a class ``Kind``."""
 

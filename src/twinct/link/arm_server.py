@@ -46,21 +46,16 @@ class Followers(Protocol):
         ...
 
     @property
-    def timestep_s(self) -> float:
-        """Simulated time of a step."""
-        ...
-
-    @property
     def joints(self) -> Floats:
         """Positions of all joints, rad, (n,)."""
         ...
 
-    def states(self, goal: JointGoal) -> Floats:
-        """Return the states of all joints at each step, (steps, 3, n)."""
+    def states(self, goal: JointGoal, wait_s: float = 0.0) -> Floats:
+        """Return the states of all joints at each step, (steps, 3, n), after a time at rest."""
         ...
 
     def pursue(self, states: Floats) -> Iterator[int]:
-        """Follow states; yield the number of those passed."""
+        """Follow states; yield the number of those passed. An error follows after rest."""
         ...
 
     def brake(self) -> None:
@@ -158,11 +153,10 @@ class ArmServer:
                     arms.brake()
                     return 0, f"cancelled at simulated time {arms.time_s:.3f} s"
         except MotionError as error:
-            arms.brake()
             return _CODE["PATH_TOLERANCE_VIOLATED"], str(error)
         finally:
             self._advance(arms.time_s)
-        off = np.abs(arms.joints - states[-1, 0]) if len(states) else np.zeros(len(names))
+        off = np.abs(arms.joints - states[-1, 0])
         if (over := off > off_goal).any():
             return _CODE["GOAL_TOLERANCE_VIOLATED"], _off(names, off, off_goal, over)
         return 0, f"followed a trajectory: simulated time {arms.time_s:.3f} s"
@@ -177,19 +171,17 @@ class ArmServer:
         trajectory = request.trajectory
         orders = [[list(getattr(p, name)) for p in trajectory.points] for name in _ORDERS]
         times = [Stamp.of(point.time_from_start).time_s for point in trajectory.points]
-        states = self._arms.states(goal_of(trajectory.joint_names, times, orders))
+        goal = goal_of(trajectory.joint_names, times, orders)
         stamp = Stamp.of(trajectory.header.stamp)
-        if stamp == NO_STAMP or not len(states):
-            return states
+        if stamp == NO_STAMP:
+            return self._arms.states(goal)
         ahead_s = stamp.time_s - self._arms.time_s
         if not 0 <= ahead_s <= FARTHEST_S:
             raise _TooLateError(
                 f"header.stamp {stamp} is not within {FARTHEST_S:.0f} s after the present, "
                 f"{self._arms.time_s:.3f} s on /clock; 0 starts at once"
             )
-        waits = np.zeros((round(ahead_s / self._arms.timestep_s), *states.shape[1:]))
-        waits[:, 0] = states[0, 0]
-        return np.concatenate([waits, states])
+        return self._arms.states(goal, ahead_s)
 
     def _tell(self, handle: Any, state: Floats, off: Floats) -> None:
         desired = dict(zip(_ORDERS, state.tolist(), strict=True))

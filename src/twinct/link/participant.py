@@ -13,6 +13,8 @@ import rclpy
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action.client import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, ShutdownException, TimeoutException
@@ -237,6 +239,10 @@ class Station:
     def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
         """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
         self._node.create_service(kind, _relative(service), callback)
+
+    def every(self, seconds: float, callback: Callable[[], None]) -> None:
+        """Call back at equal intervals of wall time, inside ``wait``; missed calls are dropped."""
+        self._node.create_timer(seconds, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def name_of(self, topic: str, sender: Sender) -> str:
         """Return the name of a sender's node, as text, if the node is already discovered."""

@@ -62,6 +62,9 @@ KEPT = 100
 TICK_S = 0.02
 """Longest simulated time between two clock messages."""
 
+BEAT_S = 0.05
+"""Wall time, and simulated time, from beat to beat of a standalone node at rest: 20 Hz."""
+
 
 class Robots(Protocol):
     """Protocol of a ``RobotSimulation`` or ``Gantry``, as far as the node needs it."""
@@ -77,6 +80,10 @@ class Robots(Protocol):
 
     def home(self) -> Reached:
         """Return both end-effectors to rest at their start."""
+        ...
+
+    def idle(self, seconds: float) -> float:
+        """Let simulated time pass at rest, and return it."""
         ...
 
     def restore(self, state: NDArray[np.float64]) -> None:
@@ -138,6 +145,7 @@ def spin_robots(
 
     def open_node(station: Station, diagnostics: Diagnostics, robots: Robots) -> Callable[[], bool]:
         node = RobotsNode(station, diagnostics, robots, turns, members, description, links)
+        node.start_beats()
         if not planned or members is None:
             return node.connected
 
@@ -259,6 +267,21 @@ class RobotsNode:
             and bool(self._joints.get_subscription_count())
             and bool(self._state.get_subscription_count())
         )
+
+    def start_beats(self) -> None:
+        """Beat in wall time from now on; in a scan nothing moves, and no time passes, unasked."""
+        if self._turns is None and self._members is None:
+            self._station.every(BEAT_S, self.beat)
+
+    def beat(self) -> None:
+        """Let time pass at rest, and publish clock, joints and frames."""
+        if self._arms is not None and self._arms.busy:
+            return
+        try:
+            self._advance(self._robots.idle(BEAT_S))
+        except MotionError as error:
+            values = {"arm": ", ".join(error.arms), "reason": error}
+            self._diagnostics.refuse(NO_STAMP, f"stopped: {error}", values)
 
     def _on_target(self, message: PoseArray, sender: Sender) -> None:
         stamp = Stamp.of(message.header.stamp)

@@ -92,6 +92,11 @@ class Gantry:
             else None,
         )
 
+    def idle(self, seconds: float) -> float:
+        """Let simulated time pass, and return it."""
+        self._time_s += seconds
+        return self._time_s
+
     def home(self) -> Reached:
         """Raise an error: a gantry has no home.
 

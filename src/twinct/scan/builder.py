@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trimesh import Trimesh
 
     from twinct.robots.cell import CellModel
-    from twinct.robots.motion import MotionPlan, RobotSimulation, Shutter
+    from twinct.robots.motion import MotionPlan, PursuingSimulation, Shutter
     from twinct.xray import Imager
 
 
@@ -363,7 +363,7 @@ class SimulationBuilder:
             chains = chains_of(self.cell)
         return TrueCell(scenario.uncertainty, scenario.seed, scenario.arms_seed, chains)
 
-    def robots(self, *, planned: bool = False) -> RobotSimulation | Gantry:
+    def robots(self, *, planned: bool = False) -> PursuingSimulation | Gantry:
         """Return a robot simulation at rest in the plan's home, or a gantry.
 
         ``planned``: the simulation will receive its plan later.

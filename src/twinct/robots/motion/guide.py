@@ -77,7 +77,7 @@ class Guide:
         elif self._trail:
             ends = self._home[None], way.joints[-1:]
             direct = Feasible(self._cell).straight(*ends, required_gap_mm(self._motion))[0]
-            self._trail = list(ends) if direct else [*self._trail, way.joints[1:]]
+            self._trail = list(ends) if direct else [*self._come(here), way.joints[1:]]
         return plan
 
     def _way_to(self, target: PosePairs, here: Floats) -> JointPath:
@@ -100,5 +100,9 @@ class Guide:
             return JointPath(np.vstack([back.joints[:-1], on.joints]), views, on.targets)
 
     def _way_home(self, here: Floats) -> JointPath:
-        back = np.vstack(self._trail)[::-1] if self._trail else np.zeros((0, len(here)))
+        back = np.vstack(self._come(here))[::-1] if self._trail else np.zeros((0, len(here)))
         return path_home(self._cell, self._motion, here, self._home, back, most_looks=MOST_LOOKS)
+
+    def _come(self, here: Floats) -> list[Floats]:
+        """Return the path since home up to joints ``here``, where the arms came to rest."""
+        return self._trail if (self._trail[-1][-1] == here).all() else [*self._trail, here[None]]

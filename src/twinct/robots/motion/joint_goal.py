@@ -1,7 +1,8 @@
 """Joint trajectory of a foreign planner, checked and interpolated for the servos of the arms.
 
 Between points the joints follow a straight line, a cubic or a quintic, as the points state
-positions, velocities and accelerations, like the joint trajectory controller of ros2_control.
+positions, velocities and accelerations, like the joint trajectory controller of ros2_control. The
+arms rest after the last point.
 """
 
 from __future__ import annotations
@@ -14,8 +15,7 @@ import scipy
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Floats
-
-ROUNDING = 1e-9
+from twinct.robots.motion.gate import OVER, Gate, in_unit
 
 LONGEST_S = 3600.0
 """Longest trajectory; at steps of 2 ms its states take half a gigabyte."""
@@ -87,80 +87,105 @@ def goal_of(
     return JointGoal(names, times, tuple(parts))
 
 
-@dataclass(frozen=True, eq=False)
-class ArmLimits:
-    """Joints of a cell: names, and limits of position, (n, 2), and speed, (n,), rad and s."""
+def states_of(goal: JointGoal, here: Floats, gate: Gate) -> Floats:
+    """Return the states of all joints at each cycle after the start, up to rest, (cycles, 3, n).
 
-    joints: tuple[str, ...]
-    range_rad: Floats
-    speed_rad_s: Floats
-
-
-def states_of(
-    goal: JointGoal, here: Floats, limits: ArmLimits, step_s: float, jump_rad: float
-) -> Floats:
-    """Return the states of all joints at each step after the start, (steps, 3, n).
-
-    Joints that the trajectory does not name stay where they are.
+    Joints that the trajectory does not name stay where they are. A first point at time 0 stands for
+    ``here``: it may be off by what a joint may move in a cycle.
 
     Args:
         goal: the trajectory.
         here: positions of all joints at rest, rad, (n,).
-        limits: names and limits of all joints.
-        step_s: time of a step.
-        jump_rad: largest distance of the first point, if its time is 0, from ``here``.
+        gate: gate of all joints.
 
     Raises:
-        GoalError: a joint is unknown, or would jump or leave its limits.
+        GoalError: a joint is unknown, or the gate refuses the motion.
     """
-    if unknown := [name for name in goal.joints if name not in limits.joints]:
+    names, cycle_s = gate.limits.joints, gate.cycle_s
+    if unknown := [name for name in goal.joints if name not in names]:
         raise GoalError(
-            f"unknown joints {', '.join(unknown)}; the arms have {', '.join(limits.joints)}",
-            unknown=True,
+            f"unknown joints {', '.join(unknown)}; the arms have {', '.join(names)}", unknown=True
         )
-    columns = [limits.joints.index(name) for name in goal.joints]
-    times, orders = goal.time_s, list(goal.orders)
+    columns = [names.index(name) for name in goal.joints]
+    times, orders = goal.time_s, [order.copy() for order in goal.orders]
+    start = here[columns]
     if times[0] > 0:
         times = np.concatenate([[0.0], times])
-        orders = [
-            np.concatenate([[row], order])
-            for row, order in zip(
-                (here[columns], *np.zeros((2, len(columns)))), orders, strict=False
-            )
-        ]
-    off = np.abs(orders[0][0] - here[columns])
-    if off.max() > jump_rad:
-        worst = int(off.argmax())
+        rest = start, *np.zeros((2, len(columns)))
+        orders = [np.vstack([row, order]) for row, order in zip(rest, orders, strict=False)]
+    off, near = np.abs(orders[0][0] - start), gate.jumps[0, columns]
+    if (off > near).any():
+        worst = int((off / near).argmax())
+        name = goal.joints[worst]
         raise GoalError(
-            f"{goal.joints[worst]} stands {np.degrees(off[worst]):.3f} deg from the first point "
-            f"({np.degrees(jump_rad):g} deg allowed)"
+            f"{name} stands {in_unit(name, off[worst], '{:.3f}')} from the first point "
+            f"({in_unit(name, near[worst], '{:.3f}')} allowed)"
         )
-    steps = int(np.ceil(times[-1] / step_s - 1e-9))
-    at = np.minimum(np.arange(1, steps + 1) * step_s, times[-1])
-    rows = np.zeros((steps, 3, len(here)))
-    rows[:, 0] = here
-    if len(times) > 1:
+    orders[0][0] = start
+    moved = np.zeros((0, 3, len(columns)))
+    if len(times) > 1 and len(orders) == 1:
+        _check_speeds(goal.joints, times, orders[0], gate.limits.speeds[columns])
+        moved = _straight(times, orders[0], gate.limits.accelerations[columns], cycle_s)
+    elif len(times) > 1:
         path = scipy.interpolate.BPoly.from_derivatives(times, np.stack(orders, axis=1))
-        for order in range(3):
-            rows[:, order, columns] = path.derivative(order)(at) if order else path(at)
-    _check_limits(rows, limits)
+        cycles = int(np.ceil(times[-1] / cycle_s - 1e-9))
+        at = np.minimum(np.arange(1, cycles + 1) * cycle_s, times[-1])
+        moved = np.stack([path(at), path.derivative()(at), path.derivative(2)(at)], axis=1)
+    rest = np.zeros((1, 3, len(columns)))
+    rest[0, 0] = orders[0][-1]
+    moved = np.concatenate([moved, rest])
+    rows = np.zeros((len(moved), 3, len(here)))
+    rows[:, 0] = here
+    rows[:, :, columns] = moved
+    if (reason := gate.reason(np.stack([here, np.zeros(len(here))]), rows)) is not None:
+        raise GoalError(reason)
     return rows
 
 
-def _check_limits(rows: Floats, limits: ArmLimits) -> None:
-    if not len(rows):
-        return
-    position, speed = rows[:, 0], np.abs(rows[:, 1]).max(axis=0)
-    low, high = limits.range_rad.T
-    for joint, name in enumerate(limits.joints):
-        for value in (position[:, joint].min(), position[:, joint].max()):
-            if not low[joint] - ROUNDING <= value <= high[joint] + ROUNDING:
-                raise GoalError(
-                    f"{name} would go to {np.degrees(value):.2f} deg; its range is "
-                    f"{np.degrees(low[joint]):.2f} to {np.degrees(high[joint]):.2f} deg"
-                )
-        if speed[joint] > limits.speed_rad_s[joint] * (1 + ROUNDING):
-            raise GoalError(
-                f"{name} would turn at {np.degrees(speed[joint]):.2f} deg/s; its limit is "
-                f"{np.degrees(limits.speed_rad_s[joint]):.2f}"
-            )
+def _check_speeds(names: Sequence[str], times: Floats, points: Floats, most: Floats) -> None:
+    """Check the speeds of straight lines between points, which rounded corners would hide.
+
+    Raises:
+        GoalError: a joint is too fast.
+    """
+    speeds = (np.abs(np.diff(points, axis=0)) / np.diff(times)[:, None]).max(axis=0)
+    worst = int((speeds / most).argmax())
+    if speeds[worst] > OVER * most[worst]:
+        raise GoalError(
+            f"{names[worst]} would move at {in_unit(names[worst], speeds[worst])}/s; its limit is "
+            f"{in_unit(names[worst], most[worst])}/s"
+        )
+
+
+def _straight(times: Floats, points: Floats, most: Floats, cycle_s: float) -> Floats:
+    """Return the states along straight lines, whose corners are rounded, (cycles, 3, joints).
+
+    The position is the mean of that on the lines over a window of time before. So speeds and
+    positions stay within those of the lines, the acceleration is at most the change of speed over
+    the window, and the joints rest at the last point one window after its time.
+
+    Args:
+        times: time of each point, from 0, (points,).
+        points: positions, (points, joints).
+        most: largest accelerations, (joints,).
+        cycle_s: time of a cycle.
+    """
+    slopes = np.diff(points, axis=0) / np.diff(times)[:, None]
+    changes = slopes.max(axis=0, initial=0.0) - slopes.min(axis=0, initial=0.0)
+    window_s = max(1, int(np.ceil((changes / most).max() / cycle_s))) * cycle_s
+    still = np.zeros((1, points.shape[1]))
+    speeds = np.concatenate([still, slopes, still])
+    # Rest before the first point and after the last, and positions from the first point.
+    knots = np.concatenate([[-window_s], times, [times[-1] + window_s]])
+    bases = np.concatenate([points[:1], points]) - points[0]
+    line = scipy.interpolate.PPoly(np.stack([speeds, bases]), knots)
+    total = line.antiderivative()
+    end_s = times[-1] + window_s
+    cycles = int(np.ceil(end_s / cycle_s - 1e-9))
+    after = np.minimum(np.arange(1, cycles + 1) * cycle_s, end_s)
+    before = after - window_s
+    slope = line.derivative()
+    of_lines = (total, line, slope)
+    states = np.stack([(path(after) - path(before)) / window_s for path in of_lines], axis=1)
+    states[:, 0] += points[0]
+    return states

@@ -12,8 +12,8 @@ from twinct.core.foreign_text import counted
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import PosePairs, places_m
 from twinct.robots.cell import CellModel
-from twinct.robots.cell.rails import JOINT as RAIL_JOINT
 from twinct.robots.motion.branches import SIDES
+from twinct.robots.motion.gate import OVER, ROUNDING, in_unit
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.path_search import required_gap_mm
 from twinct.robots.motion.plan import MotionPlan, gaps_of, too_close, with_gaps
@@ -24,9 +24,6 @@ from twinct.scenario import Motion
 
 SAME_MM, SAME_DEG = 1e-3, 1e-3
 """Tolerances within which the poses of a plan equal the requested poses."""
-
-OVER = 1.02
-"""Factor by which a limit may be exceeded, because joints follow polynomials between waypoints."""
 
 HURRIED_S = 1e-6
 """Time by which a view may come too soon, for rounding."""
@@ -144,12 +141,10 @@ def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
     low, high = cell.joint_ranges.T
     beyond = np.maximum(low - states[:, 0], states[:, 0] - high)
     problems = []
-    if beyond.max() > 1e-9:
+    if beyond.max() > ROUNDING:
         worst = int(beyond.max(axis=0).argmax())
         far, name = float(beyond[:, worst].max()), cell.joint_names[worst]
-        rails = [f"{side}_{RAIL_JOINT}" for side in SIDES]
-        distance = f"{1000 * far:.1f} mm" if name in rails else f"{np.degrees(far):.1f} deg"
-        problems.append(f"{name} goes {distance} beyond its range")
+        problems.append(f"{name} goes {in_unit(name, far, '{:.1f}')} beyond its range")
     shares = TimeLaw(cell, motion).shares(states)
     for what, share in shares.items():
         if share.max() > OVER:

@@ -7,42 +7,52 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.core.errors import MotionError
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs, Reached
-from twinct.robots.motion.joint_goal import ArmLimits, JointGoal, states_of
+from twinct.robots.motion.joint_goal import JointGoal, states_of
 from twinct.robots.motion.kinematics import mujoco
-from twinct.robots.motion.refusals import readable
 from twinct.robots.motion.simulation import RobotSimulation
-
-JUMP_DEG = 0.5
-"""Largest distance from the arms to the first point of a foreign trajectory, deg."""
 
 
 class PursuingSimulation(RobotSimulation):
     """``RobotSimulation`` that takes a trajectory of joints instead of a target, too."""
 
     @property
-    def timestep_s(self) -> float:
-        """Simulated time of a step."""
-        return float(self._model.opt.timestep)
-
-    @property
     def instant(self) -> PosePairs:
         """Present poses of source, specimen and panel."""
         return self._instant(None)
 
-    def states(self, goal: JointGoal) -> Floats:
+    def states(self, goal: JointGoal, wait_s: float = 0.0) -> Floats:
         """Return the states of a foreign trajectory, from where the arms come to rest.
 
+        Args:
+            goal: the trajectory.
+            wait_s: time until it starts, for which the arms rest.
+
+        Returns:
+            States up to rest, (steps, 3, n).
+
         Raises:
-            GoalError: the arms cannot follow it; nothing is changed.
+            GoalError: the gate refuses it; nothing is changed.
         """
-        lead, model, n = self._to_rest(), self._model, self._n
-        here = lead[-1, 0] if len(lead) else self._data.userdata[:n].copy()
-        limits = ArmLimits(self.joint_names, model.jnt_range[:n], self._cell.speed_limits)
-        rows = states_of(goal, here, limits, model.opt.timestep, np.radians(JUMP_DEG))
-        return np.concatenate([lead, rows])
+        lead = self._to_rest()
+        rest = self._rest_after(lead)
+        rows = states_of(goal, rest[0], self._gate)
+        waits = round(wait_s / self._model.opt.timestep) - len(lead)
+        return np.concatenate([lead, np.repeat(rest[None], max(waits, 0), axis=0), rows])
+
+    def _rest_after(self, lead: Floats) -> Floats:
+        """Return the state of rest after the states of a reference that brakes, (3, n)."""
+        rest = np.zeros((3, self._n))
+        rest[0] = lead[-1, 0] if len(lead) else self._data.userdata[: self._n]
+        return rest
+
+    def _begin(self) -> None:
+        """Begin a motion of no plan, which ends the plan of the views."""
+        self._view = None
+        self._own(None)
+        mujoco.mj_step1(self._model, self._data)
+        self._touch.begin(self._data)
 
     def pursue(self, states: Floats) -> Iterator[int]:
         """Follow states; yield the number of those passed, at each sample of the joints.
@@ -50,41 +60,50 @@ class PursuingSimulation(RobotSimulation):
         A caller that stops early calls ``brake``.
 
         Raises:
-            MotionError: bodies touch.
+            TargetRefusedError: the gate stopped the arms.
         """
-        self._view = None
+        self._begin()
         self._guide.forget()
-        mujoco.mj_step1(self._model, self._data)
         for count, state in enumerate(states, start=1):
             self._step(state)
-            if self._data.ncon:
-                geoms = self._data.contact[0].geom
-                first, second = (readable(self._cell.body_of_geom(int(g))) for g in geoms)
-                raise MotionError(f"{first} touches {second}")
             if self.on_joints is not None:
                 self._sample(self.on_joints)
             if count % self._sample_steps == 0 or count == len(states):
                 yield count
 
-    def brake(self) -> None:
-        """Bring the arms to rest, whatever is in the way."""
-        now = self._data.userdata[: 3 * self._n].reshape(3, -1).copy()
-        path, timestep = self._reference.towards(now, now[0]), self._model.opt.timestep
-        for step in range(1, math.ceil(path.duration / timestep) + 1):
-            self._step(path.at(step * timestep))
-            if self.on_joints is not None:
-                self._sample(self.on_joints)
+    def idle(self, seconds: float) -> float:
+        """Let simulated time pass; arms that move come to rest, which ends the plan of the views.
 
-    def stand(self) -> Reached:
-        """Take a view where the arms stand.
+        The joints are told once, at the end.
+
+        Args:
+            seconds: simulated time.
+
+        Returns:
+            simulated time at the end.
 
         Raises:
-            TargetRefusedError: they do not come to rest.
+            TargetRefusedError: the gate stopped the arms.
+        """
+        self._begin()
+        lead = self._to_rest()
+        rest = self._rest_after(lead)
+        for step in range(max(1, round(seconds / self._model.opt.timestep))):
+            self._step(lead[step] if step < len(lead) else rest)
+        if self.on_joints is not None:
+            self._tell(self.on_joints)
+        return self.time_s
+
+    def stand(self) -> Reached:
+        """Bring the arms to rest, and take a view there.
+
+        Raises:
+            TargetRefusedError: they do not come to rest, or the gate stopped them.
         """
         self._view = None
-        lead, n = self._to_rest(), self._n
-        rest = np.zeros((3, n))
-        rest[0] = lead[-1, 0] if len(lead) else self._data.userdata[:n]
+        self._own(None)
+        lead = self._to_rest()
+        rest = self._rest_after(lead)
         steps = len(lead) + math.ceil(self._motion.timeout_s / self._model.opt.timestep)
         spots = [self._data.site_xpos[site].tolist() for site in self._cell.site_ids]
         source, detector = ((*spot, 0.0, 0.0, 0.0, 1.0) for spot in spots)

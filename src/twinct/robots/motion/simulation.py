@@ -14,13 +14,14 @@ from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.geometry.wire import JointSample, PosePairs, Reached, places_m
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.branches import SIDES
+from twinct.robots.motion.gate import Gate, JointLimits, brake
 from twinct.robots.motion.guide import Guide
 from twinct.robots.motion.kinematics import mujoco, site_pose
 from twinct.robots.motion.plan import MotionPlan
 from twinct.robots.motion.reactive import Reactive
 from twinct.robots.motion.reference import Reference
-from twinct.robots.motion.refusals import readable
 from twinct.robots.motion.shutter import Shutter
+from twinct.robots.motion.touch import Touch, touches
 from twinct.scenario import Motion
 from twinct.uncertainty import TrueCell
 
@@ -39,28 +40,32 @@ SAMPLE_S = 0.02
 
 @dataclass
 class StepWatch:
-    """Torques, speeds and contacts over the steps of one move.
+    """Torques and speeds over the steps of one move.
 
     Attributes:
         torque_share: largest share of its torque limit that each joint used, (n,).
         speed_share: largest share of its published speed that each joint reached, (n,).
-        contacts: pairs of bodies that touched.
     """
 
     torque_share: Floats
     speed_share: Floats
-    contacts: set[tuple[str, str]]
 
 
 class RobotSimulation:
     """Simulation of both arms, stepped by MuJoCo along a plan or from target to target.
 
+    The motion has one owner at a time: the plan of the views, or whatever moved the arms last. Each
+    motion other than the next view ends the plan of the views: the arms brake first, and further
+    views are refused until ``restore`` or ``follow``. Every cycle of every motion passes one gate
+    (``_step``), which stops the arms.
+
     MuJoCo holds the complete state: ``mjData.userdata`` stores the reference position, velocity
-    and acceleration of the servos and a mark of the plan, and the plan uses MuJoCo's time.
-    ``mjSTATE_INTEGRATION``, the plan and the targets therefore determine all further motion.
+    and acceleration of the servos and a mark of the plan of the views, 0 once that plan has ended,
+    and the plan uses MuJoCo's time. ``mjSTATE_INTEGRATION``, the plan and the targets therefore
+    determine all further motion.
 
     Attributes:
-        watch: torques, speeds and contacts over every step of the last move.
+        watch: torques and speeds over every step of the last move.
         on_joints: callback that receives the joints every ``SAMPLE_S`` of simulated time.
     """
 
@@ -101,6 +106,7 @@ class RobotSimulation:
         self._reactive = Reactive(cell_model, motion)
         self._reference = Reference(cell_model, motion)
         self._clearance = Clearance(cell_model)
+        self._gate, self._touch = _gate_of(cell_model, motion), Touch(cell_model)
         self._sample_steps = max(1, int(SAMPLE_S / self._model.opt.timestep + 1e-9))
         self._n = len(cell_model.joint_names)
         self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
@@ -110,7 +116,8 @@ class RobotSimulation:
         self._jacobian = np.zeros((3, self._model.nv))
         self._feedforward = np.zeros(self._model.nv)
         self.watch = self._new_watch()
-        self._plan: MotionPlan | None = None
+        self._of_views: MotionPlan | None = None  # the plan of the views
+        self._plan: MotionPlan | None = None  # the plan that owns the motion
         self._begun_s = 0.0
         if plan is not None:
             self.follow(plan)
@@ -126,9 +133,11 @@ class RobotSimulation:
                 f"the plan is for another cell: it moves {', '.join(plan.joint_names)}, but this "
                 f"cell has {', '.join(self._cell.joint_names)}"
             )
-        self._plan, self._begun_s = plan, 0.0
+        reactive = self._motion.scheme == "reactive"
+        self._of_views = self._plan = None if reactive else plan
+        self._begun_s = 0.0
         self._guide = Guide(self._cell, self._motion, self._roll_free, plan.home)
-        self._mark = 0.0 if self._motion.scheme == "reactive" else float(int(plan.digest[:12], 16))
+        self._mark = 0.0 if reactive else float(int(plan.digest[:12], 16))
         mujoco.mj_resetData(self._model, self._data)
         self._data.qpos[:] = self._data.userdata[: self._n] = self._data.ctrl[:] = plan.home
         self._data.userdata[-1] = self._mark
@@ -173,8 +182,10 @@ class RobotSimulation:
                 f"the state has shape {state.shape}, but the states of this cell have ({size},)"
             )
         mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        if self._data.userdata[-1] != self._mark:
+        if self._data.userdata[-1] not in (self._mark, 0.0):
             raise MotionError("this state belongs to a plan other than the current one")
+        self._plan = self._of_views if self._data.userdata[-1] else None
+        self._begun_s = 0.0
         mujoco.mj_step1(self._model, self._data)
         self._taken = True
         self._guide.forget()
@@ -188,8 +199,8 @@ class RobotSimulation:
         """Continue along the plan until the trigger of a view fires.
 
         With ``motion.scheme: reactive``, inverse kinematics starts from the current joints. For a
-        target outside the plan, a new plan starts where the arms come to rest, and replaces the
-        present one.
+        target outside the plan, the arms brake, and a new plan starts where they come to rest. It
+        ends the plan of the views.
 
         Args:
             view: number of the view in the plan; None for a target outside the plan.
@@ -198,7 +209,8 @@ class RobotSimulation:
 
         Raises:
             TargetRefusedError: the target is out of reach, would cause a collision or was missed,
-                or the arms could not follow. The first two leave the simulation unchanged.
+                the arms could not follow, or the gate stopped them. The first two leave the
+                simulation unchanged.
         """
         self._view = view
         if self._motion.scheme == "reactive" or view is not None:
@@ -208,9 +220,15 @@ class RobotSimulation:
         if view is None:
             lead = self._plan_from(partial(self._guide.to, target))
             return self._along(0, "the target", lead, on_step)
-        if self._plan is None:
+        plan = self._of_views
+        if plan is None:
             raise MotionError("there is no plan to follow")
-        if target != self._plan.targets[view]:
+        if self._plan is not plan:
+            raise TargetRefusedError(
+                f"view {view}: the plan of the views has ended, because something else moved the "
+                "arms: restore a stored state, or follow the plan again"
+            )
+        if target != plan.targets[view]:
             raise TargetRefusedError(f"view {view}: this target is not the one in the plan")
         return self._along(view, f"view {view}", np.zeros((0, 3, self._n)), on_step)
 
@@ -290,22 +308,26 @@ class RobotSimulation:
         """
         lead = self._to_rest()
         here = lead[-1, 0] if len(lead) else self._data.userdata[: self._n].copy()
-        self._plan = make(here)
+        self._own(make(here))
         self._begun_s = self.time_s + len(lead) * self._model.opt.timestep
         return lead
 
+    def _own(self, plan: MotionPlan | None) -> None:
+        """Make a plan other than that of the views the owner of the motion; None for no plan."""
+        self._plan, self._data.userdata[-1] = plan, 0.0
+
     def _to_rest(self) -> Floats:
-        """Return the states of the reference until it stands still, (steps, 3, n)."""
+        """Return the states of a reference that brakes until it stands still, (steps, 3, n)."""
         now, timestep = self._data.userdata[: 3 * self._n].reshape(3, -1), self._model.opt.timestep
-        if np.abs(now[1:]).max() <= STANDING:
-            return np.zeros((0, 3, self._n))
-        if self._motion.scheme == "planned" and self._plan is not None:
-            since_s = self.time_s - self._begun_s
-            steps = math.ceil((self._plan.duration_s - since_s) / timestep)
-            return self._plan.at(since_s + np.arange(1, steps + 1) * timestep)
-        path = self._reference.towards(now, now[0])
-        steps = math.ceil(path.duration / timestep)
-        return np.array([path.at(k * timestep) for k in range(1, steps + 1)])
+        return brake(now, self._gate.jumps[1] / timestep, timestep)
+
+    def brake(self) -> None:
+        """Bring the arms to rest, whatever is in the way; this ends the plan of the views."""
+        self._own(None)
+        for state in self._to_rest():  # keeps the gate's limits
+            self._control(state)
+            if self.on_joints is not None:
+                self._sample(self.on_joints)
 
     def drive(
         self,
@@ -313,7 +335,7 @@ class RobotSimulation:
         target: PosePairs,
         on_step: Callable[[mujoco.MjData], None] | None = None,
     ) -> Reached:
-        """Move towards joint positions, without checks, until the trigger fires for ``target``.
+        """Move straight towards joint positions until the trigger fires for ``target``.
 
         Args:
             goal: joint positions, rad, (n,).
@@ -321,8 +343,10 @@ class RobotSimulation:
             on_step: called at every step, with kinematics up to date.
 
         Raises:
-            TargetRefusedError: the arms did not arrive within ``motion.timeout_s``.
+            TargetRefusedError: the arms did not arrive within ``motion.timeout_s``, or the gate
+                stopped them.
         """
+        self._own(None)
         n, timestep = self._n, self._model.opt.timestep
         path = self._reference.towards(self._data.userdata[: 3 * n].reshape(3, n), goal)
         shut = self._unready_steps
@@ -356,14 +380,11 @@ class RobotSimulation:
         instants: list[PosePairs] = []
         watch = self.watch = self._new_watch()
         mujoco.mj_step1(model, data)
+        self._touch.begin(data)
         last = self._view - 1 if self._view else None
         before = self._instant(last) if self._shutter.remember and self._taken else None
         for step in range(steps + open_steps + 1):
             record[step, 0], record[step, 1], record[step, 2] = joints, speeds, torques
-            if data.ncon:
-                for contact in data.contact:
-                    first, second = sorted(self._cell.body_of_geom(int(g)) for g in contact.geom)
-                    watch.contacts.add((first, second))
             if on_step is not None:
                 on_step(data)
             if self.on_joints is not None and step:
@@ -380,18 +401,65 @@ class RobotSimulation:
                     return self._reached(record[: step + 1], instants, before)
             elif step >= steps:
                 break
-            self._step(reference(step))
+            try:
+                self._step(reference(step))
+            except TargetRefusedError as stopped:
+                self._judge(watch, record[: step + 1])
+                text = "; ".join([str(stopped), *self._saturated()])
+                raise TargetRefusedError(text, stopped.arms) from None
         self._judge(watch, record)
         raise self._late(wanted, what)
 
     def _sample(self, tell: Callable[[JointSample], None]) -> None:
         """Pass a joint sample to the callback if the time is on the grid of samples."""
+        if round(self._data.time / self._model.opt.timestep) % self._sample_steps == 0:
+            self._tell(tell)
+
+    def _tell(self, tell: Callable[[JointSample], None]) -> None:
+        """Pass a joint sample to the callback."""
         data = self._data
-        if round(data.time / self._model.opt.timestep) % self._sample_steps == 0:
-            now = data.qpos.copy(), data.qvel.copy(), data.qfrc_actuator.copy()
-            tell(JointSample(float(data.time), self.joint_names, *now))
+        now = data.qpos.copy(), data.qvel.copy(), data.qfrc_actuator.copy()
+        tell(JointSample(float(data.time), self.joint_names, *now))
 
     def _step(self, state: Floats) -> None:
+        """Let a reference pass the gate, and step the servos once towards it.
+
+        Whatever moves an arm comes through here in each cycle.
+
+        Args:
+            state: position, velocity and acceleration, rad and s, (3, n).
+
+        Raises:
+            TargetRefusedError: the reference jumps or leaves the limits of the joints, or bodies
+                touch; the arms have come to rest.
+        """
+        before, after = self._data.userdata[: 2 * self._n], state[:2].ravel()
+        if not self._gate.admits(before, after):
+            reason = self._gate.reason(before.reshape(2, -1), state[None])
+            if reason is not None:
+                self._stop(reason, (reason,))  # it begins with the joint
+        self._control(state)
+        if (pair := self._touch.made(self._data)) is not None:
+            self._stop(touches(pair), pair, release=True)
+
+    def _stop(self, reason: str, names: tuple[str, ...], *, release: bool = False) -> None:
+        """Bring the arms to rest, and raise the reason as ``TargetRefusedError``.
+
+        Args:
+            reason: what the gate refuses.
+            names: names of joints or bodies, which begin with the names of their arms.
+            release: whether the arms then rest where they stand, without pressing on a body.
+        """
+        view = "" if self._view is None else f"view {self._view}: "
+        self.brake()
+        if release:
+            rest = np.zeros((3, self._n))
+            rest[0] = self.joints
+            self._control(rest)
+        arms = [side for side in SIDES if any(name.startswith(side) for name in names)]
+        raise TargetRefusedError(f"{view}{reason}; the arms were stopped", arms)
+
+    def _control(self, state: Floats) -> None:
         """Step the servos once towards a position, velocity and acceleration, (3, n)."""
         model, data, n = self._model, self._data, self._n
         position, velocity, acceleration = state
@@ -410,7 +478,7 @@ class RobotSimulation:
         watch.torque_share = torque / self._cell.torque_limits
 
     def _new_watch(self) -> StepWatch:
-        return StepWatch(np.zeros(self._n), np.zeros(self._n), set())
+        return StepWatch(np.zeros(self._n), np.zeros(self._n))
 
     def _at_rest(self) -> bool:
         """Check that the reference has stopped and both end-effectors stand still."""
@@ -457,19 +525,27 @@ class RobotSimulation:
         )
 
     def _late(self, wanted: Floats, what: str) -> TargetRefusedError:
-        """Return the error of a timeout: the arms' distances, saturated joints and contacts."""
+        """Return the error of a timeout: the arms' distances and saturated joints."""
         here = self._data.site_xpos[list(self._cell.site_ids)]
         off_mm = np.linalg.norm(here - wanted, axis=1) * MM_PER_M
         parts = [
             f"{what}: source and detector are {off_mm[0]:.1f} and {off_mm[1]:.1f} mm off their "
             f"targets ({self._motion.tolerance_mm:g} mm allowed)"
         ]
+        parts += self._saturated()
+        late = np.flatnonzero(off_mm >= self._motion.tolerance_mm)
+        return TargetRefusedError("; ".join(parts), [SIDES[arm] for arm in late])
+
+    def _saturated(self) -> list[str]:
+        """Return a part of a message about joints that reached their torque limit, if any."""
         at_limit = np.flatnonzero(self.watch.torque_share >= SATURATED)
         names, limits = self.joint_names, self._cell.torque_limits
         limited = [f"{names[joint]} ({limits[joint]:.0f} N m)" for joint in at_limit]
-        if limited:
-            parts.append(f"torque limit reached in {', '.join(limited)}")
-        for first, second in sorted(self.watch.contacts):
-            parts.append(f"{readable(first)} touches {readable(second)}")
-        late = np.flatnonzero(off_mm >= self._motion.tolerance_mm)
-        return TargetRefusedError("; ".join(parts), [SIDES[arm] for arm in late])
+        return [f"torque limit reached in {', '.join(limited)}"] if limited else []
+
+
+def _gate_of(cell: CellModel, motion: Motion) -> Gate:
+    """Return the gate of a cell: published speeds, and the largest acceleration of a motion."""
+    accelerations = np.full(len(cell.joint_names), np.radians(motion.acceleration_deg_s2))
+    limits = JointLimits(cell.joint_names, cell.joint_ranges, cell.speed_limits, accelerations)
+    return Gate(limits, cell.model.opt.timestep)
