@@ -3,6 +3,7 @@
 python benchmarks/bench_study.py overhead    200 trials of 8 views, 32^3, against the same calls
 python benchmarks/bench_study.py scaling     40 scans of demo size, 2 workers against 1
 python benchmarks/bench_study.py sharing     10 relaxations on one scan against its parts
+python benchmarks/bench_study.py plans       5 seeds of the arms' errors, one plan against five
 python benchmarks/bench_study.py estimates   12 trials against what one trial said of them
 
 Workers are warm, and each has one thread. What is compared takes turns, so that a noisy machine
@@ -19,6 +20,7 @@ from statistics import median
 
 os.environ["TWINCT_THREADS"] = "1"
 
+from twinct.core.cached import forget  # noqa: E402
 from twinct.core.threads import limit_threads  # noqa: E402
 from twinct.study import dry_run, load_results, load_study, run_study  # noqa: E402
 from twinct.study.checking import Checker  # noqa: E402
@@ -66,6 +68,7 @@ class Here:
     threads = 1
 
     def __init__(self, folder):
+        folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.offered, self.attached = folder, {}, {}
 
     def fetch(self, name):
@@ -185,6 +188,29 @@ def sharing(kind, folder, number):
         print(f"{kind}: {' and '.join(f'{ratio:.3f}' for ratio in found)} x {name}")
 
 
+def plans(kind, folder, number):
+    """Trials that differ in the seed of the arms' errors: one plan for all against one each."""
+    told = seeds(number, "demo.yaml", **{"uncertainty.arms.tool_mm": 0.2})
+    bench = Bench(told, folder / "study")
+    driver = bench.on(None)
+    specs = [driver.spec(one, shared=False) for one in bench.trials]
+    try_trial(specs[0], Here(folder / "warm"))
+    spent, planned = {"shared": 0.0, "own": 0.0}, {"shared": 0.0, "own": 0.0}
+    for turn, spec in enumerate(specs):
+        places = {"shared": folder / "shared", "own": folder / f"own{turn}"}
+        for which in ("shared", "own") if turn % 2 else ("own", "shared"):
+            for made in ("plan", "scan", "truth"):
+                forget(made)  # as another worker would find it
+            began = time.perf_counter()
+            stages = try_trial(spec, Here(places[which]))["seconds"]
+            spent[which] += time.perf_counter() - began
+            planned[which] += stages["plan"]
+        print(f"trial {turn}: one plan {spent['shared']:.1f} s, own {spent['own']:.1f} s so far")
+    for which in spent:
+        print(f"{which}: {spent[which]:.1f} s, of these {planned[which]:.1f} s for plans")
+    print(f"{number} trials: {spent['own'] / spent['shared']:.2f} x as fast with one plan")
+
+
 def estimates(kind, folder, number):
     """What was estimated of a study after one trial of its kind, against what it took."""
     os.environ["XDG_CACHE_HOME"] = str(folder / "cache")
@@ -208,10 +234,10 @@ def estimates(kind, folder, number):
 
 
 def main():
-    """Run one of the four."""
+    """Run one of the five."""
     parser = argparse.ArgumentParser(description=__doc__)
     what = {"overhead": (overhead, 200), "scaling": (scaling, 40), "sharing": (sharing, 10)}
-    what["estimates"] = estimates, 12
+    what |= {"plans": (plans, 5), "estimates": (estimates, 12)}
     parser.add_argument("what", choices=what, nargs="?", default="overhead")
     parser.add_argument("--pool", choices=("local", "ray"), default="local")
     parser.add_argument("--number", type=int)

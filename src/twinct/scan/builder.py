@@ -5,6 +5,7 @@ Engines are imported only where they are used, so that a process loads no more t
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +20,7 @@ from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
 from twinct.geometry.wire import PosePairs, places_m, targets_of
 from twinct.robots.gantry import Gantry
-from twinct.scenario import Cell, GantryCell, Scenario, specimen_digest
+from twinct.scenario import Cell, GantryCell, Scenario, plan_digest, specimen_digest
 from twinct.specimen import BuiltPart, BuiltSpecimen, build_specimen
 from twinct.specimen.built_file import load_built
 from twinct.specimen.surface import joined
@@ -299,6 +300,17 @@ class SimulationBuilder:
         return plan_motion(
             self.cell, scenario.motion, targets, roll_free=self.roll_free, shutter=self.shutter
         )
+
+    @property
+    def plan_digest(self) -> str:
+        """SHA-256 of all that ``plan`` reads, as its key in a cache.
+
+        Raises:
+            TrajectoryError: the file of views cannot be read.
+        """
+        # The focal spot counts as far as it lets the source roll.
+        read = json.dumps([plan_digest(self.scenario), self.roll_free])
+        return hashlib.sha256(read.encode()).hexdigest()
 
     @property
     def shutter(self) -> Shutter:

@@ -42,7 +42,7 @@ from twinct.scenario.detector import (
     ScintillatorResponse,
     SnrNoise,
 )
-from twinct.scenario.digests import specimen_digest, stage_digests
+from twinct.scenario.digests import plan_digest, specimen_digest, stage_digests
 from twinct.scenario.evaluation import Evaluation, Region, Shell, WholePart
 from twinct.scenario.grey_volume import (
     AttenuationValues,
@@ -215,6 +215,7 @@ __all__ = [
     "load_scenario",
     "named_places",
     "parse_scenario",
+    "plan_digest",
     "scenario_names",
     "scenario_schema",
     "specimen_digest",

@@ -25,6 +25,7 @@ from twinct.recon.algorithms import BUILT_IN
 from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.detector import RandomBadPixels
 from twinct.scenario.scenario import Scenario, sections_in
+from twinct.scenario.uncertainty import Uncertainty
 
 StageName = Literal["surface", "plan", "executed", "images", "believed", "volume"]
 
@@ -48,6 +49,9 @@ STAGES: dict[StageName, _Stage] = {
 
 OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
+
+_AFTER_PLAN = ("settle_speed_mm_s",)
+"""Keys of the motion that count only when the arms move."""
 
 _SINCE_NOISE, _BY_NOISE = 3, ("fast", "prior_tv")
 """Version of the volumes of these algorithms: the noise decides on their steps since then."""
@@ -94,6 +98,18 @@ def specimen_digest(scenario: Scenario) -> str:
     parts = [stage_digests(scenario)["surface"], materials, stands]
     inputs = json.dumps([*parts, section.reference] if section.reference else parts)
     return hashlib.sha256(inputs.encode()).hexdigest()
+
+
+def plan_digest(scenario: Scenario) -> str:
+    """Return the SHA-256 of the keys that a motion plan reads.
+
+    These are the keys of the executed poses, except for the errors and their seeds: a plan knows
+    the nominal arms only. So scans that differ in their errors share one plan.
+    """
+    motion = scenario.motion
+    of_rest = {key: type(motion).model_fields[key].default for key in _AFTER_PLAN}
+    nominal = {"uncertainty": Uncertainty(), "motion": motion.model_copy(update=of_rest)}
+    return stage_digests(scenario.model_copy(update=nominal))["executed"]
 
 
 def readers(key: str) -> tuple[StageName, ...]:

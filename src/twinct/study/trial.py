@@ -37,7 +37,7 @@ from twinct.runs.known_motion import as_reconstructed, phase_of_truth
 from twinct.runs.reporting import figures_of
 from twinct.runs.truth import grey_body
 from twinct.scan import Scan, ScanStore, SimulationBuilder
-from twinct.scenario import Scenario, parse_scenario, specimen_digest, stage_digests
+from twinct.scenario import Scenario, parse_scenario, specimen_digest
 from twinct.scenario.reading import key_of
 from twinct.specimen import BuiltSpecimen, material
 from twinct.specimen.built_file import load_built, save_built
@@ -325,13 +325,14 @@ def _plan(
         return None
     from twinct.robots.motion import load_plan, save_plan
 
+    builder = SimulationBuilder(scenario, None, specimen)
+
     def make() -> MotionPlan:
-        plan = SimulationBuilder(scenario, None, specimen).plan
+        plan = builder.plan
         assert plan is not None
         return plan
 
-    # The digest "plan" covers the paths only; their timing depends on speeds and exposures, too.
-    digest = stage_digests(scenario)["executed"]
+    digest = builder.plan_digest
     with seconds.stage("plan"):
         return once(
             "plan", digest, lambda: cache.stored("plans", digest, make, save_plan, load_plan)
@@ -350,12 +351,13 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
     grid = section.model_dump(mode="json")
     bodies = filter(None, (specimen_digest(scenario), phase_of_truth(scenario)))
     of_truth = _digest(["truth", *bodies, energy, at, grid])
-    of_region = _digest(["region", stage_digests(scenario)["executed"], grid, scenario.detector])
 
     def truth() -> Any:
         return as_reconstructed(specimen, scenario).truth(section.volume_grid, energy, stands)
 
     executed = scan.relative.geometry(scenario.detector.panel)
+    rays = (one.tolist() for one in (executed.source, executed.detector, executed.u, executed.v))
+    of_region = _digest(["region", *rays, grid, scenario.detector])
 
     def region() -> Any:
         return region_of_interest(executed, section.volume_grid)
