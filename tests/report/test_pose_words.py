@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -64,7 +65,8 @@ def test_the_closing_line_names_both(believed, monkeypatch):
     said = []
     monkeypatch.setattr("twinct.cli.summary.say", said.append)
     figures = {**believed.metrics, "reference_material": "bone"}
-    say_result(SimpleNamespace(figures=figures, paths=SimpleNamespace(report="report.html")))
+    finished: Any = SimpleNamespace(figures=figures, paths=SimpleNamespace(report="r.html"))
+    say_result(finished)
     (text,) = said
     assert "executed against commanded 0.87 mm source, 0.87 mm detector" in text
     assert "believed against executed 1.23 mm source, 1.23 mm detector" in text
