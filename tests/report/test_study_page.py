@@ -176,12 +176,12 @@ def test_what_varies_along_with_an_axis_makes_no_lines():
         ("image.mean_bone_rel", "mean steel / %", "one"),
         (
             "pose_error.source.position_mm.max",
-            "pose error, source, position, largest / mm",
+            "executed against commanded, source, position, largest / mm",
             "lower",
         ),
         (
             "geometries.believed.pose_error.detector.rotation_deg.mean",
-            "pose error, detector, rotation, mean, believed geometry / deg",
+            "believed against executed, detector, rotation, mean / deg",
             "lower",
         ),
         ("clearance_mm.min", "clearance, smallest / mm", "higher"),

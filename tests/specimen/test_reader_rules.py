@@ -20,6 +20,7 @@ from ct_files import (
     LPS,
     Truth,
     assert_same,
+    body,
     encoded,
     frames,
     nifti,
@@ -280,3 +281,47 @@ def test_the_checksum_and_the_length_of_a_packed_project_count(tmp_path: Path, a
 def test_another_format_is_refused_with_a_way(tmp_path: Path) -> None:
     (tmp_path / "head.nrrd").write_bytes(b"NRRD0005\n")
     assert "convert others, such as NRRD, to NIfTI" in refusal(tmp_path / "head.nrrd")
+
+
+# Images with an odd number of bytes, which DICOM fills up to an even one (PS3.5, 8.1.1).
+
+ODD = 11, 9, 7
+"""Columns, rows and slices or frames, all odd."""
+STEP_HU = 16.0
+"""HU of a grey level of 8 bits."""
+
+
+def odd_images(form: str) -> tuple[list[Any], Truth]:
+    truth = Truth(body(ODD), placed().affine)
+    if form == "frames":
+        return [frames(truth, STEP_HU, -1024.0, "u1")], truth
+    return slices(truth, STEP_HU, -1024.0, "u1"), truth
+
+
+@pytest.mark.parametrize("form", ["slices", "frames"])
+def test_odd_images_of_eight_bits_are_read_with_their_filling(tmp_path: Path, form: str) -> None:
+    images, truth = odd_images(form)
+    for image in images:
+        assert len(image.PixelData) % 2 == 1
+        image.PixelData += b"\0"
+        image["PixelData"].VR = "OB"
+    save(tmp_path / "odd", images)
+    assert_same(read_ct(tmp_path / "odd", "it"), truth, STEP_HU / 2)
+
+
+@pytest.mark.parametrize("form", ["slices", "frames"])
+@pytest.mark.parametrize(("more", "said"), [(-1, "is cut off"), (3, "is inconsistent")])
+def test_odd_images_with_other_sizes_are_refused(
+    tmp_path: Path, form: str, more: int, said: str
+) -> None:
+    images, _ = odd_images(form)
+    whole = images[0].PixelData
+    needed = len(whole)
+    for image in images:
+        image.PixelData += b"\0"
+        image["PixelData"].VR = "OB"
+    images[0].PixelData = whole[:more] if more < 0 else whole + bytes(more)
+    save(tmp_path / "odd", images)
+    message = refusal(tmp_path / "odd")
+    assert said in message
+    assert f"it has {needed + more} bytes of pixels" in message and f"need {needed}" in message

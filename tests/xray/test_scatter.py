@@ -106,9 +106,11 @@ def estimate(radius):
     return spread[MIDDLE].sum() / beam[MIDDLE].sum()
 
 
-# The estimate is short of multiple scatter. Tolerances: three standard deviations of the reference.
+# The estimate is short of multiple scatter, and behind the largest ball of that from rays beside
+# the panel. Tolerances: three standard deviations of the reference.
 @pytest.mark.parametrize(
-    ("radius", "share", "tolerance"), [(25.0, 0.89, 0.05), (50.0, 0.82, 0.03), (80.0, 0.77, 0.11)]
+    ("radius", "share", "tolerance"),
+    [(25.0, 0.89, 0.05), (50.0, 0.82, 0.03), (80.0, 0.77, 0.11), (100.0, 0.62, 0.07)],
 )
 def test_the_estimate_against_monte_carlo(figure, radius, share, tolerance):
     reference = monte_carlo(radius, 800_000, np.random.default_rng(1))

@@ -303,6 +303,7 @@ def compare(
     from twinct.core.files.writing import check_page, storage_errors
     from twinct.measured import compare_measured, is_measured_scan
     from twinct.measured.comparing import scan_folder
+    from twinct.report.pose_words import named_pose_errors
     from twinct.runs import compare
     from twinct.runs.folder import refuse_result
 
@@ -322,6 +323,7 @@ def compare(
         answer |= {"page": str(out), "notes": comparison.notes, "keys": comparison.keys}
         answer["runs"] = [
             {"path": one.path, "label": one.label, "image": one.image, "seconds": one.seconds}
+            | ({} if measured else {"pose_errors": named_pose_errors(one.metrics)})
             for one in comparison.compared
         ]
 

@@ -11,15 +11,21 @@ if TYPE_CHECKING:
 
 
 def say_result(run: Run) -> None:
-    """Print the main figures in two lines."""
-    image, pose = run.figures["image"], run.figures["pose_error"]
+    """Print the main figures, each in words: image, poses, report."""
+    from twinct.report.pose_words import named_pose_errors
+
+    image, poses = run.figures["image"], named_pose_errors(run.figures)
+    errors = "; ".join(
+        f"{name} {error['source']['position_mm']['mean']:.2f} mm source, "
+        f"{error['detector']['position_mm']['mean']:.2f} mm detector"
+        for name, error in poses.items()
+    )
     material = run.figures.get("reference_material", "bone")  # older runs do not say
     say(
         f"{run.figures['reached']} of {run.figures['views']} views; "
         f"RMSE {percent(image['rmse_rel'])} of mu({material}), "
-        f"{percent(image['rmse_bone_rel'])} near {material}; "
-        f"pose error {pose['source']['position_mm']['mean']:.2f} mm source, "
-        f"{pose['detector']['position_mm']['mean']:.2f} mm detector\n"
+        f"{percent(image['rmse_bone_rel'])} near {material}\n"
+        f"mean distance: {errors}\n"
         f"report: {run.paths.report}"
     )
 

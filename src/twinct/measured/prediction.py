@@ -45,6 +45,7 @@ from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.specimen import BuiltSpecimen
 from twinct.specimen.size import specimen_size
+from twinct.xray.scatter_range import scatter_doubts
 
 log = logging.getLogger(__name__)
 
@@ -167,7 +168,9 @@ def _predicted(
         specimen = SimulationBuilder(scan.scenario).specimen
         check_seen(specimen, views)
         grid = scan.scenario.reconstruction.volume_grid
-        for warning in specimen_size(scan.scenario.specimen, specimen, views, grid).warnings:
+        size = specimen_size(scan.scenario.specimen, specimen, views, grid)
+        sections = scan.scenario.source, scan.scenario.detector
+        for warning in (*size.warnings, *scatter_doubts(*sections, specimen, views)):
             audience.say(warning, warning=True)
         words = f"meshes, as {', '.join(one.name for one in specimen.materials)}"
         counts = np.ones((len(scan), *views.panel.shape), bool)

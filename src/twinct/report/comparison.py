@@ -13,6 +13,7 @@ from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES
 from twinct.report.data import CrossSection
 from twinct.report.measured import nested, reasons
 from twinct.report.page import stage_title
+from twinct.report.pose_words import against_executed, named_pose_errors
 from twinct.report.template import duration, fixed, rendered
 from twinct.scenario import Scenario
 from twinct.scenario.digests import OF_ARMS
@@ -206,24 +207,28 @@ def _image_rows(compared: Sequence[Compared]) -> list[Row]:
 
 
 def _pose_rows(compared: Sequence[Compared]) -> list[Row]:
-    """Return rows for executed against commanded poses, then for reconstructed against executed."""
+    """Return rows for executed against commanded poses, then for geometries against executed.
+
+    These are the believed one and, if others are reconstructed, the others.
+    """
     metrics = [one.metrics for one in compared]
-    believed = [
-        one.metrics.get("geometries", {}).get(one.scenario.reconstruction.geometries[0], {})
-        for one in compared
-    ]
+    by_name: dict[str, list[Any]] = {}
+    for index, one in enumerate(compared):
+        errors = dict(named_pose_errors(one.metrics))
+        used = one.scenario.reconstruction.geometries[0]
+        if (other := one.metrics.get("geometries", {}).get(used)) and not one.metrics.get("drive"):
+            errors[against_executed(used)] = other["pose_error"]
+        for name, error in errors.items():
+            by_name.setdefault(name, [None] * len(compared))[index] = error
     rows: list[Row] = []
-    for of, what, statistics in (
-        (metrics, "executed against commanded", ("mean", "max")),
-        (believed, "used for reconstruction, against executed", ("mean",)),
-    ):
+    for what, of in by_name.items():
         for arm in ("source", "detector"):
             for kind, name, unit in (
                 ("position_mm", "position", "mm"),
                 ("rotation_deg", "rotation", "deg"),
             ):
-                for statistic in statistics:
-                    values = [_nested(one, "pose_error", arm, kind, statistic) for one in of]
+                for statistic in ("mean", "max"):
+                    values = [_nested(one, arm, kind, statistic) for one in of]
                     title = f"{arm}, {name}, {statistic}"
                     rows.append(row_of(title, unit, values, partial(fixed, digits=3), what))
     gaps = [_nested(one, "clearance_mm", "min") for one in metrics]

@@ -8,6 +8,7 @@ from dataclasses import replace
 from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES, Figure, figure_kinds
 from twinct.evaluation.figure import Best
 from twinct.report.page import stage_title
+from twinct.report.pose_words import EXECUTED, against_executed
 
 _BEST_OF_RUN: Mapping[str, Best] = {
     "reached": "higher",
@@ -34,6 +35,9 @@ def figure_words(name: str, reference: str = "bone") -> Figure:
         reference: name of the material that image figures are relative to.
     """
     parts, of, comparable = name.split("."), "", True
+    if parts[0] == "geometries" and parts[2:3] == ["pose_error"]:
+        shown = _of_run(parts[2:], against_executed(parts[1]))
+        return replace(shown, key=name)
     if len(parts) > 2 and parts[0] in ("image_by_geometry", "geometries"):
         of = f"{parts[1]} geometry"
         parts = [*(["image"] if parts[0] == "image_by_geometry" else []), *parts[2:]]
@@ -80,13 +84,13 @@ def _of_image(parts: list[str]) -> Figure | None:
     return next((one for one in known if one.key == ".".join(parts)), None)
 
 
-def _of_run(parts: list[str]) -> Figure:
+def _of_run(parts: list[str], pose_error: str = EXECUTED) -> Figure:
     best = _BEST_OF_RUN.get(parts[0], "")
     if parts[0] == "seconds" and len(parts) == 2:
         return Figure("", f"time: {stage_title(parts[1])}", "s", digits=1, best=best)
     unit, words = "", list[str]()
     for part in parts:
-        word, own = _without_unit(part)
+        word, own = (pose_error, "") if part == "pose_error" else _without_unit(part)
         unit = own or unit
         words.append(word)
     if words[-1] in _STATISTICS:

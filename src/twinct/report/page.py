@@ -21,6 +21,7 @@ from twinct.report.measured import (
     reasons,
 )
 from twinct.report.physics import physics_in_words
+from twinct.report.pose_words import named_pose_errors
 from twinct.report.style import Picture
 from twinct.report.template import rendered
 from twinct.scenario import AnyCell, GantryCell, Part
@@ -111,6 +112,7 @@ def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
         nearest=" and ".join(report.nearest),
         arms=scenario.cell.kind == "arms",
         trigger=scenario.motion.trigger,
+        pose_errors=named_pose_errors(report.metrics),
         tolerance_mm=scenario.motion.tolerance_mm,
         scenario_yaml=report.scenario_yaml,
     )

@@ -76,6 +76,7 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
     warnings += _size(builder).warnings
     warnings += _cut(builder)
     warnings += larger_than_table(builder)
+    warnings += _scatter(builder)
     if seen.needed < seen.views:
         warnings.append(
             f"no voxel of the grid is seen by every view: the volume is judged in the voxels that "
@@ -123,6 +124,16 @@ def _cut(builder: SimulationBuilder) -> list[str]:
                 "missing; shape.extend_mm repeats the slices at both ends"
             )
     return warnings
+
+
+def _scatter(builder: SimulationBuilder) -> list[str]:
+    scenario = builder.scenario
+    if scenario.detector.scatter is None:
+        return []
+    from twinct.xray.scatter_range import scatter_doubts
+
+    parts = builder.specimen, builder.commanded, builder.beam_objects
+    return scatter_doubts(scenario.source, scenario.detector, *parts)
 
 
 def _views(views: tuple[int, ...]) -> str:

@@ -37,6 +37,11 @@ class Figures(dict[str, Any]):
         return self["pose_error"]
 
     @property
+    def believed_error(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Believed against executed poses, which the volume suffers from; as ``pose_error``."""
+        return self["geometries"]["believed"]["pose_error"]
+
+    @property
     def seconds(self) -> dict[str, float]:
         """Wall-clock seconds of each stage."""
         return self["seconds"]
