@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from twinct import judge_run, reconstruct_run, run
-from twinct.calibration import calibrate_run
+from twinct import run
+from twinct.calibration.scan_calibration import calibrate_self
 from twinct.core.errors import InputError
 from twinct.core.files.folder_paths import names_below
-from twinct.measured import predict
-from twinct.runs import Run
+from twinct.measured.prediction import predict
+from twinct.runs import Run, reconstruct_run, rewrite_report
 from twinct.runs.folder import Folder
 from twinct.scan import ScanStore
 from twinct.scenario import Scenario
@@ -29,7 +29,8 @@ NAMES = names_below(Folder)
 def drafts_of(name: str) -> list[str]:
     """Names that drafts had when everybody knew them."""
     suffix = Path(name).suffix
-    return [f".{name}.partial{suffix}", f".{name}.partial", f"{name}.partial", f"{name}.new"]
+    names = f".{name}.partial{suffix}", f".{name}.partial", f"{name}.partial", f"{name}.new"
+    return list(dict.fromkeys(names))
 
 
 @pytest.fixture
@@ -78,23 +79,37 @@ def test_a_run_in_a_folder_with_a_planted_link(
 @pytest.mark.parametrize(
     "command",
     [
-        lambda out: reconstruct_run(out),
-        lambda out: judge_run(out),
-        lambda out: calibrate_run(out, "self"),
-        lambda out: predict(out),
+        reconstruct_run,
+        rewrite_report,
+        calibrate_self,
+        predict,
     ],
-    ids=["reconstruct", "judge", "calibrate", "predict"],
+    ids=["reconstruct", "report", "calibrate", "predict"],
 )
-def test_a_command_on_a_run_with_a_planted_link(
-    copied: Path, outside: Path, command: Callable[[Path], object]
+def test_a_command_on_a_run_with_planted_links(
+    copied: Path, outside: Path, tmp_path: Path, command: Callable[[Path], object]
 ) -> None:
-    before = {path: path.lstat().st_mtime_ns for path in copied.rglob("*")}
-    there = [name for name in NAMES if (copied / name).exists()]
-    for name in (n for name in NAMES for n in (name, *drafts_of(name)) if n not in there):
-        for target in targets(outside, name):
-            (link := copied / name).symlink_to(target)
-            refused(link, lambda: command(copied))
-    assert {path: path.lstat().st_mtime_ns for path in copied.rglob("*")}.keys() == before.keys()
+    """At its lock; at all that is not there yet, drafts included; and at its results."""
+    names = [n for name in NAMES for n in (name, *drafts_of(name)) if not (copied / n).exists()]
+    assert len(names) > 3 * len(NAMES)
+    (copied / "twinct.lock").symlink_to(outside / "file")
+    refused(copied / "twinct.lock", lambda: command(copied))
+    names.remove("twinct.lock")
+    for target in (0, 1):
+        links = [copied / name for name in names]
+        for link in links:
+            link.symlink_to(targets(outside, link.name)[target])
+        with pytest.raises(InputError, match="is a symbolic link"):
+            command(copied)
+        for link in links:
+            link.unlink()
+    for name in ("metrics.json", "report.html", "volume.nii", "geometries"):
+        (copied / name).rename(moved := tmp_path / name)
+        before = moved.stat().st_mtime_ns
+        (copied / name).symlink_to(moved)
+        refused(copied / name, lambda: command(copied))
+        assert moved.stat().st_mtime_ns == before
+        moved.rename(copied / name)
 
 
 def test_a_run_below_a_link_of_the_user_goes_on(copied: Path, tmp_path: Path) -> None:
@@ -112,28 +127,34 @@ def unfinished(out: Path) -> None:
 def test_files_of_a_view_that_are_links_are_replaced(
     copied: Path, finished: Run, outside: Path
 ) -> None:
-    unfinished(copied)
-    store = copied / "scan.zarr"
+    store, transmission = copied / "scan.zarr", finished.scan.transmission
     files = [path for path in store.rglob("c.9*") if "commanded" not in path.parts]
     assert len(files) > 15
     for file in files:
         file.unlink()
         file.symlink_to(outside / "file")
-    for draft in (store / "status" / "c.9", store / "status" / "c.9.partial"):
-        draft.symlink_to(outside / "new")
-    with ScanStoreWritten(copied, finished.scenario) as resumed:
-        assert resumed.acquired == 9
-    assert not any(path.is_symlink() for path in store.rglob("*"))
+    (store / "status" / "c.9").unlink()
+    for name in ("c.9", "c.9.partial", ".c.9.partial", ".c.9.partial.9"):
+        (store / "status" / name).symlink_to(outside / "new")
+    run(finished.scenario, copied, link="local", resume=True)
+    assert not any((store / "status" / name).is_symlink() for name in ("c.9", "c.9.partial"))
+    assert not any(file.is_symlink() for file in files)
+    assert (ScanStore(store).transmission(9) == transmission[9]).all()
 
 
-class ScanStoreWritten:
-    """A store continued by its last view."""
-
-    def __init__(self, out: Path, scenario: Scenario) -> None:
-        self.store = ScanStore.resume(out / "scan.zarr", scenario)
-
-    def __enter__(self) -> ScanStore:
-        return self.store
-
-    def __exit__(self, *_: object) -> None:
-        pass
+def test_a_linked_folder_in_a_store_is_refused(
+    copied: Path, finished: Run, outside: Path, tmp_path: Path
+) -> None:
+    """Also where its content is that of the store, so that nothing seems to be damaged."""
+    store = copied / "scan.zarr"
+    (store / "status" / "c.9").unlink()
+    for name in ("transmission", "status", "manifest/views", "executed", "joints"):
+        moved = tmp_path / "moved"
+        (store / name).rename(moved)
+        before = {path: path.stat().st_mtime_ns for path in moved.rglob("*")}
+        (store / name).symlink_to(moved)
+        with pytest.raises(InputError, match=f"{name}: a symbolic link stands in the way"):
+            run(finished.scenario, copied, link="local", resume=True)
+        assert {path: path.stat().st_mtime_ns for path in moved.rglob("*")} == before
+        (store / name).unlink()
+        moved.rename(store / name)

@@ -125,10 +125,10 @@ def check_folder(path: Path, own: Collection[str] | None = None) -> None:
         return
     there = sorted(path.iterdir())
     for inner in there:
-        if inner.is_symlink():
-            raise linked(inner)
         if (why := no_file(inner, folder=True)) and why != ABSENT:  # a pipe would block a reader
             raise InputError(f"--out {path}: {inner.name} {why}")
+        if inner.is_symlink():
+            raise linked(inner)
     others = [name for name in (inner.name for inner in there) if not _known(name, own)]
     if others:
         listed = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
