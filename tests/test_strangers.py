@@ -162,9 +162,7 @@ def test_processes_import_nothing_from_the_current_folder(
         return subprocess.CompletedProcess(command, 0, "", "")
 
     monkeypatch.setattr(kernel_cache.subprocess, "run", run)
-    draft = tmp_path / "draft"
-    draft.mkdir()
-    kernel_cache._compiled(draft, tmp_path / "kernels")
+    kernel_cache._compiled(tmp_path / "draft", tmp_path / "kernels")
     assert asked and all("-P" in command[1:2] for command in [*asked, NODE_COMMAND])
 
 

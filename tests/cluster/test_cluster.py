@@ -5,12 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import os
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -114,26 +112,6 @@ def test_a_server_without_ray_is_refused_and_a_token_comes_before_ray() -> None:
 def without_token() -> dict[str, str]:
     """The environment of a driver that has no token."""
     return {name: value for name, value in os.environ.items() if "RAY_AUTH" not in name}
-
-
-def test_what_killed_processes_left_is_removed(monkeypatch) -> None:
-    place = tempfile.mkdtemp(prefix="pytest-", dir="/tmp")
-    try:
-        monkeypatch.setattr("twinct.workers.cluster.local._PREFIX", f"{Path(place).name}/ray-")
-        folders = [Path(f"/tmp/{local._PREFIX}{name}") for name in ("held", "left", "starting")]
-        for folder in folders:
-            folder.mkdir()
-            if folder is not folders[2]:
-                os.mkfifo(folder / "lifeline")
-        writer = os.open(folders[0] / "lifeline", os.O_RDWR)
-        local._sweep()
-        assert [folder.exists() for folder in folders] == [True, False, True]
-        os.close(writer)
-        folders[2].rmdir()
-        local._sweep()
-        assert not folders[0].exists()
-    finally:
-        shutil.rmtree(place)
 
 
 @pytest.mark.cluster

@@ -15,7 +15,7 @@ import pytest
 from waiting import until
 
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import passing_folder
+from twinct.core.files.private import private_folder
 from twinct.core.interruption import (
     ENDING,
     EndedBySignal,
@@ -95,14 +95,12 @@ def test_a_lock_goes_though_its_owner_is_interrupted(
 def test_a_second_interruption_does_not_stop_the_clean_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draft = tmp_path / "draft"
-    with pytest.raises(KeyboardInterrupt), passing_folder(draft):
-        draft.mkdir()
+    with pytest.raises(KeyboardInterrupt), private_folder(tmp_path) as folder:
         for i in range(3):
-            (draft / str(i)).touch()
+            (folder / str(i)).touch()
         monkeypatch.setattr(os, "unlink", interrupting(os.unlink))
         signal.raise_signal(signal.SIGINT)
-    assert not draft.exists()
+    assert not list(tmp_path.iterdir())
 
 
 SWALLOWING = """

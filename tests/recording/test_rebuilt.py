@@ -10,6 +10,7 @@ from mcap.writer import Writer
 
 from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.private import DRAFT
 from twinct.link.recording import Recorded
 from twinct.link.recording.bag import Bag
 from twinct.link.topics import IMAGE, JOINTS, REACHED, STATE
@@ -86,8 +87,9 @@ def test_an_import_that_is_cut_short_leaves_nothing_and_can_be_repeated(
         patch.setattr(ScanStore, "write", interrupted)
         import_scan([taken.folder / "scan.mcap"], out)
     assert not list(out.iterdir())
-    for killed in ("", ".new"):  # what a kill leaves, before and after the store has its frame
-        (out / f".scan.zarr.partial.zarr{killed}" / "images").mkdir(parents=True)
+    left = out / f"{DRAFT}abcdefgh"  # of a kill
+    (left / "scan.zarr" / "images").mkdir(parents=True)
+    (left / ".held").touch()
     import_scan([taken.folder / "scan.mcap"], out)
     assert_same(taken.folder / "scan.zarr", out / "scan.zarr")
     assert not [path for path in out.iterdir() if path.name.startswith(".")]

@@ -13,7 +13,9 @@ import pytest
 from planted import planted, unpickled
 from waiting import HANG_S, until
 
-from twinct.study.cache import PASSING, Cache
+from twinct.core.errors import InputError
+from twinct.core.files.private import DRAFT
+from twinct.study.cache import Cache
 
 # Forked: a process that imports all of twinct takes seconds.
 PROCESSES = multiprocessing.get_context("fork")
@@ -107,7 +109,19 @@ def test_a_link_in_place_of_a_draft_leads_to_no_other_file(tmp_path: Path) -> No
     (tmp_path / "arrays").mkdir()
     (tmp_path / "arrays" / ".a.partial").symlink_to(other)
     assert Cache(tmp_path).array("a", lambda: np.zeros(1)).tolist() == [0]
-    assert other.read_text() == "mine"
+    (tmp_path / "scans").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "scans" / ".b.partial").symlink_to(tmp_path / "elsewhere")
+    made = Cache(tmp_path).path("scans", "b", lambda draft: (draft.mkdir(), (draft / "1").touch()))
+    assert (made / "1").is_file() and not list((tmp_path / "elsewhere").iterdir())
+    (tmp_path / "scans" / ".c.partial").mkdir()
+    (tmp_path / "scans" / ".c.partial" / "1").symlink_to(other)
+    with pytest.raises(InputError, match=r"\.c\.partial/1 is a symbolic link"):
+        Cache(tmp_path).path("scans", "c", lambda draft: (draft / "1").touch())
+    (tmp_path / "scans" / ".d.lock").symlink_to(tmp_path / "made")
+    with pytest.raises(InputError, match=r"\.d\.lock is a symbolic link"):
+        Cache(tmp_path).path("scans", "d", Path.mkdir)
+    assert other.read_text() == "mine" and not (tmp_path / "made").exists()
 
 
 def test_pickles_of_earlier_versions_go_unread(tmp_path: Path) -> None:
@@ -133,12 +147,13 @@ def test_what_could_not_be_made_is_not_there_and_may_be_asked_for_again(tmp_path
 def test_what_a_dead_worker_left_goes_with_the_locks(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     cache.array("a", lambda: np.zeros(1))
-    Cache(tmp_path / f"{PASSING}x").array("a", lambda: np.zeros(1))
+    passing = tmp_path / f"{DRAFT}abcdefgh"
+    Cache(passing).array("a", lambda: np.zeros(1))
+    (passing / ".held").touch()
     begun = tmp_path / "scans" / ".b.partial" / "scan.zarr" / "status"
     for draft in (begun, tmp_path / "scans" / ".a.partial" / "scan.zarr.new"):
         draft.mkdir(parents=True)
     (begun / "c.0").touch()
-    (tmp_path / "arrays" / ".c.partial").touch()
     cache.remove_locks()
     assert cache.array("a", lambda: np.ones(1)).tolist() == [0]
     assert {path.name for path in tmp_path.iterdir()} == {"arrays", "scans"}

@@ -236,7 +236,12 @@ def begin(command, made, out):
 def contents(out, patterns):
     """Return the contents of all complete files below a folder that fit one of some patterns."""
     files = {path for pattern in patterns for path in out.glob(pattern) if path.is_file()}
-    return {str(p.relative_to(out)): content(p) for p in sorted(files) if "partial" not in p.name}
+    return {str(p.relative_to(out)): content(p) for p in sorted(files) if not is_draft(p)}
+
+
+def is_draft(path):
+    """Return True for a file in a draft of a command."""
+    return "partial" in path.name or any(p.startswith(".twinct-draft-") for p in path.parts)
 
 
 def content(file):

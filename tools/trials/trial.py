@@ -12,7 +12,7 @@ import subprocess
 import time
 
 from beside import Beside, domain
-from commands import COMMANDS, begin, contents, environment, line, prepare
+from commands import COMMANDS, begin, contents, environment, is_draft, line, prepare
 from faults import FAULTS
 from processes import (
     MARK,
@@ -29,7 +29,7 @@ from processes import (
 from recordings import is_part
 from simulated_cluster import SimulatedCluster
 
-DRAFT = re.compile(r"partial|\.new$|lock$|lifeline")
+DRAFT = re.compile(r"^\.twinct-draft-|partial|lock$|lifeline")
 DRAWS = 5
 """A trial is drawn at most so often."""
 EARLY = 0.75
@@ -293,7 +293,7 @@ class Trial:
     def kept(self):
         """Return the complete files that must not be made again."""
         files = {p for pattern in self.command.kept for p in self.out.glob(pattern)}
-        return sorted(p for p in files if "partial" not in p.name)
+        return sorted(p for p in files if not is_draft(p))
 
     def differing(self):
         """Return the names of results that differ from those of an undisturbed command."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from rich.console import Console
 from rich.table import Table
@@ -13,6 +12,7 @@ from rich.table import Table
 from twinct.cli.progress import on_terminal
 from twinct.core.errors import InputError
 from twinct.core.extras import require
+from twinct.core.files.private import temporary_folder
 from twinct.core.foreign_text import counted
 from twinct.core.threads import limit_threads
 from twinct.scenario import load_scenario, named_places
@@ -90,14 +90,14 @@ def _pool(address: str | None, jobs: int | None, bound: int) -> Iterator[Pool | 
     if address is None and workers == 1:
         yield None
         return
-    with TemporaryDirectory(prefix="twinct-plan-") as folder:
+    with temporary_folder() as folder:
         if address is None:
             share = max(bound // workers, 1)
-            pool: Pool = LocalPool(Path(folder), workers=workers, threads=share)
+            pool: Pool = LocalPool(folder, workers=workers, threads=share)
         else:
             from twinct.workers.cluster import RayPool
 
-            pool = RayPool(address, name=Path(folder).name, workers=jobs)
+            pool = RayPool(address, name=folder.name, workers=jobs)
         try:
             yield pool
         finally:

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import logging
 import os
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
+from twinct.core.files.writing import complete
 
 log = logging.getLogger(__name__)
 
@@ -54,10 +54,8 @@ def made_once(
     arrays = make()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{kind}-", dir=folder) as passing:
-            draft = Path(passing) / path.name
+        with complete(path) as draft:
             np.savez(draft, allow_pickle=False, **arrays)
-            draft.replace(path)
         _remove_old(folder, kind)
     except OSError as error:
         log.info("%s: cannot be kept for later runs: %s", path, error)

@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.images import write_tiff
+from twinct.core.files.links import own_folder
 from twinct.core.files.writing import storage_errors, write_json
 from twinct.core.foreign_text import quoted
 from twinct.ctsimu.describe import describe, refuse_unsaid, render_options
@@ -87,8 +88,7 @@ def export_scan(
     make_folder(folder)
     with storage_errors(folder):
         scenario = _scenario(scan, known, specimen, folder, name, ideal)
-        images = folder / "projections"
-        images.mkdir(exist_ok=True)
+        images = own_folder(folder / "projections")
         for view, image in enumerate(scan.transmission):
             write_tiff(images / f"{name}_{view:04d}.tif", np.ascontiguousarray(image[::-1]))
         write_json(files.trajectory, _trajectory(scan, known, name))

@@ -61,7 +61,7 @@ def render(
     """
     options, files = options or Options(), Files(folder, scenario.name)
     make_folder(folder)
-    with storage_errors(folder), sole_owner(folder / "twinct.lock"):
+    with storage_errors(folder), sole_owner(folder / "twinct.lock", alone=False):
         _claim(files, _identity(scenario, options), resume)
         with Camera(options.samples, options.spot_points) as camera:
             _Run(scenario, files, options, camera).all(step)

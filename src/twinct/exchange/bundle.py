@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twinct.core.errors import ScanExistsError
-from twinct.core.files.writing import passing_folder
+from twinct.core.files.writing import complete
 from twinct.exchange.format import Bundle, Format
 from twinct.exchange.formats import FormatName, format_named
 from twinct.geometry import ScanGeometry
@@ -47,14 +47,13 @@ def write_bundle(folder: Path, to: FormatName, bundle: Bundle) -> None:
     if folder.exists():
         raise ScanExistsError(f"{folder} already exists: choose another --out")
     form.check(bundle)
-    draft = folder.with_name(f".{folder.name}.partial")
-    with passing_folder(draft):
-        draft.mkdir(parents=True)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with complete(folder) as draft:
+        draft.mkdir()
         form.write(bundle, draft)
         (draft / "export.json").write_text(json.dumps(_facts(bundle), indent=2) + "\n")
         (draft / "load.py").write_text(form.script, encoding="utf-8")
         (draft / "README.txt").write_text(_readme(form, bundle), encoding="utf-8")
-        draft.rename(folder)
 
 
 def _facts(bundle: Bundle) -> dict[str, Any]:

@@ -9,7 +9,6 @@ import re
 import socket
 import sys
 import sysconfig
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager, suppress
@@ -17,6 +16,7 @@ from pathlib import Path
 
 from twinct.core.errors import InputError, LinkError
 from twinct.core.extras import require
+from twinct.core.files.private import temporary_folder
 from twinct.core.foreign_text import quoted, whole_number
 
 MIDDLEWARE = "rmw_fastrtps_cpp"
@@ -129,10 +129,10 @@ def middleware_settings(size: int = 0) -> Iterator[None]:
         yield
         return
     roomy = size > _USUAL_SEGMENT and not os.environ.get("FASTDDS_BUILTIN_TRANSPORTS")
-    with tempfile.NamedTemporaryFile("w", suffix=".xml", prefix="twinct-") as file:
-        file.write(_SETTINGS.format(profiles=_ROOMY.format(size=size) if roomy else ""))
-        file.flush()
-        os.environ[_FILE_KEYS[0]] = file.name
+    with temporary_folder() as folder:
+        file = folder / "profiles.xml"
+        file.write_text(_SETTINGS.format(profiles=_ROOMY.format(size=size) if roomy else ""))
+        os.environ[_FILE_KEYS[0]] = str(file)
         try:
             yield
         finally:

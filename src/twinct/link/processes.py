@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from twinct.core.files.links import no_link
 from twinct.link import heartbeat
 from twinct.link.heartbeat import LOOK_S, Pulse
 
@@ -51,7 +52,7 @@ class NodeProcess:
         """
         self.name, self.log = name, log
         own, its = socket.socketpair()
-        with log.open("ab") as output, its:
+        with open(log, "ab", opener=no_link) as output, its:
             self._start_of_log = output.tell()
             self._process = subprocess.Popen(
                 command,

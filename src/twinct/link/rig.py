@@ -6,7 +6,6 @@ import logging
 import os
 import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -22,6 +21,7 @@ from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from twinct.core.errors import LinkError, MemoryShortageError, TargetRefusedError
+from twinct.core.files.private import temporary_folder
 from twinct.core.memory import SHORTAGE
 from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.link import environment, messages
@@ -160,7 +160,7 @@ class RosRig:
             environment.sweep_shared_memory()
             stack.callback(environment.sweep_shared_memory)
             self.domain_id = domain.id
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="twinct-")))
+            folder = stack.enter_context(temporary_folder())
             self.log_dir = folder if log_dir is None else log_dir
             self.log_dir.mkdir(parents=True, exist_ok=True)
             stack.callback(self._stop_nodes)

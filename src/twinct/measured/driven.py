@@ -22,7 +22,7 @@ from twinct.core.files.boundary import library_errors
 from twinct.core.files.images import read_image
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
-from twinct.core.files.writing import draft_of, passing_folder, storage_errors, write_json
+from twinct.core.files.writing import complete, storage_errors, write_json
 from twinct.core.foreign_text import quoted
 from twinct.core.renamed import old_attribute
 from twinct.geometry.wire import PosePairs, Reached
@@ -161,15 +161,13 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
     with storage_errors(out), ExitStack() as stack:
         out.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
-        draft = draft_of(folder.scan)
-        stack.enter_context(passing_folder(draft))
+        draft = stack.enter_context(complete(folder.scan))
         write_views(out / VIEWS_FILE, commanded.geometry(panel))
         scenario = _placed(scenario, out / VIEWS_FILE)
         numbers = position, speed, time_s
         _write(draft, scenario, joints, (commanded, poses), numbers, images)
         folder.write_scenario(scenario)
         write_json(folder.drive, drive)
-        draft.rename(folder.scan)
     notes = (*notes, *lost, *unfit)
     return Driven(scenario, 1000 * latency_s, drive["lag_ms"], notes, len(used))
 

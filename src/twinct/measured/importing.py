@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
-from twinct.core.files.writing import complete, draft_of, remove_folder, storage_errors
+from twinct.core.files.writing import complete, remove_folder, storage_errors
 from twinct.core.renamed import old_attribute
 from twinct.evaluation import coarse, views_needed
 from twinct.geometry import Pose, ScanGeometry
@@ -113,14 +112,11 @@ def import_measured(
             with complete(folder.inputs / MAP) as draft, draft.open("wb") as stream:
                 np.save(stream, placement.mask(images.bad))
         # The scan comes last: without it, an import that was cut short can be repeated.
-        draft = draft_of(folder.scan)
-        shutil.rmtree(draft, ignore_errors=True)  # of a killed process
-        stack.callback(shutil.rmtree, draft, ignore_errors=True)
+        draft = stack.enter_context(complete(folder.scan))
         doubts = Doubts(description, images)
         scales = _write_views(draft, scenario, placement, doubts, geometry, audience)
         folder.write_scenario(scenario)
         show(partial(_draw, ScanStore(draft).read()), (10.4, 7.0), folder.imported)
-        draft.rename(folder.scan)
     sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(scenario)
     return Imported(folder.path, scenario, sentences, doubts.sentences)
 

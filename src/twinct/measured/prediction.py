@@ -21,7 +21,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import (
-    passing_folder,
+    complete,
     remove_folder,
     storage_errors,
     write_json,
@@ -298,10 +298,10 @@ def _write(made: Prediction, measured: Singles, predicted: Singles, pitch: float
     """Write the folder, which appears when it is complete."""
     from tifffile import imwrite
 
-    draft = made.path.with_name(f".{made.path.name}.partial")
     residuals = made.residuals
-    with passing_folder(draft):
-        draft.mkdir(parents=True)
+    made.path.parent.mkdir(parents=True, exist_ok=True)
+    with complete(made.path) as draft:
+        draft.mkdir()
         data: dict[str, Any] = {
             "format": FORMAT,
             "name": made.name,
@@ -325,7 +325,6 @@ def _write(made: Prediction, measured: Singles, predicted: Singles, pitch: float
             metadata={**facts, "views": numbers},
         )
         show_prediction(draft / "prediction.png", measured, predicted, residuals)
-        draft.rename(made.path)
 
 
 def _table(residuals: Residuals) -> str:

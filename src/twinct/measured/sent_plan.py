@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import library_errors
+from twinct.core.files.private import temporary_folder
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs
 from twinct.measured.joint_track import JointTrack
@@ -59,8 +58,8 @@ class SentPlan:
         from twinct.robots.motion import load_plan
 
         where = "the plan in the recording"
-        with TemporaryDirectory(prefix="twinct-") as name, library_errors(where):
-            (file := Path(name) / "plan.npz").write_bytes(content)
+        with temporary_folder() as folder, library_errors(where):
+            (file := folder / "plan.npz").write_bytes(content)
             try:
                 plan = load_plan(file)
             except InputError as error:

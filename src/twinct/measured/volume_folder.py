@@ -16,7 +16,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import read_json
-from twinct.core.files.writing import passing_folder, remove_folder, storage_errors, write_json
+from twinct.core.files.writing import complete, remove_folder, storage_errors, write_json
 from twinct.core.renamed import old_attribute
 from twinct.measured.judgement import Judgement, judge_volume
 from twinct.observers import Audience, Observers, audience_of
@@ -94,12 +94,11 @@ class MeasuredVolume:
 
     def write(self, volume: Volume) -> None:
         """Write the folder, which appears only when it is complete."""
-        draft = self.path.with_name(f".{self.path.name}.partial")
-        with passing_folder(draft):
-            draft.mkdir(parents=True)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with complete(self.path) as draft:
+            draft.mkdir()
             volume.write(draft / VOLUME, f"twinct {self.in_words}"[:78])
             self.write_figures(draft)
-            draft.rename(self.path)
 
     def write_figures(self, folder: Path | None = None) -> None:
         """Write everything but the voxels, into the folder of the volume."""

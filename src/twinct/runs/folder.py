@@ -14,7 +14,7 @@ from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.folder_paths import Below, names_below
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.plain_yaml import read_file, written
-from twinct.core.files.writing import check_folder, draft_of, write_text
+from twinct.core.files.writing import check_folder, write_text
 from twinct.link.recording import recordings
 from twinct.runs.reconstruction_folder import file_digest
 from twinct.scan import OWN, named_geometries
@@ -164,13 +164,9 @@ class Folder:
 
     def refuse_others(self) -> None:
         """Raise if the folder holds anything that is not part of a run."""
-        own = names_below(Folder)
-        drafts = [draft_of(self.path / name).name for name in own]
-        # The store makes a draft of its own, also while an import makes it under a draft's name.
-        stores = [f"{self.scan.name}.new", f"{draft_of(self.scan).name}.new"]
         recorded = (path.name for path in recordings(self.path))
         exports = (path.name for path in self.path.glob("export-*"))
-        check_folder(self.path, {*own, *drafts, *stores, *recorded, *exports})
+        check_folder(self.path, {*names_below(Folder), *recorded, *exports})
 
     def refuse_if_taken(self, *, resumes: bool = True) -> None:
         """Raise if the folder already holds results or recordings of a run.

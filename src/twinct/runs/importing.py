@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import draft_of, passing_folder, storage_errors
+from twinct.core.files.writing import complete, storage_errors
 from twinct.runs.acquisition import rendered_frames
 from twinct.runs.folder import Folder
 from twinct.scan import SimulationBuilder
@@ -55,8 +55,6 @@ def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
                 return None if imager is None else rendered_frames(reached, index, imager)
 
             # The scan comes last: without it, an import that was cut short can be repeated.
-            draft = draft_of(folder.scan)
-            stack.enter_context(passing_folder(draft))
-            folder.write_scenario(recorded.rebuild(draft, frames_of).scenario)
-            draft.rename(folder.scan)
+            draft = stack.enter_context(complete(folder.scan))
+            folder.write_scenario(recorded.rebuild(draft, folder.path, frames_of).scenario)
     return recorded

@@ -15,7 +15,7 @@ import numpy as np
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import read_json
-from twinct.core.files.writing import passing_folder, write_json
+from twinct.core.files.writing import complete, write_json
 from twinct.core.renamed import old_attribute
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
@@ -81,9 +81,9 @@ class Reconstruction:
         Raises:
             OSError: a file cannot be written.
         """
-        draft = self.path.with_name(f".{self.path.name}.partial")
-        with passing_folder(draft):
-            draft.mkdir(parents=True)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with complete(self.path) as draft:
+            draft.mkdir()
             volume.write(draft / "volume.nii", f"twinct {self.digest[:32]}")
             arrays = {
                 f"{plane}.{name}": getattr(section, name)
@@ -98,7 +98,6 @@ class Reconstruction:
             }
             data["files"] = {name: file_digest(draft / name) for name in _FILES}
             write_json(draft / "reconstruction.json", data)
-            draft.rename(self.path)
 
     def write_figures(self, figures: ImageFigures) -> None:
         """Replace the figures in the folder."""

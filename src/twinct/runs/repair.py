@@ -7,7 +7,7 @@ from pathlib import Path
 
 from twinct.core.errors import DamagedError
 from twinct.core.files.lock import sole_owner
-from twinct.core.files.writing import passing_folder
+from twinct.core.files.private import private_folder
 from twinct.runs.folder import Folder
 from twinct.scan import ScanStore, SimulationBuilder, write_frame
 from twinct.scan.damage import clear_paths, root_digest
@@ -41,10 +41,11 @@ def mend_frame(path: Path, builder: SimulationBuilder, error: DamagedError) -> N
         DamagedError: the new files differ from the original ones; nothing has been changed.
     """
     clear_paths(path, error.damages)
-    scenario, draft = builder.scenario, path.with_name(f"{path.name}.new")
+    scenario = builder.scenario
     reached = builder.robots().move(0, builder.targets[0])
     robots = reached.joint_names, len(reached.state), builder.followed
-    with passing_folder(draft):
+    with private_folder(path.parent) as folder:
+        draft = folder / path.name
         write_frame(draft, scenario, builder.commanded_poses, *robots, mas=builder.mas)
         fresh = read_frame_manifest(draft) or {}
         broken = [damage.file for damage in error.damages]

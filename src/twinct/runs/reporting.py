@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twinct.core.errors import MissingExtraError
+from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import write_json
 from twinct.evaluation import (
     ImageFigures,
@@ -256,8 +255,8 @@ def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> Re
 
 def _room(builder: SimulationBuilder) -> bytes | None:
     """Draw the room at the middle of the path; return None if MuJoCo is not installed."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "room.png"
+    with temporary_folder() as folder:
+        path = folder / "room.png"
         try:
             builder.draw(path, len(builder.targets) // 2)
         except MissingExtraError as error:

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from twinct.core.errors import DamagedError
+from twinct.core.files.links import linked_folders
 from twinct.core.files.plain_json import read_json
+from twinct.core.files.private import is_private
 from twinct.scan.manifest import (
     ACQUIRED,
     FOLDER,
@@ -85,19 +87,21 @@ def unknown_files(path: Path) -> list[str]:
         return view is not None and view < views and view not in whole and array in arrays
 
     there = (f for f in path.rglob("*") if f.is_symlink() or not f.is_dir())
-    files = (str(f.relative_to(path)) for f in there)
-    return sorted(file for file in files if file not in known and not expected(file))
+    files = [f.relative_to(path) for f in there]
+    own = {str(file) for file in files if not any(map(is_private, file.parts))}
+    return sorted(file for file in own if file not in known and not expected(file))
 
 
 def clear_paths(path: Path, damages: Iterable[Damage]) -> None:
     """Remove links and other irregular files from paths that will be rewritten.
 
     Raises:
-        DamagedError: a folder occupies a file's place, or a file a folder's. Nothing is changed,
-            because somebody may need it.
+        DamagedError: a folder occupies a file's place, or a file or a link a folder's. Nothing is
+            changed, because somebody may need it.
     """
     places = [path / damage.file for damage in damages]
     obstacles = {place: "a folder" for place in places if place.is_dir()}
+    obstacles |= dict.fromkeys(linked_folders(path), "a symbolic link")
     for folder in {parent for place in places for parent in place.relative_to(path).parents}:
         if os.path.lexists(path / folder) and not (path / folder).is_dir():
             obstacles[path / folder] = "a file"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 
 from twinct.core.errors import InputError, ScanExistsError
-from twinct.core.files.writing import remove_folder, storage_errors
+from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry.wire import PosePairs
 from twinct.scan.data import Acquired, Scan
 from twinct.scan.layout import write_frame
@@ -35,9 +34,7 @@ def save_scan(scan: Scan, path: Path) -> None:
     check_space(path.parent, scan.scenario, len(scan))
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        drafts = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-        draft = drafts / path.name
-        try:
+        with complete(path) as draft:
             write_frame(
                 draft,
                 with_files_in(scan.scenario, path.parent / "inputs"),
@@ -51,9 +48,6 @@ def save_scan(scan: Scan, path: Path) -> None:
             store = ScanStore(draft)
             for index, reached in enumerate(acquired.reached):
                 store.write(index, scan.transmission[index], reached)
-            draft.rename(path)
-        finally:
-            remove_folder(drafts)
 
 
 def _acquired(scan: Scan) -> Acquired:

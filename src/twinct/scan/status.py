@@ -6,6 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from twinct.core.files.writing import complete
 from twinct.scan.manifest import ACQUIRED, Damage, chunk_name, damaged, view_of
 
 
@@ -40,9 +41,8 @@ def is_acquired(path: Path, view: int) -> bool:
 def mark_acquired(path: Path, view: int) -> None:
     """Write the status of a view atomically."""
     chunk = path / status_file(view)
-    draft = chunk.with_name(chunk.name + ".partial")
-    draft.write_bytes(ACQUIRED)
-    draft.replace(chunk)
+    with complete(chunk) as draft:
+        draft.write_bytes(ACQUIRED)
 
 
 def views_taken(path: Path) -> set[int]:
@@ -50,6 +50,6 @@ def views_taken(path: Path) -> set[int]:
     views = (
         view_of(file.name)
         for file in (path / "status").glob("c.*")
-        if not file.suffix[1:] == "partial"
+        if file.suffix != ".partial"  # drafts of earlier versions
     )
     return {view for view in views if view is not None}

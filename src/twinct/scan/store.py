@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import DamagedError, InputError, ScanExistsError
 from twinct.core.files.plain_json import json_of
-from twinct.core.files.writing import passing_folder, require_space, storage_errors
+from twinct.core.files.private import sweep
+from twinct.core.files.writing import complete, require_space, storage_errors
 from twinct.core.foreign_text import quoted
 from twinct.core.interruption import postponed
 from twinct.geometry import Pose
@@ -143,11 +144,10 @@ class ScanStore:
         """
         if path.exists():
             raise ScanExistsError(f"{path} already holds a scan: choose another --out or --resume")
-        draft = path.with_name(path.name + ".new")
-        with storage_errors(path), passing_folder(draft):
+        with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
-            draft.rename(path)
+            with complete(path) as draft:
+                write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
         return cls(path)
 
     @classmethod
@@ -156,8 +156,8 @@ class ScanStore:
 
         Raises:
             ScanExistsError: the store holds the scan of another scenario.
-            DamagedError: a file's place is occupied, or no view of a store without digests fits its
-                metadata; nothing has been changed.
+            DamagedError: the place of a file or folder is occupied, or no view of a store without
+                digests fits its metadata; nothing has been changed.
         """
         store = cls(path)
         store.refuse_other(scenario)
@@ -172,6 +172,7 @@ class ScanStore:
         with storage_errors(path):
             for view in {damage.view for damage in damages}:
                 (path / status_file(view or 0)).unlink(missing_ok=True)
+            sweep(path / "status")
             store._remove_unfinished()
         return store
 

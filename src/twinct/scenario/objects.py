@@ -6,6 +6,8 @@ all times. What lasts longer than the process, such as a run's folder, takes the
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import hashlib
 import json
 import os
@@ -19,7 +21,9 @@ from typing import Any, cast
 import numpy as np
 
 from twinct.core.errors import ScenarioError
+from twinct.core.files.links import own_folder
 from twinct.core.files.meshes import read_mesh, write_ply
+from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import complete
 from twinct.core.settings import FILE_KEYS
 from twinct.geometry import ScanGeometry
@@ -85,12 +89,12 @@ def with_files_in(scenario: Scenario, folder: Path) -> Scenario:
 
     Raises:
         OSError: a file cannot be written.
+        InputError: the folder is a link.
     """
-    own = {path for path in scenario.files().values() if path.parent == Path(_own().name).resolve()}
+    own = {path for path in scenario.files().values() if path.parent == _own().resolve()}
     if not own:
         return scenario
-    folder = folder.resolve()
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = own_folder(folder).resolve()
     for path in own:
         if not (folder / path.name).exists():
             with complete(folder / path.name) as draft:
@@ -119,16 +123,18 @@ def with_paths(data: Any, new: Callable[[Path], Path]) -> Any:
 
 
 @cache
-def _own() -> tempfile.TemporaryDirectory[str]:
+def _own() -> Path:
     """Return the folder for the files of this process, which is removed when it ends."""
-    return tempfile.TemporaryDirectory(prefix="twinct-")
+    stack = contextlib.ExitStack()
+    atexit.register(stack.close)
+    return stack.enter_context(temporary_folder())
 
 
 def _file(name: str, suffix: str, write: Callable[[Path], None]) -> Path:
     """Write a file of this process and name it by its content."""
-    handle, draft = tempfile.mkstemp(suffix, dir=_own().name)
+    handle, draft = tempfile.mkstemp(suffix, dir=_own())
     os.close(handle)
     write(Path(draft))
     with open(draft, "rb") as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    return Path(draft).replace(Path(_own().name, f"{name}-{digest[:16]}{suffix}"))
+    return Path(draft).replace(_own() / f"{name}-{digest[:16]}{suffix}")

@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npy
-from twinct.core.files.writing import remove_folder
+from twinct.core.files.links import look_through, no_link
+from twinct.core.files.writing import storage_errors
 from twinct.core.interruption import postponed
-from twinct.workers.artifact import remove
+from twinct.workers.artifact import arriving, remove
 
 log = logging.getLogger(__name__)
 
 Kept = TypeVar("Kept")
-
-PASSING = "passing-"
-"""Beginning of the names of folders that a worker removes itself, unless it dies."""
 
 _PICKLES = "things"
 """Kind of the pickles that earlier versions cached; to read one would run code in it."""
@@ -45,6 +43,9 @@ class Cache:
             digest: digest of all its inputs.
             make: writes the entry to the path of a draft; continues the draft of a worker that
                 died, if there is one.
+
+        Raises:
+            InputError: there is a link in the draft.
         """
         final = self.folder / kind / digest
         if final.exists():
@@ -52,6 +53,9 @@ class Cache:
         with self.locked(kind, digest):
             if not final.exists():
                 draft = final.with_name(f".{digest}.partial")
+                if draft.is_symlink():
+                    draft.unlink()
+                look_through(draft)
                 make(draft)
                 draft.rename(final)
         return final
@@ -74,21 +78,20 @@ class Cache:
             read: reads such a file; raises ``InputError`` if it is damaged. The file may come from
                 a stranger, so no code in it may run.
         """
-
-        def save(draft: Path) -> None:
-            remove(draft)
-            write(make(), draft)
-
-        path = self.path(kind, digest, save)
-        try:
-            return read(path)
-        except InputError as error:
-            log.warning("%s; it is made again", error)
+        path = self.folder / kind / digest
+        if path.exists():
+            try:
+                return read(path)
+            except InputError as error:
+                log.warning("%s; it is made again", error)
+                damaged = path.lstat()
+        else:
+            damaged = None
         with self.locked(kind, digest):
-            draft = path.with_name(f".{digest}.partial")
-            save(draft)
-            remove(path)
-            draft.rename(path)
+            # Another process may have made it meanwhile.
+            if not path.exists() or (damaged and os.path.samestat(path.lstat(), damaged)):
+                with arriving(path) as draft:
+                    write(make(), draft)
         return read(path)
 
     def array(self, digest: str, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
@@ -111,7 +114,8 @@ class Cache:
         """Hold an entry's lock during a block; the kernel releases the locks of dead processes."""
         path = self.folder / kind / f".{digest}.lock"
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        with storage_errors(path):
+            descriptor = no_link(str(path), os.O_RDWR | os.O_CREAT)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX)
             yield
@@ -129,8 +133,7 @@ class Cache:
         for path in self.folder.glob("*/.*.partial"):
             if not any((path / "scan.zarr" / "status").glob("c.*")):
                 remove(path)
-        for path in self.folder.glob(f"{PASSING}*"):
-            remove_folder(path)
+        look_through(self.folder)
 
 
 def _save_array(array: NDArray[Any], path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.folder_paths import Below, names_below
 from twinct.core.files.plain_json import read_json
-from twinct.core.files.writing import check_folder, draft_of, write_json, write_text
+from twinct.core.files.writing import check_folder, write_json, write_text
 from twinct.core.foreign_text import quoted
 from twinct.study import journal, results
 from twinct.study.design import Design
@@ -61,8 +61,7 @@ class StudyFolder:
             InputError: the folder holds other files, or another study.
             ScanExistsError: the folder holds this study, and ``resume`` is false.
         """
-        own = names_below(StudyFolder)
-        check_folder(self.path, {*own, *(draft_of(Path(name)).name for name in own)})
+        check_folder(self.path, set(names_below(StudyFolder)))
         if not self.identity.exists():
             return
         identity, there = _identity(design), self._there()

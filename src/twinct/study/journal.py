@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from twinct.core.errors import InputError
+from twinct.core.files.links import no_link
 from twinct.core.files.reading import reason
 from twinct.core.files.writing import storage_errors
 from twinct.core.foreign_text import quoted
@@ -111,7 +112,7 @@ class Journal:
         """
         lines = "".join(row.to_json() + "\n" for row in rows).encode()
         new = not self.path.exists()
-        with storage_errors(self.path), open(self.path, "a+b") as file:
+        with storage_errors(self.path), open(self.path, "a+b", opener=no_link) as file:
             file.truncate(_whole_bytes(file.fileno()))
             file.write(lines)
             file.flush()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from twinct.core.errors import InputError
 from twinct.core.extras import require
+from twinct.core.files.links import no_link
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import storage_errors
 from twinct.core.threads import threads
@@ -310,14 +311,15 @@ def _conclude(
 @contextmanager
 def _logged_to(path: Path) -> Iterator[None]:
     """Write the package's log messages to a file for the duration of a block."""
-    handler = logging.FileHandler(path, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    logger = logging.getLogger("twinct.study")
-    logger.addHandler(handler)
-    propagate, logger.propagate = logger.propagate, False
-    try:
-        yield
-    finally:
-        logger.removeHandler(handler)
-        logger.propagate = propagate
-        handler.close()
+    with open(path, "a", encoding="utf-8", opener=no_link) as stream:
+        handler = logging.StreamHandler(stream)
+        handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+        logger = logging.getLogger("twinct.study")
+        logger.addHandler(handler)
+        propagate, logger.propagate = logger.propagate, False
+        try:
+            yield
+        finally:
+            logger.removeHandler(handler)
+            logger.propagate = propagate
+            handler.close()

@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import shutil
-import tempfile
 import time
 from collections.abc import Mapping
 from contextlib import contextmanager, suppress
@@ -16,6 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from twinct.core.cached import once
 from twinct.core.errors import DamagedError, TwinctError
+from twinct.core.files.links import look_through, own_folder
+from twinct.core.files.private import private_folder
 from twinct.evaluation import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
@@ -41,7 +42,7 @@ from twinct.scenario import Scenario, parse_scenario, specimen_digest
 from twinct.scenario.reading import key_of
 from twinct.specimen import BuiltSpecimen, material
 from twinct.specimen.built_file import load_built, save_built
-from twinct.study.cache import PASSING, Cache
+from twinct.study.cache import Cache
 from twinct.study.estimate import bytes_below
 from twinct.study.sections import packed_sections
 from twinct.study.trial_figures import flat_figures
@@ -143,8 +144,8 @@ def try_trial(spec: TrialSpec, place: Place) -> dict[str, Any]:
     _start(spec, place.folder, seconds)
     began = time.perf_counter()
     with cache.locked("trials", spec.key):
-        folder = place.folder / "trials" / spec.key
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = own_folder(place.folder / "trials" / spec.key)
+        look_through(folder)
         scenario = spec.scenario_at(place)
         _check(scenario)
         shared_scan = _scan_path(spec, place)
@@ -183,10 +184,10 @@ def _start(spec: TrialSpec, folder: Path, seconds: _Seconds) -> None:
     if not _started and spec.link == "local":
         _started = True
         smallest, taken = parse_scenario(_SMALLEST), _Seconds()
-        here = tempfile.TemporaryDirectory(prefix=PASSING, dir=folder)
-        with seconds.stage(START), here as name, suppress(TwinctError):
+        here = private_folder(folder)
+        with seconds.stage(START), here as passing, suppress(TwinctError):
             first = replace(spec, scan=START, shared=False, keep="figures")
-            _figures(first, smallest, None, Path(name), Cache(Path(name)), taken)
+            _figures(first, smallest, None, passing, Cache(passing), taken)
 
 
 _started = False

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from twinct.core.errors import InputError
+from twinct.core.files.private import temporary_folder
 from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import ScanGeometry
@@ -138,8 +137,8 @@ class _Piece:
 
 def error_of(builder: SimulationBuilder, views: ScanGeometry) -> float:
     """Return the error of a volume of the views in the task's region; store no files."""
-    with TemporaryDirectory(prefix="twinct-trial-") as folder:
-        return trial(builder, views, None, Path(folder), "path").error_rel
+    with temporary_folder() as folder:
+        return trial(builder, views, None, folder, "path").error_rel
 
 
 def _judged(builder: SimulationBuilder, piece: _Piece) -> list[tuple[float, str]]:

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from twinct.core.files.writing import draft_of, storage_errors
+from twinct.core.files.private import private_folder
+from twinct.core.files.writing import storage_errors
 
 
 @dataclass(frozen=True)
@@ -39,20 +40,14 @@ def arriving(path: Path) -> Iterator[Path]:
     Raises:
         StorageError: the path cannot be written.
     """
-    draft = draft_of(path)
-    old = draft.with_name(f"{draft.name}.old")
     with storage_errors(path, "nothing was written there"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        remove(draft)
-        try:
+        with private_folder(path.parent) as folder:
+            draft = folder / path.name
             yield draft
-            if path.is_dir():  # a folder with content cannot be replaced
-                remove(old)
-                path.rename(old)
+            if path.is_dir():  # a folder with content cannot be replaced, nor a link by a folder
+                path.rename(folder / ".old")
             draft.replace(path)
-        finally:
-            remove(draft)
-            remove(old)
 
 
 def remove(path: Path) -> None:

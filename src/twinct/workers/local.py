@@ -16,6 +16,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 
 from twinct.core.errors import InputError
+from twinct.core.files.links import no_link
 from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.interruption import postponed
 from twinct.core.memory import available_bytes
@@ -42,7 +43,7 @@ class _Worker:
         try:
             with storage_errors(log):
                 log.parent.mkdir(parents=True, exist_ok=True)
-                with log.open("ab") as output:
+                with open(log, "ab", opener=no_link) as output:
                     self._process = subprocess.Popen(
                         [*program, *map(str, inherited), str(threads), str(folder)],
                         stdin=subprocess.DEVNULL,

@@ -11,22 +11,31 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from twinct.core.errors import FolderInUseError
+from twinct.core.files.links import look_through
 from twinct.core.files.writing import storage_errors
 from twinct.core.interruption import postponed
 
 
 @contextlib.contextmanager
-def sole_owner(path: Path) -> Iterator[None]:
+def sole_owner(path: Path, *, alone: bool = True) -> Iterator[None]:
     """Hold a lock file while the block writes into its folder, and remove it afterwards.
 
     The lock is the kernel's (``flock``), so that the lock of a dead owner is free at once. Its text
     only names the owner. Its folder must exist.
 
+    Args:
+        path: the lock file.
+        alone: the folder is for results alone, so that links in it are refused, and what killed
+            processes left there is removed; see ``twinct.core.files.links``.
+
     Raises:
+        InputError: there is a link in the folder, or at the lock.
         FolderInUseError: another process holds the lock; the message states its number and host.
         StorageError: the folder cannot be written, or its disk filled up.
     """
     with storage_errors(path.parent):
+        if alone:
+            look_through(path.parent)
         with contextlib.ExitStack() as stack:
             with postponed():
                 descriptor = _locked(path)

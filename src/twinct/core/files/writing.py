@@ -6,12 +6,15 @@ import contextlib
 import errno
 import json
 import os
+import re
 import shutil
 from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.core.files.boundary import ABSENT, no_file
+from twinct.core.files.links import linked
+from twinct.core.files.private import is_private, private_folder
 from twinct.core.interruption import postponed
 
 MADE_BY = '<meta name="generator" content="twinct">'
@@ -20,50 +23,34 @@ MADE_BY = '<meta name="generator" content="twinct">'
 _HEAD_BYTES = 2**12
 _SPARE_BYTES = 64 * 2**20
 """Disk space to leave free in addition to the output."""
+_EARLIER_DRAFT = re.compile(r"\.?(.+?)(?:\.partial(?:\..+)?|\.new)")
+"""Name of a draft that an earlier version left when it was killed."""
 
 
 @contextlib.contextmanager
 def complete(path: Path) -> Iterator[Path]:
-    """Yield a draft beside a path, which takes the path's place if the block succeeds.
+    """Yield a draft of the same name, which takes the path's place if the block succeeds.
 
-    The block writes a file, which may replace another one, or a folder, whose path must be free.
+    The draft lies in a private folder beside the path. The block writes a file, which may replace
+    another one, or a folder, whose path must be free. A link at the path is replaced by a file, and
+    never followed.
 
     Raises:
         StorageError: the folder of the path does not exist.
+        InputError: a folder cannot take the place of a link.
     """
-    draft = draft_of(path)
-    if draft.is_dir():  # a killed process may have left it
-        remove_folder(draft)
     try:
-        yield draft
-        draft.replace(path)
+        with private_folder(path.parent) as folder:
+            draft = folder / path.name
+            yield draft
+            if path.is_symlink() and draft.is_dir():
+                raise linked(path)
+            draft.replace(path)
     except FileNotFoundError as error:
         if path.parent.is_dir():
             raise
         problem = f"{path}: cannot be written: there is no folder {path.parent}"
         raise StorageError(problem) from error
-    finally:
-        if draft.is_dir():
-            remove_folder(draft)
-        else:
-            draft.unlink(missing_ok=True)
-
-
-def draft_of(path: Path) -> Path:
-    """Return the name of a file until it is complete; libraries need the same suffix."""
-    compressed = path.suffix.lower() == ".gz"
-    suffix = "".join(path.suffixes[-2:]) if compressed else path.suffix
-    return path.with_name(f".{path.name}.partial{suffix}")
-
-
-@contextlib.contextmanager
-def passing_folder(path: Path) -> Iterator[None]:
-    """Remove a folder before the block, as a killed process may have left it, and afterwards."""
-    remove_folder(path)
-    try:
-        yield
-    finally:
-        remove_folder(path)
 
 
 @postponed()
@@ -92,6 +79,8 @@ def storage_errors(path: Path, left: str = "earlier output is kept") -> Iterator
     try:
         yield
     except OSError as error:
+        if error.errno == errno.ELOOP and Path(error.filename or path).is_symlink():
+            raise linked(Path(error.filename or path)) from error
         if error.errno == errno.ENOSPC:
             message = f"{path}: the disk is full; {left}"
         elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOTDIR, errno.EDQUOT):
@@ -126,7 +115,7 @@ def check_folder(path: Path, own: Collection[str] | None = None) -> None:
     content of the folder may stay beside the results.
 
     Raises:
-        InputError: the path is a file, or the folder has other content.
+        InputError: the path is a file, or the folder has other content or a link.
         StorageError: the folder cannot be written.
     """
     if path.exists() and not path.is_dir():
@@ -138,13 +127,21 @@ def check_folder(path: Path, own: Collection[str] | None = None) -> None:
     for inner in there:
         if (why := no_file(inner, folder=True)) and why != ABSENT:  # a pipe would block a reader
             raise InputError(f"--out {path}: {inner.name} {why}")
-    others = [inner.name for inner in there if inner.name not in own]
+        if inner.is_symlink():
+            raise linked(inner)
+    others = [name for name in (inner.name for inner in there) if not _known(name, own)]
     if others:
         listed = ", ".join(others[:3]) + (", ..." if len(others) > 3 else "")
         raise InputError(
             f"--out {path}: the folder contains files that are not part of a run ({listed}): "
             "choose an empty or a new folder"
         )
+
+
+def _known(name: str, own: Collection[str]) -> bool:
+    """Return True for a result, and for what a killed process left of one."""
+    earlier = _EARLIER_DRAFT.fullmatch(name)
+    return name in own or is_private(name) or (earlier is not None and earlier[1] in own)
 
 
 def check_picture(path: Path) -> None:

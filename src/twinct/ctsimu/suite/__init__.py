@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
@@ -12,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError, MissingExtraError
-from twinct.core.files.writing import storage_errors, write_json
+from twinct.core.files.links import look_through, no_link, own_folder
+from twinct.core.files.writing import remove_folder, storage_errors, write_json
 from twinct.ctsimu.outputs import Files, Options
 from twinct.ctsimu.render import render
 from twinct.ctsimu.scenario import load_ctsimu
@@ -57,6 +57,7 @@ def qualify(
 
 def _judged(test: str, folder: Path, step: Callable[[str], None]) -> list[Verdict]:
     """Render what is missing, run the toolbox with its output in a log, and read its results."""
+    look_through(own_folder(folder))
     for case in cases([test]):
         step(case.name)
         scenario = load_ctsimu(case.write(folder))
@@ -65,9 +66,9 @@ def _judged(test: str, folder: Path, step: Callable[[str], None]) -> list[Verdic
     toolbox = _toolbox()
     renderings = {case.key: str(Files(folder, case.name).metadata) for case in cases([test])}
     results = folder / f"{test}-results"
-    shutil.rmtree(results, ignore_errors=True)
+    remove_folder(results)
     with (
-        (folder / "toolbox.log").open("w") as log,
+        open(folder / "toolbox.log", "w", opener=no_link) as log,
         contextlib.redirect_stdout(log),
         warnings.catch_warnings(),
         _true_rotation() if test == "2D-WE-2" else contextlib.nullcontext(),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
-import tempfile
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from twinct.core.errors import ScanExistsError
+from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import storage_errors
 from twinct.link.recording.bag import Bag
 from twinct.link.recording.recorder import PLAN, SCENARIO
@@ -56,7 +57,7 @@ class DriveFile:
         """
         self.path = path
         self.heard: dict[str, int] = {}
-        if path.exists():
+        if os.path.lexists(path):
             raise ScanExistsError(f"{path} exists already: choose another --out")
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,9 +67,9 @@ class DriveFile:
                 facts = {key: json.dumps(value) for key, value in data.items()}
                 self._bag.note(NOTE, {"format": DRIVE_FORMAT, **facts})
                 self._bag.attach(SCENARIO, scenario.resolved().encode())
-                with tempfile.TemporaryDirectory(prefix="twinct-") as name:
-                    save_plan(plan, Path(name) / PLAN)
-                    self._bag.attach(PLAN, (Path(name) / PLAN).read_bytes())
+                with temporary_folder() as folder:
+                    save_plan(plan, folder / PLAN)
+                    self._bag.attach(PLAN, (folder / PLAN).read_bytes())
             except BaseException:
                 path.unlink(missing_ok=True)
                 raise

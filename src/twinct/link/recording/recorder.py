@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from itertools import chain, count
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import require_space
 from twinct.geometry.wire import PosePairs
 from twinct.link.plain import transforms
@@ -87,8 +87,7 @@ class Recorder(ABC):
             self._links = LinkFrames(builder.cell)
         bag.note("twinct", self._facts(scenario, len(builder.targets), first))
         bag.attach(SCENARIO, scenario.resolved().encode())
-        with tempfile.TemporaryDirectory(prefix="twinct-") as name:
-            folder = Path(name)
+        with temporary_folder() as folder:
             commanded = NamedGeometry("commanded", builder.commanded_poses, {})
             bag.attach(COMMANDED, commanded.write(folder).read_bytes())
             if plan := builder.followed:
@@ -127,8 +126,8 @@ class Recorder(ABC):
         if self._bag is None:
             self.problems.append("no view was taken, so nothing was recorded")
         else:
-            with tempfile.TemporaryDirectory(prefix="twinct-") as name:
-                self._bag.attach(BELIEVED, believed.write(Path(name)).read_bytes())
+            with temporary_folder() as folder:
+                self._bag.attach(BELIEVED, believed.write(folder).read_bytes())
             self.close()
 
     def close(self) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from twinct.core.errors import InputError
 from twinct.core.files.plain_json import json_of
+from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import storage_errors
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.contents import Contents
@@ -62,12 +62,13 @@ class Recorded:
         return f"view {words}" if len(self.missing) == 1 else f"views {words}"
 
     def rebuild(
-        self, path: Path, frames_of: Callable[[int, Reached], ViewImages | None]
+        self, path: Path, folder: Path, frames_of: Callable[[int, Reached], ViewImages | None]
     ) -> ScanStore:
         """Create the scan store; after an error, it is not complete.
 
         Args:
             path: path of the store.
+            folder: existing folder of the run, for the views of a scan of another tool.
             frames_of: returns the images of a view that ``detector.keep`` requests, given its
                 index and the state of the robots; no recording contains them.
 
@@ -77,10 +78,9 @@ class Recorded:
             StorageError: the store cannot be written.
         """
         if self.digests is None:
-            with storage_errors(path):
-                path.parent.mkdir(parents=True, exist_ok=True)
+            with storage_errors(folder):
                 panel = self.scenario.detector.panel
-                write_views(path.with_name(VIEWS_FILE), self.commanded.geometry(panel))
+                write_views(folder / VIEWS_FILE, self.commanded.geometry(panel))
         any_ = next(iter(self.reached.values()))
         robots = any_.joint_names, len(any_.state), self.plan
         # Images of other software did not pass our imaging chain, so their mAs do not matter.
@@ -130,8 +130,7 @@ def _own(contents: Contents) -> Recorded:
         scenario = parse_scenario(json_of(contents.files[SCENARIO]))
     except ValueError as error:
         raise InputError(f"{contents.names}: {SCENARIO}: not valid JSON: {error}") from None
-    with tempfile.TemporaryDirectory(prefix="twinct-") as name:
-        folder = Path(name)
+    with temporary_folder() as folder:
         for file in {COMMANDED, PLAN} & contents.files.keys():
             (folder / file).write_bytes(contents.files[file])
         commanded = NamedGeometry.read(folder / COMMANDED).poses

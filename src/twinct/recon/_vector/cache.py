@@ -14,10 +14,8 @@ import contextlib
 import hashlib
 import logging
 import os
-import shutil
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,6 +25,7 @@ import numba
 from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
 from numba.core import config as numba_config
 
+from twinct.core.files.private import private_folder, temporary_folder
 from twinct.recon.blocks import EDGE
 
 log = logging.getLogger(__name__)
@@ -67,14 +66,16 @@ def _folder() -> Path:
     for place in places:
         with contextlib.suppress(OSError):
             place.mkdir(parents=True, exist_ok=True)
-            return _compiled(Path(tempfile.mkdtemp(prefix=".kernels-", dir=place)), place / name)
+            with private_folder(place) as draft:
+                return _compiled(draft / name, place / name)
     log.info(
         "cannot keep the compiled kernels, because no folder is writable: %s",
         ", ".join(map(str, places)),
     )
-    passing = Path(tempfile.mkdtemp(prefix="twinct-"))
-    atexit.register(shutil.rmtree, passing, ignore_errors=True)
-    return _compiled(Path(tempfile.mkdtemp(dir=passing)), passing / name)
+    stack = contextlib.ExitStack()
+    atexit.register(stack.close)
+    passing = stack.enter_context(temporary_folder())
+    return _compiled(passing / f"draft-{name}", passing / name)
 
 
 def _digest() -> str:
@@ -97,19 +98,17 @@ def _compiled(draft: Path, folder: Path) -> Path:
         folder,
         extra={"notice": True},
     )
-    try:
-        result = subprocess.run(
-            # -P: import the same modules as this process, not modules in the current folder.
-            [sys.executable, "-P", "-c", "import twinct.recon._vector"],
-            env=os.environ | {_COMPILING: str(draft), "PYTHONPATH": os.pathsep.join(sys.path)},
-            capture_output=True,
-            text=True,
-        )
-        if result.returncode:
-            lines = result.stderr.strip().splitlines() or ["no reason given"]
-            raise RuntimeError(lines[-1])
-        with contextlib.suppress(OSError):  # another process was faster, with the same kernels
-            draft.rename(folder)
-        return folder
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+    draft.mkdir()
+    result = subprocess.run(
+        # -P: import the same modules as this process, not modules in the current folder.
+        [sys.executable, "-P", "-c", "import twinct.recon._vector"],
+        env=os.environ | {_COMPILING: str(draft), "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+    )
+    if result.returncode:
+        lines = result.stderr.strip().splitlines() or ["no reason given"]
+        raise RuntimeError(lines[-1])
+    with contextlib.suppress(OSError):  # another process was faster, with the same kernels
+        draft.rename(folder)
+    return folder

@@ -7,17 +7,16 @@ import importlib.util
 import os
 import secrets
 import select
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from twinct.core.errors import InputError, LinkError
+from twinct.core.files.private import private_folder
 
 _LOOPBACK = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """If it is 0, Ray accepts 127.0.0.1, and listens there only, instead of the machine's address."""
@@ -104,9 +103,9 @@ class LocalRay:
             GaveUpError: Ray did not wait long enough for its own processes.
             LinkError: Ray did not start.
         """
+        self._teardown = contextlib.ExitStack()
         # Paths of sockets must be short, so TMPDIR is not used.
-        _sweep()
-        self._folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir="/tmp"))
+        self._folder = self._teardown.enter_context(private_folder(Path("/tmp"), _PREFIX))
         self.lifeline = self._folder / _LIFELINE
         unheld = self._folder / "unheld"
         os.mkfifo(unheld)
@@ -162,7 +161,7 @@ class LocalRay:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         self._process.communicate()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._teardown.close()
 
 
 def _free_port() -> int:
@@ -171,18 +170,6 @@ def _free_port() -> int:
         port = secrets.choice(range(20_000, 32_000))
         with contextlib.suppress(OSError), socket.create_server(("127.0.0.1", port)):
             return port
-
-
-def _sweep() -> None:
-    """Remove folders of killed processes, whose lifelines have no holder."""
-    for folder in Path("/tmp").glob(f"{_PREFIX}*"):
-        with contextlib.suppress(OSError):  # not ours, or held (BlockingIOError)
-            pipe = os.open(folder / _LIFELINE, os.O_RDONLY | os.O_NONBLOCK)
-            try:
-                os.read(pipe, 1)
-            finally:
-                os.close(pipe)
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _descendants(pid: int) -> Iterator[int]:

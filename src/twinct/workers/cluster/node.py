@@ -10,7 +10,6 @@ import shutil
 import socket
 import stat
 import tempfile
-import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -18,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError
+from twinct.core.files.writing import complete
 from twinct.core.threads import limit_threads
 from twinct.version import __version__
-from twinct.workers.artifact import remove
 from twinct.workers.call import call
 from twinct.workers.cluster.content import Bytes, pack, unpack
 from twinct.workers.lifeline import end_with
@@ -76,16 +75,14 @@ class NodePlace:
         if path.exists():
             return path
         content = ray_module().get(ticket.references[0])
-        draft = path.parent.with_name(f".{uuid.uuid4().hex}")
+        path.parent.parent.mkdir(parents=True, exist_ok=True)
         try:
-            draft.mkdir(parents=True)
-            unpack(content, draft / ticket.name)
-            draft.rename(path.parent)
+            with complete(path.parent) as draft:
+                draft.mkdir()
+                unpack(content, draft / ticket.name)
         except OSError:
             if not path.exists():  # otherwise another worker was faster
                 raise
-        finally:
-            remove(draft)
         return path
 
     def attach(self, name: str, path: Path) -> None:
