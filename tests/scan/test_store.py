@@ -19,8 +19,9 @@ import zarr
 from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
-from twinct.scan import ScanStore, check_space, view_damage
+from twinct.scan import ScanStore, check_space, frame_damage, view_damage
 from twinct.scan.checked import CheckedStore
+from twinct.scan.manifest import write_frame_manifest
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
 from twinct.uncertainty import believed_poses
@@ -313,6 +314,48 @@ def test_values_that_no_scan_has_are_named_whoever_vouches_for_them(
     zarr.open_array(str(path / name), mode="r+")[3] = values
     with pytest.raises(InputError, match=f"s.zarr: .*{what}"):
         ScanStore(path).read()
+
+
+@pytest.mark.parametrize("names", [NAMES, ()])
+def test_no_array_has_chunks_of_size_0(tmp_path, scenario, commanded, names) -> None:
+    """Zarr 3 asks for chunks of 1 at least; a scan without arms has values of no joints."""
+    ScanStore.create(tmp_path / "s.zarr", scenario, commanded, names, 9)
+    files = {file.parent.name: file.read_text() for file in tmp_path.rglob("zarr.json")}
+    arrays = {name: json.loads(text) for name, text in files.items() if "chunk_grid" in text}
+    assert arrays["joints"]["shape"] == [VIEWS, len(names)]
+    for name, array in arrays.items():
+        assert 0 not in array["chunk_grid"]["configuration"]["chunk_shape"], name
+
+
+def test_chunks_of_size_0_in_older_stores_are_read_as_chunks_of_1(
+    tmp_path, scenario, commanded, monkeypatch
+) -> None:
+    """As twinct 1.0.0 wrote a scan without arms: whole, and goes on from where it stopped."""
+    path, joints = tmp_path / "s.zarr", ("joints", "joint_velocity", "joint_torque")
+    monkeypatch.setattr("twinct.scan.layout.FORMAT", 4)
+    sealed_before = write_frame_manifest
+
+    def older(group: Any, path: Path, *rest: Any) -> None:
+        for name in joints:
+            file = path / name / "zarr.json"
+            data = json.loads(file.read_text())
+            data["chunk_grid"]["configuration"]["chunk_shape"] = [1, 0]
+            file.write_text(json.dumps(data))
+        sealed_before(group, path, *rest)
+
+    monkeypatch.setattr("twinct.scan.layout.write_frame_manifest", older)
+    store = ScanStore.create(path, scenario, commanded, (), 9)
+
+    def without_joints(index: int) -> Any:
+        image, reached = view(index)
+        none = np.zeros(0)
+        return image, replace(reached, joint_names=(), position=none, velocity=none, effort=none)
+
+    for index in range(VIEWS):
+        store = ScanStore.resume(path, scenario)
+        store.write(index, *without_joints(index))
+    assert store.vouched and not frame_damage(path) and not view_damage(path)
+    assert ScanStore(path).read().joints.shape == (VIEWS, 0)
 
 
 def test_metadata_without_end_are_told(tmp_path, scenario, commanded) -> None:

@@ -12,7 +12,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
     "robots": ("mujoco", "mink", "daqp", "ruckig", "ompl"),
     "rtk": ("itk",),
     "cuda": ("warp",),
-    "record": ("mcap.writer", "mcap_ros2.writer"),
+    "record": ("mcap.writer", "mcap_ros2.writer", "zstandard"),
     "study": ("pandas", "pyarrow.parquet"),
     "xacro": ("xacro", "xacro.substitution_args"),
     "ros": (

@@ -24,6 +24,7 @@ from twinct.scan.manifest import (
     sealed,
     view_of,
 )
+from twinct.scan.metadata import with_legal_chunks
 
 
 class CheckedStore(LocalStore):
@@ -59,6 +60,8 @@ class CheckedStore(LocalStore):
         data = None
         if (self.root / key).is_file():  # a pipe would block until somebody writes
             data = super().get_sync(key, prototype=prototype, byte_range=byte_range)
+        if data is not None and byte_range is None and key.rpartition("/")[2] == ROOT:
+            data = type(data).from_bytes(with_legal_chunks(data.to_bytes()))
         if (view := view_of(key)) is not None and not key.startswith(FOLDER):
             self._check(key, view, None if data is None else data.to_bytes())
         return data

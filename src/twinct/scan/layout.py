@@ -13,14 +13,17 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.scan.data import bad_pixels_of
 from twinct.scan.manifest import BY_VIEW, chunk_name, write_frame_manifest
-from twinct.scan.metadata import BAD_PIXELS, EXPOSURE, MAS
+from twinct.scan.metadata import BAD_PIXELS, EXPOSURE, MAS, chunk_shape
 from twinct.scenario import Scenario, stage_digests
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
 
-FORMAT = 4
-READABLE = (1, 2, 3, FORMAT)
+FORMAT = 5
+"""Format of stores without joints: their arrays of size 0 have chunks of size 1, not 0."""
+WITH_MANIFEST = 4
+"""First format with a manifest. Stores with joints keep it, so that older versions read them."""
+READABLE = (1, 2, 3, WITH_MANIFEST, FORMAT)
 
 
 def image_digests(scenario: Scenario) -> dict[str, str]:
@@ -79,7 +82,7 @@ def _attributes(
 ) -> dict[str, Any]:
     panel = scenario.detector.panel
     return {
-        "format": FORMAT,
+        "format": WITH_MANIFEST if joint_names else FORMAT,
         "digests": digests or image_digests(scenario),
         "scenario": scenario.resolved(),
         "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
@@ -113,7 +116,7 @@ def write_frame(
         group.create_array(
             name,
             shape=(views, *shape),
-            chunks=(1, *shape),
+            chunks=(1, *chunk_shape(shape)),
             dtype=dtype,
             fill_value=0 if dtype == "u1" else np.nan,
             compressors=BloscCodec(cname="lz4", shuffle="shuffle") if compressed else None,

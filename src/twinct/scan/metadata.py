@@ -7,7 +7,8 @@ the content can be a scan at all, even if the manifest is missing or was made an
 from __future__ import annotations
 
 import errno
-from collections.abc import Generator
+import json
+from collections.abc import Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,36 @@ def _expected(
     }
 
 
+def chunk_shape(shape: Iterable[int]) -> tuple[int, ...]:
+    """Return the shape of the one chunk that holds values of a shape.
+
+    A scan without arms has values of no joints. Zarr 3 asks for chunks of at least 1 along each
+    axis (https://zarr-specs.readthedocs.io/en/latest/v3/chunk-grids/regular-grid), and Zarr-Python
+    from 3.2 on refuses others.
+    """
+    return tuple(max(1, size) for size in shape)
+
+
+def with_legal_chunks(metadata: bytes) -> bytes:
+    """Return the metadata of an array or group with chunks as ``chunk_shape`` makes them.
+
+    Up to format 4, arrays of size 0 had chunks of size 0. They hold no values, so that the size of
+    their chunks means nothing.
+    """
+    if b"chunk_shape" not in metadata:
+        return metadata
+    try:
+        data = json_of(metadata)
+        grid = data["chunk_grid"]["configuration"]
+        grid["chunk_shape"] = [
+            1 if size == chunk == 0 else chunk
+            for size, chunk in zip(data["shape"], grid["chunk_shape"], strict=True)
+        ]
+    except (ValueError, TypeError, LookupError):
+        return metadata  # Zarr names the error
+    return json.dumps(data).encode()
+
+
 def _fits(array: Any, shape: tuple[int, ...], dtype: DTypeLike, *, by_view: bool = False) -> bool:
-    chunks = (1, *shape[1:]) if by_view else array.chunks
+    chunks = (1, *chunk_shape(shape[1:])) if by_view else array.chunks
     return array.shape == shape and array.dtype == dtype and array.chunks == chunks

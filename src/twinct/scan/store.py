@@ -25,7 +25,7 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.scan.damage import clear_paths, frame_damage, view_damage
 from twinct.scan.data import Scan, bad_pixels_of, reported
-from twinct.scan.layout import FORMAT, READABLE, columns_of, image_digests, write_frame
+from twinct.scan.layout import READABLE, WITH_MANIFEST, columns_of, image_digests, write_frame
 from twinct.scan.manifest import (
     FOLDER,
     FRAME_FILE,
@@ -115,7 +115,7 @@ class ScanStore:
                 f"{path}: the scan store has format {quoted(self._format)}; this twinct reads "
                 f"{' and '.join(map(str, READABLE))}; a newer one may read it"
             )
-        if self._format == FORMAT and not self.vouched:
+        if self._format >= WITH_MANIFEST and not self.vouched:
             raise damaged(path, Damage(FRAME_FILE, "missing"))
         check_attributes(path, self._group.attrs)
         check_arrays(path, self._group)
@@ -318,7 +318,7 @@ class ScanStore:
         """
         if self._has(BAD_PIXELS):
             return self._read(BAD_PIXELS)
-        return bad_pixels_of(self.scenario) if self._format < FORMAT else None
+        return bad_pixels_of(self.scenario) if self._format < WITH_MANIFEST else None
 
     @property
     def mas(self) -> NDArray[np.float64] | None:

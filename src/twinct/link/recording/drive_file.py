@@ -6,16 +6,19 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twinct.core.errors import ScanExistsError
 from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import storage_errors
 from twinct.link.recording.bag import Bag
 from twinct.link.recording.recorder import PLAN, SCENARIO
-from twinct.link.senders import Raw, Sender
 from twinct.link.topics import JOINTS
-from twinct.robots.motion import MotionPlan, save_plan
 from twinct.scenario import Scenario
+
+if TYPE_CHECKING:  # they need rclpy and MuJoCo; those who read such files do without
+    from twinct.link.senders import Raw, Sender
+    from twinct.robots.motion import MotionPlan
 
 NOTE, OUTCOME = "twinct drive", "twinct drive outcome"
 """Names of the notes before and after the motion."""
@@ -55,6 +58,8 @@ class DriveFile:
             ScanExistsError: the file exists.
             StorageError: it cannot be written.
         """
+        from twinct.robots.motion import save_plan
+
         self.path = path
         self.heard: dict[str, int] = {}
         if os.path.lexists(path):
