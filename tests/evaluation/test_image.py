@@ -46,16 +46,16 @@ def test_by_hand():
     grid = VolumeGrid((1, 1, 10), 2.0)
     mu = 0.5
     truth = np.array([0, 0, 0, 0, 0.5, 0.25, 0, 0, 0, 0]).reshape(1, 1, 10)
-    error = np.array([0.1, 0, 0.2, 0, -0.1, 0, 0, 0.3, 0, 9.0]).reshape(1, 1, 10)
+    error = np.array([0.01, 0, 0.02, 0, -0.01, 0, 0, 0.03, 0, 9.0]).reshape(1, 1, 10)
     roi = np.ones((1, 1, 10), dtype=bool)
     roi[..., 9] = False
     figures = image_figures(truth + error, truth, roi, mu, grid, bone_distance_mm=4.0)
-    # Squares in the region: 0.01 + 0.04 + 0.01 + 0.09 = 0.15 over 9 voxels.
-    assert figures.rmse_rel == pytest.approx(math.sqrt(0.15 / 9) / 0.5)
-    # Bone: voxels 4 and 5 (half counts). Within 4 mm: 2 to 7, with 0.04 + 0.01 + 0.09 over 6.
-    assert figures.rmse_bone_rel == pytest.approx(math.sqrt(0.14 / 6) / 0.5)
-    assert figures.psnr_db == pytest.approx(20 * math.log10(0.5 / math.sqrt(0.15 / 9)))
-    assert figures.mean_bone_rel == pytest.approx((0.5 - 0.1) / 0.5), (
+    # Squares in the region: (1 + 4 + 1 + 9) 1e-4 = 0.0015 over 9 voxels.
+    assert figures.rmse_rel == pytest.approx(math.sqrt(0.0015 / 9) / 0.5)
+    # Bone: voxels 4 and 5 (half counts). Within 4 mm: 2 to 7, with 0.0004 + 0.0001 + 0.0009 over 6.
+    assert figures.rmse_bone_rel == pytest.approx(math.sqrt(0.0014 / 6) / 0.5)
+    assert figures.psnr_db == pytest.approx(20 * math.log10(0.5 / math.sqrt(0.0015 / 9)))
+    assert figures.mean_bone_rel == pytest.approx((0.5 - 0.01) / 0.5), (
         "only the voxel that is all bone"
     )
     assert figures.roi_fraction == pytest.approx(0.9)

@@ -26,6 +26,7 @@ def test_a_row_for_each_figure_and_a_value_for_each_volume() -> None:
         ("a against b", "contrast_rel", [0.1, None]),
         ("a against b", "recovery", [None, None]),
         ("a against b", "cnr", [2.5, None]),
+        ("whole volume", "edge_width_mm", [None, None]),
         ("ball", "f50_per_mm", [0.6, 0.4]),
         ("ball", "f10_per_mm", [None, 0.9]),
         ("ball", "shift_mm", [None, None]),
@@ -36,8 +37,12 @@ def test_a_row_for_each_figure_and_a_value_for_each_volume() -> None:
 
 def test_reasons_are_given_where_figures_have_no_value() -> None:
     columns = {"good": {"signal_rel": 0.9}, "empty": {"signal_rel": 0.0}, "older": {"rmse_rel": 1}}
-    empty, older = reasons(columns)
-    assert empty.startswith("empty: the volume has no signal (0.0 % of the truth's contrast")
+    columns["unsure"] = {"signal_rel": 0.52, "signal_error_rel": 0.02}
+    empty, older, unsure = reasons(columns)
+    assert empty.startswith("empty: the volume has 0.0 % of the truth's contrast")
+    assert unsure.startswith(
+        "unsure: the volume has 52.0 % of the truth's contrast, give or take 2"
+    )
     assert older.startswith("older: its signal is unknown")
 
 

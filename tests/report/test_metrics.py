@@ -53,7 +53,7 @@ def test_keys_are_those_that_scripts_rely_on():
         f"image.{name}"
         for name in (
             "rmse_rel rmse_bone_rel psnr_db ssim mean_bone_rel roi_fraction roi_bone_fraction "
-            "ssim_bone signal_rel zero.rmse_rel zero.ssim edge_width_mm "
+            "ssim_bone signal_rel signal_error_rel zero.rmse_rel zero.ssim edge_width_mm "
             "mtf.ball.f50_per_mm mtf.ball.mtf"
         ).split()
     }

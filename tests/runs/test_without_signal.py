@@ -4,26 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import ndimage
+from tests.support.degraded import Judged
 
 from twinct.evaluation import IMAGE_FIGURES, Figure, figure_kinds
 from twinct.evaluation.figure import BADNESS
 from twinct.evaluation.figure_kinds import BUILT_IN
-from twinct.recon.volume import Volume
-from twinct.report import plain
 from twinct.report.measured import nested
-from twinct.runs import Truth, judge, truth_of
-from twinct.scan import Scan, SimulationBuilder
-from twinct.scenario import load_scenario
-from twinct.trajectory import commanded_views
 
-DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 KEYS = [
     "cell={kind: gantry}",
     "reconstruction.grid={voxels: 64, voxel_mm: 1.5}",
@@ -50,27 +43,19 @@ VolumeFacts = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def judged() -> Callable[[np.ndarray], VolumeFacts]:
+def judged() -> Callable[[Any], VolumeFacts]:
     """Return the figures, as in metrics.json, of volumes that a function makes of the truth."""
-    scenario = load_scenario(DEMO, KEYS)
-    builder = SimulationBuilder(scenario)
-    views = commanded_views(scenario.trajectory, scenario.detector.panel)
-    scan = SimpleNamespace(
-        scenario=scenario,
-        stands=builder.specimen.world_from_specimen,
-        relative=SimpleNamespace(geometry=lambda panel: views),
-    )
-    truth = truth_of(cast(Scan, scan), builder)
+    judge = Judged.of(KEYS)
+    facts = {"grid": judge.truth.grid, "mu_reference": judge.truth.mu_reference}
 
-    def told(make: Callable[[Truth], Any]) -> VolumeFacts:
-        volume = Volume(np.broadcast_to(make(truth), truth.grid.shape), truth.grid)
-        return plain(judge(cast(Scan, scan), volume, truth, builder.specimen).as_dict())
+    def told(make: Callable[[Any], Any]) -> VolumeFacts:
+        return judge(lambda volume, scan: make(SimpleNamespace(volume=volume, scan=scan, **facts)))
 
     return told
 
 
-def noise(truth: Truth, size: float) -> Any:
-    drawn = np.random.default_rng(7).standard_normal(truth.grid.shape)
+def noise(truth: Any, size: float) -> Any:
+    drawn = np.random.default_rng([7, truth.scan]).standard_normal(truth.grid.shape)
     return (size * truth.mu_reference * drawn).astype(np.float32)
 
 
@@ -78,20 +63,21 @@ def noise(truth: Truth, size: float) -> Any:
 def decent(judged: Any) -> VolumeFacts:
     """Blurred by a voxel, with noise and bands."""
 
-    def make(truth: Truth) -> Any:
+    def make(truth: Any) -> Any:
         bands = 0.05 * truth.mu_reference * np.sin(np.arange(truth.grid.shape[1]) / 3)[:, None]
         return ndimage.gaussian_filter(truth.volume, 1.0) + noise(truth, 0.05) + bands
 
     return judged(make)
 
 
-NOTHING: dict[str, Callable[[Truth], Any]] = {
+NOTHING: dict[str, Callable[[Any], Any]] = {
     "empty": lambda truth: np.float32(0),
     "the reference material": lambda truth: np.float32(truth.mu_reference),
     "the mean": lambda truth: truth.volume.mean(),
     "below zero": lambda truth: np.float32(-1),
     "almost constant": lambda truth: 0.5 * truth.mu_reference + noise(truth, 1e-5),
     "a trace of the truth": lambda truth: 0.01 * truth.volume,
+    "15 % of the truth": lambda truth: 0.15 * truth.volume + noise(truth, 0.01),
     "noise alone": lambda truth: noise(truth, 0.02),
 }
 
@@ -123,7 +109,7 @@ def test_nothing_scores_no_better_than_a_decent_volume(
     judged: Any, decent: VolumeFacts, name: str
 ) -> None:
     told = judged(NOTHING[name])
-    assert abs(told["signal_rel"]) < 0.02
+    assert abs(told["signal_rel"]) < (0.16 if name.startswith("15") else 0.02)
     for key, one in figures(decent):
         value, usual = nested(told, key), nested(decent, key)
         match one.without_signal:
@@ -143,7 +129,7 @@ def test_without_the_rule_nothing_would_win(
 ) -> None:
     """The rule is needed: so many figures of an empty volume are better than decent ones."""
     for module in ("image", "figure_kind"):
-        monkeypatch.setattr(f"twinct.evaluation.{module}.has_signal", lambda _: True)
+        monkeypatch.setattr(f"twinct.evaluation.{module}.has_signal", lambda *_: True)
     better: list[str] = []
     for name in ("empty", "the reference material"):
         told = judged(NOTHING[name])
@@ -153,3 +139,19 @@ def test_without_the_rule_nothing_would_win(
                 better += [key] * (BADNESS[one.best](value) < BADNESS[one.best](usual))
     assert {"nps.box.noise_rel", "streaks.ball.streak_rel", "mean_bone_rel"} <= {*better}
     assert not {key for key, one in figures(decent) if one.without_signal != "null"} & {*better}
+
+
+def test_signal_is_what_is_surely_nearer_to_the_truth_than_to_a_constant(judged: Any) -> None:
+    """15 % of the truth had one before; noise may leave open what half of the truth has."""
+
+    def told(share: float, size: float) -> VolumeFacts:
+        return judged(lambda truth: share * truth.volume + noise(truth, size))
+
+    assert told(0.15, 0.01)["ssim"] is None and told(0.15, 0.01)["nps"]["box"]["noise_rel"] is None
+    quiet, loud = told(0.51, 0.01), told(0.51, 3.0)
+    assert quiet["ssim"] is not None and 0.505 < quiet["signal_rel"] < 0.515
+    assert quiet["signal_error_rel"] < 0.001 < loud["signal_error_rel"]
+    assert loud["ssim"] is None, "its interval holds a half"
+    for share in (0.45, 0.55):
+        nearer_to_truth = abs(1 - share) < abs(share)
+        assert (told(share, 0.01)["ssim"] is not None) == nearer_to_truth

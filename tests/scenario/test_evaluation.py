@@ -28,7 +28,7 @@ evaluation:
   nps: [{{region: outer}}]
   tasks:
     - {{name: lesion, signal: {{kind: gaussian, sigma_mm: 2, contrast_rel: 0.1}}, region: outer,
-       mtf: ball}}
+       scans: 3}}
   streaks: [{{part: rod, to_mm: 10}}]
 """
 
@@ -63,7 +63,7 @@ def test_what_is_asked_for_is_read(file: Path) -> None:
         (13, "at: rod", "at: water", "mtf.1.at: 'water' is neither a sphere nor a cylinder"),
         (13, "at: ball}}", "at: bowl}}", "mtf.0.at: unknown part or region 'bowl'; choose from"),
         (14, "region: outer", "region: out", "nps.0.region: unknown region 'out'; choose from"),
-        (17, "mtf: ball", "mtf: inner", "tasks.0.mtf: unknown entry of evaluation.mtf 'inner'"),
+        (16, "region: outer", "region: out", "tasks.0.region: unknown region 'out'; choose"),
         (
             18,
             "part: rod",

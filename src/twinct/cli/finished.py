@@ -271,7 +271,10 @@ def _report_measured(folder: Path, set_: tuple[str, ...]) -> dict[str, Any]:
     from twinct.measured import report_measured
 
     if set_:
-        raise InputError(f"--set {set_[0]}: a measured scan has no truth that evaluation could use")
+        raise InputError(
+            f"--set {set_[0]}: a measured scan has no truth that evaluation could use, and it "
+            "cannot be taken again with other noise for detectability"
+        )
     with on_terminal() as audience:
         volumes = report_measured(folder, audience)
     for one in volumes.values():

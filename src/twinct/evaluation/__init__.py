@@ -11,10 +11,12 @@ from twinct.evaluation.depth import (
 from twinct.evaluation.edges import Edges, edge_width, edges_of
 from twinct.evaluation.figure import Figure
 from twinct.evaluation.figure_kind import (
+    Again,
     Curve,
     FigureKind,
     FigureSettings,
     Measurement,
+    Repeated,
     RoundBody,
 )
 from twinct.evaluation.figure_kinds import figure_kinds
@@ -22,7 +24,7 @@ from twinct.evaluation.image import ImageFigures, ImageReference, image_figures
 from twinct.evaluation.image_words import IMAGE_FIGURES, MOTION_FIGURES
 from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
-from twinct.evaluation.observer import detectability
+from twinct.evaluation.observer import Detectability, detectability
 from twinct.evaluation.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
 from twinct.evaluation.region_voxels import (
     Voxels,
@@ -40,8 +42,10 @@ from twinct.geometry.region import region_of_interest, views_needed
 
 __all__ = [
     "DEPTHS_MM",
+    "Again",
     "ArmErrors",
     "Contrast",
+    "Detectability",
     "Edges",
     "ImageFigures",
     "ImageReference",
@@ -84,6 +88,7 @@ __all__ = [
     "FigureKind",
     "FigureSettings",
     "Measurement",
+    "Repeated",
     "RoundBody",
     "figure_kinds",
     "IMAGE_FIGURES",

@@ -23,8 +23,20 @@ WithoutSignal = Literal["null", "worse", "any", ""]
 """Score of an empty or constant volume: no value; one worse than that of any decent reconstruction;
 one that ranks nothing, as no value is better or all volumes have the same; empty if unknown."""
 
-LEAST_SIGNAL = 0.1
-"""Share of the truth's contrast below which a volume has no signal."""
+Degradation = Literal["noise", "blur", "smoothing", "shift", "contrast"]
+"""Ways in which a volume gets worse than the truth: noise; blur; a noisy volume, whose detail is
+lost by blur or a median filter while its noise falls; a shift; less contrast."""
+
+LEAST_SIGNAL = 0.5
+"""Share of the truth's contrast at which a volume is as near to a constant as to the truth.
+
+A volume v = a t + b + e, with t the truth and e noise, is a (t - mean t) + e off the nearest
+constant and (1 - a) (t - mean t) + e off the truth with its own mean. Of the two, the truth is the
+likelier explanation, with normal noise of any size, if (1 - a)^2 < a^2, hence if a > 1/2.
+"""
+
+SURE = 1.645
+"""Standard errors by which the signal must exceed this share: a one-sided test at 5 %."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +53,10 @@ class Figure:
         best: direction of better values.
         good: a good value in a few words; {0} as in the title.
         without_signal: score of an empty or constant volume.
+        blind_to: degradations that the figure does not see, or rewards; None: unknown. They say
+            nothing about a figure without a direction of better values, which ranks no volumes.
+        beside: keys of the figures beside which alone it is shown, as it rewards smoothing; of its
+            own entry, or after a slash of the image.
     """
 
     key: str
@@ -52,6 +68,8 @@ class Figure:
     best: Best = ""
     good: str = ""
     without_signal: WithoutSignal = ""
+    blind_to: tuple[Degradation, ...] | None = None
+    beside: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
@@ -75,14 +93,22 @@ def percent(
     *,
     good: str = "",
     without_signal: WithoutSignal = "",
+    blind_to: tuple[Degradation, ...] | None = None,
+    beside: tuple[str, ...] = (),
 ) -> Figure:
     """Return a relative figure that is displayed in per cent."""
-    return Figure(key, title, "%", 100, digits, meaning, best, good, without_signal)
+    words = meaning, best, good, without_signal
+    return Figure(key, title, "%", 100, digits, *words, blind_to, beside)
 
 
-def has_signal(signal_rel: float) -> bool:
-    """Return False for a volume that is empty or constant, or nearly so; see ``LEAST_SIGNAL``."""
-    return not signal_rel < LEAST_SIGNAL  # NaN: the truth itself is constant
+def has_signal(signal_rel: float, error_rel: float = 0.0) -> bool:
+    """Return True if a volume is surely nearer to the truth than to a constant.
+
+    Args:
+        signal_rel: contrast relative to the truth's; NaN if the truth itself is constant.
+        error_rel: its standard error.
+    """
+    return not signal_rel - SURE * error_rel < LEAST_SIGNAL
 
 
 def null_without_signal(data: Mapping[str, Any], figures: Iterable[Figure]) -> dict[str, Any]:

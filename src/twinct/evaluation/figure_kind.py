@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Generic, Literal, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from twinct.core.settings import Section
+from twinct.core.signals import GaussianSignal, SphereSignal
 from twinct.evaluation.figure import Figure, has_signal, null_without_signal
 from twinct.evaluation.region_voxels import Voxels
-from twinct.geometry import Pose, VolumeGrid
+from twinct.geometry import Floats, Pose, VolumeGrid
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 """Part of a figure's dotted name."""
@@ -71,6 +73,35 @@ class NamedPlaces(Protocol):
         ...
 
 
+class Repeated(NamedTuple):
+    """Volumes of a scan that was taken again, all made alike.
+
+    Attributes:
+        without: volumes of scans with noise of their own, the measured one first, (z, y, x), 1/mm.
+        with_signal: volume of the first scan with a signal in its images, and the same noise.
+    """
+
+    without: Sequence[NDArray[np.float32]]
+    with_signal: NDArray[np.float32]
+
+
+class Again(Protocol):
+    """Scan of a volume, which can be taken and reconstructed again."""
+
+    def __call__(
+        self, signal: SphereSignal | GaussianSignal, centres_mm: Floats, scans: int
+    ) -> Repeated:
+        """Return further volumes.
+
+        Args:
+            signal: signal to insert.
+            centres_mm: its places in the world, (copies, 3), mm.
+            scans: number of scans with noise of their own, the measured one included; a scan
+                without noise is not repeated.
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """Volume to measure in.
@@ -82,6 +113,8 @@ class Measurement:
         mu_reference: attenuation to which figures are relative, 1/mm.
         signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
         mu_water: attenuation of water, 1/mm; NaN if it is unknown.
+        again: takes the scan of the volume again; None if there is no scan.
+        signal_error_rel: standard error of ``signal_rel``.
     """
 
     places: NamedPlaces
@@ -90,6 +123,8 @@ class Measurement:
     mu_reference: float
     signal_rel: float = math.nan
     mu_water: float = math.nan
+    again: Again | None = None
+    signal_error_rel: float = 0.0
     _known: dict[Any, Any] = field(default_factory=dict[Any, Any], init=False, repr=False)
 
     @property
@@ -150,6 +185,8 @@ class FigureKind(Generic[SettingsT]):
             must cover voxels of the grid, and so must regions.
         check: returns problems with the grid, before any work: sentences by key of the settings.
         curves: curves of each entry.
+        repeats: its figures need further reconstructions (``Measurement.again``), so that they are
+            not measured again without need.
     """
 
     name: str
@@ -160,6 +197,7 @@ class FigureKind(Generic[SettingsT]):
     names: Mapping[str, Target | str] = field(default_factory=dict[str, str])
     check: Callable[[NamedPlaces, SettingsT], Mapping[str, str]] = lambda places, one: {}
     curves: tuple[Curve, ...] = ()
+    repeats: bool = False
 
     def __post_init__(self) -> None:
         """Refuse a name that is no key, and references from keys that the settings lack."""
@@ -173,7 +211,7 @@ class FigureKind(Generic[SettingsT]):
 
         A figure that rewards a volume without signal is NaN for it.
         """
-        seen = has_signal(at.signal_rel)
+        seen = has_signal(at.signal_rel, at.signal_error_rel)
         rewarded = all(one.without_signal == "null" for one in self.figures)
         result = self.measure(at, entry) if seen or not rewarded else {}
         if not seen:  # curves go, too

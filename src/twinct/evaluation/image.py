@@ -59,6 +59,8 @@ class ImageFigures:
         further: figures of other kinds by name, nested as in ``metrics.json``.
         signal_rel: slope of the straight line that fits the volume over the truth, over R; 1 is
             ideal. An empty or constant volume has 0.
+        signal_error_rel: standard error of ``signal_rel``, from the scatter about the line; the
+            voxels count as independent.
     """
 
     rmse_rel: float
@@ -72,6 +74,7 @@ class ImageFigures:
     zero: Mapping[str, float] = field(default_factory=dict[str, float])
     further: Mapping[str, Any] = field(default_factory=dict[str, Any])
     signal_rel: float = math.nan
+    signal_error_rel: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures by name."""
@@ -80,7 +83,7 @@ class ImageFigures:
 
     def honest(self) -> ImageFigures:
         """Return the figures; without signal, NaN for those that reward it, see ``Figure``."""
-        if has_signal(self.signal_rel):
+        if has_signal(self.signal_rel, self.signal_error_rel):
             return self
         return ImageFigures.of(null_without_signal(self.as_dict(), IMAGE_FIGURES))
 
@@ -209,6 +212,7 @@ class ImageReference:
             roi_bone_fraction=sums.bone / sums.voxels,
             ssim_bone=_ratio(ssim_near, windows_near),
             signal_rel=sums.signal_rel,
+            signal_error_rel=sums.signal_error_rel,
             zero={
                 "rmse_rel": zero_rel,
                 "rmse_bone_rel": _root(sums.zero_near_square, sums.near) / mu,
@@ -274,9 +278,26 @@ class _VoxelSums:
     @property
     def signal_rel(self) -> float:
         """Slope of the line that fits the volume over the truth; NaN for a constant truth."""
-        spread = self.zero_square - self.truth**2 / self.voxels
-        common = self.product - self.truth * self.volume / self.voxels
-        return common / spread if spread > 1e-9 * self.zero_square else math.nan
+        spread = self._spread
+        return self._common / spread if spread > 1e-9 * self.zero_square else math.nan
+
+    @property
+    def signal_error_rel(self) -> float:
+        """Standard error of this slope; NaN without it."""
+        slope, degrees = self.signal_rel, self.voxels - 2
+        if math.isnan(slope) or degrees < 1:
+            return math.nan
+        square = self.square + 2 * self.product - self.zero_square  # of the volume
+        about = square - self.volume**2 / self.voxels - slope * self._common
+        return math.sqrt(max(about, 0.0) / degrees / self._spread)
+
+    @property
+    def _spread(self) -> float:
+        return self.zero_square - self.truth**2 / self.voxels
+
+    @property
+    def _common(self) -> float:
+        return self.product - self.truth * self.volume / self.voxels
 
 
 def _ratio(numerator: float, denominator: float) -> float:

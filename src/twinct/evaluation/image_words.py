@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from twinct.evaluation.depth import depth_names
-from twinct.evaluation.figure import Figure, percent
+from twinct.evaluation.figure import Degradation, Figure, percent
 
 _WINDOWS = "3-D, windows of 7³ voxels inside the region; 1 is best"
 _NEAR = "of windows centred within 3 mm of {0}"
@@ -11,6 +11,9 @@ _EDGES = "10 to 90 % across edges of {0}, median"
 _DEPTH = "of μ({0}), by the distance to the region's border"
 _MOVING = "of μ({0}), over the voxels of the region that breathing moves by 2 mm or more"
 _SIGNAL = "of the truth's: slope of the volume over the truth, in the region"
+
+_OF_OBJECT: tuple[Degradation, ...] = ("noise", "blur", "smoothing", "shift", "contrast")
+"""All: the figure describes the object and the views."""
 
 IMAGE_FIGURES = (
     percent(
@@ -21,6 +24,7 @@ IMAGE_FIGURES = (
         1,
         good="below 5 %",
         without_signal="worse",
+        blind_to=(),
     ),
     Figure(
         "ssim_bone",
@@ -29,6 +33,8 @@ IMAGE_FIGURES = (
         best="higher",
         good="above 0.8",
         without_signal="null",
+        blind_to=("smoothing",),
+        beside=("/signal_rel", "/edge_width_mm"),
     ),
     Figure(
         "edge_width_mm",
@@ -39,6 +45,7 @@ IMAGE_FIGURES = (
         best="lower",
         good="1 to 2 voxels",
         without_signal="null",
+        blind_to=("noise", "contrast"),
     ),
     percent(
         "mean_bone_rel",
@@ -48,8 +55,18 @@ IMAGE_FIGURES = (
         1,
         good="98 to 102 %",
         without_signal="null",
+        blind_to=("noise",),
     ),
-    percent("signal_rel", "signal", _SIGNAL, "one", 1, good="95 to 105 %", without_signal="worse"),
+    percent(
+        "signal_rel",
+        "signal",
+        _SIGNAL,
+        "one",
+        1,
+        good="95 to 105 %",
+        without_signal="worse",
+        blind_to=("noise",),
+    ),
     percent(
         "rmse_rel",
         "RMSE",
@@ -58,6 +75,7 @@ IMAGE_FIGURES = (
         1,
         good="below 3 %",
         without_signal="worse",
+        blind_to=("smoothing",),
     ),
     Figure(
         "psnr_db",
@@ -68,6 +86,7 @@ IMAGE_FIGURES = (
         best="higher",
         good="above 30 dB",
         without_signal="worse",
+        blind_to=("smoothing",),
     ),
     Figure(
         "ssim",
@@ -76,6 +95,8 @@ IMAGE_FIGURES = (
         best="higher",
         good="far above that of zeros",
         without_signal="null",
+        blind_to=("smoothing",),
+        beside=("/signal_rel", "/edge_width_mm"),
     ),
     percent(
         "roi_fraction",
@@ -85,6 +106,7 @@ IMAGE_FIGURES = (
         1,
         good="holds the whole object",
         without_signal="any",
+        blind_to=_OF_OBJECT,
     ),
     percent(
         "roi_bone_fraction",
@@ -94,6 +116,7 @@ IMAGE_FIGURES = (
         1,
         good="no goal: it describes the object",
         without_signal="any",
+        blind_to=_OF_OBJECT,
     ),
     *(
         percent(
@@ -104,6 +127,7 @@ IMAGE_FIGURES = (
             1,
             good="alike at all depths",
             without_signal="null",
+            blind_to=("smoothing",),
         )
         for name in depth_names()
         for told in (name.removesuffix("_mm").replace("_", " "),)
@@ -120,6 +144,7 @@ MOTION_FIGURES = (
         1,
         good="close to that of a patient at rest",
         without_signal="worse",
+        blind_to=("smoothing",),
     ),
 )
 """Image figures of a patient who moves."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES, Figure, figure_kinds
@@ -49,6 +49,19 @@ def figure_words(name: str, reference: str = "bone") -> Figure:
     shown = shown.relative_to(reference)
     title = f"{shown.title}, {of}" if of else shown.title
     return replace(shown, key=name, title=title, best=shown.best if comparable else "")
+
+
+def with_companions(names: Iterable[str]) -> tuple[str, ...]:
+    """Return names of figures, each followed by those beside which alone it is shown."""
+    shown: dict[str, None] = {}
+    for name in names:
+        shown[name] = None
+        *entry, _ = name.split(".")
+        volume = entry[: 2 if entry[:1] == ["image_by_geometry"] else 1]
+        for key in figure_words(name).beside:
+            place = volume if key.startswith("/") else entry
+            shown[".".join([*place, key.removeprefix("/")])] = None
+    return tuple(shown)
 
 
 def axis_words(axes: Sequence[Sequence[str]]) -> list[tuple[str, str]]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twinct.evaluation import Figure, figure_kinds
+from twinct.evaluation import IMAGE_FIGURES, Figure, figure_kinds
 from twinct.evaluation.figure import LEAST_SIGNAL, has_signal
 from twinct.report.style import DETECTOR_COLOUR, LIMIT_COLOUR, SOURCE_COLOUR, STYLE, Picture
 
@@ -40,7 +40,24 @@ def measured_rows(columns: Columns, reference: str) -> list[tuple[str, Figure, l
                 values = [nested(figures, key) for figures in columns.values()]
                 where = name.replace("_against_", " against ")
                 rows.append((where, one.relative_to(reference), values))
+                rows += _of_image(one, columns, reference)
     return rows
+
+
+def _of_image(
+    figure: Figure, columns: Columns, reference: str
+) -> list[tuple[str, Figure, list[Any]]]:
+    """Return rows of the whole volume's figures beside which alone a figure is shown."""
+    keys = [key.removeprefix("/") for key in figure.beside if key.startswith("/")]
+    beside = (one for one in IMAGE_FIGURES if one.key in keys)
+    return [
+        (
+            "whole volume",
+            one.relative_to(reference),
+            [nested(figures, one.key) for figures in columns.values()],
+        )
+        for one in beside
+    ]
 
 
 def reasons(columns: Columns) -> list[str]:
@@ -53,11 +70,12 @@ def reasons(columns: Columns) -> list[str]:
                 f"{name}: its signal is unknown, as an earlier version of twinct judged it, or its "
                 "region holds no object."
             )
-        elif not has_signal(signal):
+        elif not has_signal(signal, error := figures.get("signal_error_rel") or 0.0):
             sentences.append(
-                f"{name}: the volume has no signal ({100 * signal:.1f} % of the truth's contrast; "
-                f"at least {100 * LEAST_SIGNAL:g} % counts), so figures that would reward an empty "
-                "volume have no value."
+                f"{name}: the volume has {100 * signal:.1f} % of the truth's contrast, give or "
+                f"take {100 * error:.1f} %; at {100 * LEAST_SIGNAL:g} % it is as near to a "
+                "constant volume as to the truth, so figures that would reward an empty volume "
+                "have no value."
             )
     return sentences
 

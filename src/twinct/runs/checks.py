@@ -24,6 +24,7 @@ from twinct.runs.integrals import check_hardening
 from twinct.runs.metal_reduction import check_metal
 from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
+from twinct.runs.repeated_figures import check_repeats
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.cut_rays import cut_share
@@ -93,11 +94,13 @@ def check_places(builder: SimulationBuilder) -> None:
     """Check that all regions and bodies of the section ``evaluation`` can be measured.
 
     Raises:
-        InputError: regions without a voxel, or bodies that are too small, each with its key.
+        InputError: regions without a voxel, bodies that are too small, or figures of a scan that
+            cannot be taken again, each with its key.
     """
     scenario = builder.scenario
     if scenario.evaluation is None:
         return
+    check_repeats(scenario)
     specimen, grid = builder.specimen, scenario.reconstruction.volume_grid
     if problems := Places(scenario, specimen, specimen.world_from_specimen, grid).check():
         raise InputError(problems)

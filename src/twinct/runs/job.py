@@ -46,6 +46,8 @@ from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
 from twinct.runs.reconstruction_folder import stored_reconstructions
 from twinct.runs.repair import resumable
+from twinct.runs.repeated_figures import repeated_figures, repeats_asked
+from twinct.runs.repeats import Repeats
 from twinct.runs.reporting import Results, judge, write_results
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.truth import truth_of
@@ -247,8 +249,14 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
     with sole_owner(folder.lock), audience_of(observers) as audience:
         before = read_metrics(folder.metrics)
         truth = truth_of(now.scan, builder, audience, file=folder.truth).written(folder.truth)
-        first = judge(now.scan, made.volume, truth, builder.specimen)
-        figures = {scenario.reconstruction.geometries[0]: first}
+        which = scenario.reconstruction.geometries[0]
+        known = {} if asked_anew else repeated_figures(before["image"])
+        again = None
+        if repeats_asked(scenario) and not known:
+            again = Repeats(now.scan, builder, audience).of(which, made.volume.array)
+        first = judge(now.scan, made.volume, truth, builder.specimen, again)
+        first = replace(first, further={**first.further, **known})
+        figures = {which: first}
         for which, values in before.get("image_by_geometry", {}).items():
             # Only the first volume is stored: the others cannot be measured again.
             data = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
@@ -275,7 +283,11 @@ def _judge_others(run: Run, builder: SimulationBuilder, audience: Audience) -> N
         scan = replace(run.scan, scenario=scenario)
         of_it = replace(builder, scenario=scenario, given_specimen=builder.specimen)
         truth = truth_of(scan, of_it, audience, file=run.paths.truth)
-        reconstruction.write_figures(judge(scan, reconstruction.volume, truth, builder.specimen))
+        volume, again = reconstruction.volume, None
+        if repeats_asked(scenario):
+            repeats = Repeats(scan, of_it, audience)
+            again = repeats.of(reconstruction.geometry, volume.array)
+        reconstruction.write_figures(judge(scan, volume, truth, builder.specimen, again))
 
 
 def _prepare(
@@ -360,6 +372,7 @@ def _make_volumes(
     figures: dict[str, ImageFigures] = {}
     residuals: dict[str, list[float]] = {}
     first: Results | None = None
+    repeats = Repeats(scan, builder, audience) if repeats_asked(scenario) else None
     for which in scenario.reconstruction.geometries:
         course = residuals.setdefault(which, [])
         with seconds.stage("reconstruction", keep=True):
@@ -375,7 +388,8 @@ def _make_volumes(
                 volume.write(folder.volume, _note_of(folder, scenario))
             first = Results.of(volume, truth)
         with seconds.stage("judge"), audience.stage(f"judge, {which} geometry", 1) as step:
-            figures[which] = judge(scan, volume, truth, builder.specimen)
+            again = repeats and repeats.of(which, volume.array)
+            figures[which] = judge(scan, volume, truth, builder.specimen, again)
             step()
         del volume
     assert first is not None  # there is a geometry

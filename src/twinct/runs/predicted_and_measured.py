@@ -1,7 +1,8 @@
-"""Predictions beside measurements, for the report: times of a plan, and rendered views."""
+"""Predictions beside measurements, for the report: detectability, times, and rendered views."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,10 @@ import numpy as np
 from twinct.core.files.boundary import library_errors, no_file
 from twinct.core.files.plain_json import read_json
 from twinct.report.style import Picture
+from twinct.scenario import Scenario
+
+_PLAN = "plan.json"
+"""Result of ``twinct plan``, beside its views and the motion of its arms."""
 
 
 def stored_predictions(folder: Path) -> list[tuple[str, Picture]]:
@@ -47,3 +52,33 @@ def drive_times(file: Path) -> dict[str, Any]:
             }
             figures["planned_s"], figures["taken_s"] = np.ptp(planned_s), np.ptp(taken_s)
     return {"drive": figures}
+
+
+def planned_detectability(scenario: Scenario, image: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the key ``planned_detectability`` of ``metrics.json``; nothing without such a plan.
+
+    Args:
+        scenario: scenario of the run, whose views or motion are those of ``twinct plan``.
+        image: figures of its volume, nested as in ``metrics.json``.
+
+    Returns:
+        ``predicted``, for penalised least squares, and ``measured``: d' of the detection tasks of
+        the plan's signal, by name.
+
+    Raises:
+        InputError: the plan's result is damaged.
+    """
+    goal = getattr(scenario.task, "detectability", None)
+    made = getattr(scenario.trajectory, "path", None), getattr(scenario.motion, "plan", None)
+    files = [Path(path).with_name(_PLAN) for path in made if path is not None]
+    file = next((file for file in files if not no_file(file)), None)
+    if goal is None or file is None:
+        return {}
+    data = read_json(file)
+    with library_errors(str(file)):
+        predicted = float(data["goals"]["detectability"]["planned"])
+    tasks = scenario.evaluation.entries("tasks") if scenario.evaluation else ()
+    alike = [one.label for one in tasks if getattr(one, "signal", None) == goal.signal]
+    figures = image.get("tasks") or {}
+    measured = {name: figures.get(name, {}).get("detectability") for name in alike}
+    return {"planned_detectability": {"predicted": predicted, "measured": measured}}

@@ -28,6 +28,8 @@ from twinct.runs.reconstruction_folder import (
     reconstruction_base,
     stored_reconstructions,
 )
+from twinct.runs.repeated_figures import repeats_asked
+from twinct.runs.repeats import Repeats
 from twinct.runs.reporting import judge
 from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
@@ -190,6 +192,9 @@ def _made(
     volume, residuals, seconds = timed_volume(scan, folder, which, audience)
     truth = truth_of(scan, builder, audience, file=folder.truth)
     grid = scenario.reconstruction.volume_grid
+    again = None
+    if repeats_asked(scenario):
+        again = Repeats(scan, builder, audience).of(which, volume.array)
     name, digest, of_geometry = called
     reconstruction = Reconstruction(
         name=name,
@@ -198,7 +203,7 @@ def _made(
         geometry_digest=of_geometry,
         in_words=scenario.reconstruction.in_words,
         settings=scenario.reconstruction.model_dump(mode="json"),
-        figures=judge(scan, volume, truth, builder.specimen),
+        figures=judge(scan, volume, truth, builder.specimen, again),
         residuals=residuals,
         seconds=seconds,
         slices=cross_sections(volume.array, truth.volume, truth.region, grid),

@@ -12,6 +12,7 @@ from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.evaluation import (
+    Again,
     Measurement,
     RoundBody,
     Voxels,
@@ -132,6 +133,8 @@ class Places:
         mu_reference: float,
         signal_rel: float = math.nan,
         mu_water: float = math.nan,
+        again: Again | None = None,
+        signal_error_rel: float = 0.0,
     ) -> dict[str, Any]:
         """Compute all requested figures and curves, by kind and name.
 
@@ -141,8 +144,11 @@ class Places:
             mu_reference: attenuation to which figures are relative, 1/mm.
             signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
             mu_water: attenuation of water, 1/mm; NaN if it is unknown.
+            again: takes the scan of the volume again, for figures that need it.
+            signal_error_rel: standard error of ``signal_rel``.
         """
-        at = Measurement(self, volume, truth, mu_reference, signal_rel, mu_water)
+        of_volume = volume, truth, mu_reference, signal_rel, mu_water
+        at = Measurement(self, *of_volume, again, signal_error_rel)
         return {
             kind.name: {one.label: kind.measured(at, one) for one in entries}
             for kind in figure_kinds().values()

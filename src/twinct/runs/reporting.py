@@ -14,6 +14,7 @@ from twinct.core.errors import MissingExtraError
 from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import write_json
 from twinct.evaluation import (
+    Again,
     ImageFigures,
     pose_errors,
     reprojection_px,
@@ -36,7 +37,11 @@ from twinct.report import (
 )
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.known_motion import as_reconstructed, motion_in_words, moving_figures
-from twinct.runs.predicted_and_measured import drive_times, stored_predictions
+from twinct.runs.predicted_and_measured import (
+    drive_times,
+    planned_detectability,
+    stored_predictions,
+)
 from twinct.runs.reconstruction_folder import Reconstruction, stored_reconstructions
 from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
@@ -52,11 +57,16 @@ _SHOWN_VIEWS = 4
 
 
 def judge(
-    scan: Scan, volume: Volume, truth: Truth, specimen: BuiltSpecimen | None = None
+    scan: Scan,
+    volume: Volume,
+    truth: Truth,
+    specimen: BuiltSpecimen | None = None,
+    again: Again | None = None,
 ) -> ImageFigures:
     """Compute the image figures of a reconstruction, with the section ``evaluation``.
 
     The section refers to parts of the specimen, which is built if it is needed and not given.
+    Figures that need repetitions of the scan are NaN without ``again``, see ``Repeats``.
     """
     scenario, array = scan.scenario, volume.array
     grid, mu = truth.grid, truth.mu_reference
@@ -70,7 +80,13 @@ def judge(
     if scenario.evaluation is not None:
         built = as_reconstructed(specimen or build_specimen(scenario.specimen), scenario)
         further |= Places(scenario, built, scan.stands, grid).figures(
-            array, truth.volume, mu, figures.signal_rel, truth.mu_water
+            array,
+            truth.volume,
+            mu,
+            figures.signal_rel,
+            truth.mu_water,
+            again,
+            figures.signal_error_rel,
         )
     return replace(figures, further=further).honest()
 
@@ -85,7 +101,8 @@ def evaluate(scan: Scan, volume: Volume, truth: Truth | None = None) -> ImageFig
 
     Returns:
         The figures; ``as_dict()`` has those that ``metrics.json`` lists, also those that the
-        scenario's section ``evaluation`` requests.
+        scenario's section ``evaluation`` requests. Detectability is NaN: the way from the scan to
+        the volume is unknown here.
 
     Raises:
         InputError: volume and truth have different grids.
@@ -166,6 +183,7 @@ def write_results(
         reference_material=builder.specimen.reference_name,
         files=folder.file_digests(),
         **drive_times(folder.drive),
+        **planned_detectability(scenario, next(iter(results.figures.values())).as_dict()),
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from twinct.report.figure_words import axis_words
+from twinct.report.figure_words import axis_words, with_companions
 from twinct.report.repetitions import StudyTrial
 from twinct.report.study_page import StudyAxis, StudyData, best_trials, write_study
 from twinct.study.design import Design
@@ -26,7 +26,7 @@ def write_page(
     """
     study = design.study
     ranked, better = study.ranked_by
-    figures = (ranked, *(name for name in study.figures if name != ranked))
+    figures = with_companions((ranked, *(name for name in study.figures if name != ranked)))
     data = StudyData(
         title=study.name,
         description=study.description,

@@ -35,6 +35,8 @@ from twinct.runs import (
 )
 from twinct.runs.acquisition import rig_factory
 from twinct.runs.known_motion import as_reconstructed, phase_of_truth
+from twinct.runs.repeated_figures import repeats_asked
+from twinct.runs.repeats import Repeats
 from twinct.runs.reporting import figures_of
 from twinct.runs.truth import grey_body
 from twinct.scan import Scan, ScanStore, SimulationBuilder
@@ -244,11 +246,13 @@ def _figures(
         truth = _truth(scan, specimen, cache)
     images: dict[str, ImageFigures] = {}
     sections, stored = b"", folder / VOLUME
+    repeats = Repeats(scan, builder) if repeats_asked(scenario) else None
     for which in scenario.reconstruction.geometries:
         with seconds.stage(f"reconstruction, {which}" if images else "reconstruction"):
             volume = reconstruct(scan, geometry=which, checkpoints=folder / "checkpoints")
         with seconds.stage("judge"):
-            images[which] = judge(scan, volume, truth, specimen)
+            again = repeats and repeats.of(which, volume.array)
+            images[which] = judge(scan, volume, truth, specimen, again)
         if not sections:
             grid = scenario.reconstruction.volume_grid
             shown = cross_sections(volume.array, truth.volume, truth.region, grid)

@@ -161,6 +161,7 @@ class Chain:
         index: int,
         object_mm: float = 0.0,
         before: tuple[Image, float] | None = None,
+        repetition: int = 0,
     ) -> ViewImages:
         """Return the detector's images of one view.
 
@@ -170,16 +171,15 @@ class Chain:
             index: index of the view; keys the noise.
             object_mm: distance from the middle of the object to the panel, for scatter.
             before: ``expected`` and ``object_mm`` of the previous view, whose signal lags.
+            repetition: number of the scan; each has noise of its own, with the same flat and dark
+                images.
         """
-        rng = self._rng(index)
+        rng = self._rng(index, repetition)
         signal = self._signal_of(expected, object_mm, rng)
         if before is not None:
             # The previous noise is drawn again by its own key.
-            last, lag = (
-                self._signal_of(*before, self._rng(index - 1)),
-                np.float32(self._detector.lag),
-            )
-            signal = ((1 - lag) * signal + lag * last).astype(np.float32, copy=False)
+            last = self._signal_of(*before, self._rng(index - 1, repetition))
+            signal = self._lagging(signal, last)
         if self._electronic:
             signal = normal_noise(signal, self._electronic / self._amplifier.gain, rng)
         raw = self._amplifier.read(binned(signal, self._detector.binning))
@@ -188,23 +188,50 @@ class Chain:
         raw = np.where(self._bad, np.float32(0), raw) if self._bad.any() else raw
         return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, self._bad))
 
-    def _rng(self, index: int) -> np.random.Generator:
-        # Modulo: a view imaged alone, as view 0, may still have a predecessor.
-        return view_rng(self._seed, "detector noise", index % 2**64)
+    @property
+    def noisy(self) -> bool:
+        """False if all images of a view are equal."""
+        return self._detector.noise is not None or self._electronic > 0
 
-    def _signal_of(self, expected: Image, object_mm: float, rng: np.random.Generator) -> Image:
-        """Return one exposure's signal in the physical pixels, with scatter, noise and spread."""
+    def mean(
+        self,
+        expected: Image,
+        object_mm: float = 0.0,
+        before: tuple[Image, float] | None = None,
+    ) -> Image:
+        """Return the signal of one view without noise, (rows, columns), as in ``frame``."""
+        signal = self._signal_of(expected, object_mm, None)
+        if before is not None:
+            signal = self._lagging(signal, self._signal_of(*before, None))
+        return binned(signal, self._detector.binning)
+
+    def _lagging(self, signal: Image, last: Image) -> Image:
+        lag = np.float32(self._detector.lag)
+        return ((1 - lag) * signal + lag * last).astype(np.float32, copy=False)
+
+    def _rng(self, index: int, repetition: int) -> np.random.Generator:
+        purpose = f"detector noise, repetition {repetition}" if repetition else "detector noise"
+        # Modulo: a view imaged alone, as view 0, may still have a predecessor.
+        return view_rng(self._seed, purpose, index % 2**64)
+
+    def _signal_of(
+        self, expected: Image, object_mm: float, rng: np.random.Generator | None
+    ) -> Image:
+        """Return one exposure's signal in the physical pixels, with scatter, noise and spread.
+
+        None for the generator: without noise.
+        """
         detector, pitch = self._detector, (self.panel.pitch_u, self.panel.pitch_v)
         if self._kernel is not None:
             scatter = self._kernel.spread(expected[2], *pitch, object_mm)
             of_one = np.float32(self.free[1] / self.free[0])
             expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
         signal = expected[0]
-        if isinstance(detector.noise, scenario.QuantumNoise):
+        if rng is not None and isinstance(detector.noise, scenario.QuantumNoise):
             signal = quantum_noise(signal, expected[1], rng)
         if self._spread is not None:
             signal = self._spread.apply(signal, *pitch)
-        if isinstance(detector.noise, scenario.SnrNoise):
+        if rng is not None and isinstance(detector.noise, scenario.SnrNoise):
             free = np.float32(self.free[0])
             sigma = np.sqrt(np.maximum(signal, np.float32(0)) * free)
             sigma *= np.float32(detector.binning / detector.noise.snr)

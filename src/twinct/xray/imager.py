@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
+from twinct.core.signals import Inserts
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
-from twinct.xray.build import physical_panel
+from twinct.xray.build import effective_energy_kev, physical_panel
 from twinct.xray.chain import Chain, ViewImages
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.grey import GreyCaster
+from twinct.xray.inserts import Insertion
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 from twinct.xray.room_rays import RoomRays
 
@@ -90,6 +92,7 @@ class Imager(SceneOwner):
             self._centre = (low + high) / 2
             others = (body.material for body in objects)
             self._materials = tuple(dict.fromkeys([*specimen.materials, *others]))
+            self._inserted = self._inserts_into(specimen)
             if commanded is not None:  # now, to report unusable files at once
                 self._chain = self._new_chain(commanded)
             self._paths = PathRenderer(
@@ -113,6 +116,13 @@ class Imager(SceneOwner):
         greys = zip(specimen.greys, casters, strict=True)
         caster = next(caster for part, (caster, _) in greys if part.name == specimen.motion.part)
         return MovingVoxels(specimen.motion, caster, self._exposure_s)
+
+    def _inserts_into(self, specimen: BuiltSpecimen) -> tuple[int, float]:
+        """Return the material that stands for inserted signals, and its attenuation, 1/mm."""
+        energy = effective_energy_kev(self._source, self._detector)
+        own = getattr(specimen.reference_part, "material", None)
+        index = self._materials.index(own) if own in self._materials else 0
+        return index, float(self._materials[index].mu_per_mm(energy))
 
     def _open_ideal(
         self, specimen: BuiltSpecimen, edge_mm: float, engine: str, objects: Sequence[BuiltPart]
@@ -189,6 +199,83 @@ class Imager(SceneOwner):
             raise ValueError("an ideal source and detector give only a transmission")
         return self._frame(path.geometry(self.panel), path.object, view, before, time_s)
 
+    @property
+    def noisy(self) -> bool:
+        """False if all images of a view are equal."""
+        return self._paths is not None and (self._chain is None or self._chain.noisy)
+
+    def repeated(
+        self,
+        path: PosePairs,
+        view: int,
+        before: PosePairs | None = None,
+        *,
+        time_s: float = 0.0,
+        repetitions: Sequence[int] = (),
+    ) -> list[NDArray[np.float32]]:
+        """Take one view again, each time with noise of its own.
+
+        Args:
+            path: see ``expose``, also for the following ones.
+            view: index of the view.
+            before: poses of the previous view.
+            time_s: time of the scan.
+            repetitions: numbers of the scans; 0 gives the image of ``expose``.
+
+        Returns:
+            Transmission of each, (rows, columns).
+        """
+        if self._paths is None:
+            return [self.expose(path, view, before, time_s=time_s)] * len(repetitions)
+        seen = path.geometry(self.panel)
+        chain, expected, last = self._exposure(seen, path.object, view, before, time_s, None)
+        object_mm = self._object_mm(seen[0], path.object[0])
+        middle = chain.physical(seen[len(seen) // 2])
+        return [
+            chain.frame(expected, middle, view, object_mm, last, number).transmission
+            for number in repetitions
+        ]
+
+    def inserted(
+        self,
+        path: PosePairs,
+        view: int,
+        inserts: Inserts,
+        before: PosePairs | None = None,
+        *,
+        time_s: float = 0.0,
+    ) -> NDArray[np.float32]:
+        """Return the share of the light of a view that inserted signals let pass.
+
+        The images have all physics of the view except noise. A signal counts as more or less of the
+        reference's material, or of the specimen's first material if that one is grey.
+
+        Args:
+            path: see ``expose``, also for the others.
+            view: index of the view.
+            inserts: signals, which move with the specimen.
+            before: poses of the previous view.
+            time_s: time of the scan.
+
+        Returns:
+            Light with the signals over light without them, (rows, columns).
+        """
+        seen, insertion = path.geometry(self.panel), Insertion(inserts)
+        if self._paths is None:
+            means = [
+                np.mean([self._ideal(seen[k], path.object[k], one) for k in range(len(seen))], 0)
+                for one in (insertion, None)
+            ]
+        else:
+            object_mm = self._object_mm(seen[0], path.object[0])
+            means = []
+            for one in (insertion, None):
+                chain, *light = self._exposure(seen, path.object, view, before, time_s, one)
+                means.append(chain.mean(light[0], object_mm, light[1]))
+        share = np.ones(self.panel.shape)
+        np.divide(means[0], means[1], out=share, where=np.asarray(means[1]) > 0)
+        return share.astype(np.float32)
+
     def _image(
         self,
         path: ScanGeometry,
@@ -222,15 +309,32 @@ class Imager(SceneOwner):
         time_s: float,
     ) -> ViewImages:
         middle = path[len(path) // 2]
-        chain = self._chain = self._chain or self._new_chain(self._commanded or middle)
+        chain, expected, last = self._exposure(path, objects, view, before, time_s, None)
+        object_mm = self._object_mm(path[0], objects[0])
+        return chain.frame(expected, chain.physical(middle), view, object_mm, last)
+
+    def _exposure(
+        self,
+        path: ScanGeometry,
+        objects: Sequence[Pose],
+        view: int,
+        before: PosePairs | None,
+        time_s: float,
+        insertion: Insertion | None,
+    ) -> tuple[Chain, NDArray[np.float32], tuple[NDArray[np.float32], float] | None]:
+        """Return the chain, the expected signal of a view, and that of the view before, if it lags.
+
+        See ``Chain.frame``.
+        """
+        chain = self._chain = self._chain or self._new_chain(
+            self._commanded or path[len(path) // 2]
+        )
         last = None
         if self._detector.lag and before is not None:
             seen = before.geometry(self.panel)
-            signal = self._expected(chain, seen, before.object, view - 1, time_s)
+            signal = self._expected(chain, seen, before.object, view - 1, time_s, insertion)
             last = signal, self._object_mm(seen, *before.object)
-        expected = self._expected(chain, path, objects, view, time_s)
-        object_mm = self._object_mm(path[0], objects[0])
-        return chain.frame(expected, chain.physical(middle), view, object_mm, last)
+        return chain, self._expected(chain, path, objects, view, time_s, insertion), last
 
     def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
         """Return the distance from the specimen's middle to the panel, along the panel's normal."""
@@ -244,20 +348,31 @@ class Imager(SceneOwner):
         objects: Sequence[Pose],
         index: int,
         time_s: float,
+        insertion: Insertion | None,
     ) -> NDArray[np.float32]:
         assert self._paths is not None
         expected = chain.blank()
         share = chain.load(index) / (len(path) * len(chain.spot))
         for k in self._instants(len(path), time_s):
             for seen in chain.from_spot(chain.physical(path[k])):
-                chain.add(self._paths.render(seen, objects[k]), seen, expected, share)
+                paths = self._paths.render(seen, objects[k])
+                if insertion is not None:
+                    material, per_mm = self._inserted
+                    lengths = insertion.attenuation(objects[k].inverse() @ seen, chain.samples)
+                    paths[material] += lengths / per_mm
+                chain.add(paths, seen, expected, share)
         return expected
 
     def _new_chain(self, commanded: ScanGeometry) -> Chain:
         sections = self._source, self._detector
         return Chain(*sections, self._materials, commanded, self._seed, self._mas)
 
-    def _ideal(self, geometry: ScanGeometry, world_from_object: Pose) -> NDArray[np.float32]:
+    def _ideal(
+        self,
+        geometry: ScanGeometry,
+        world_from_object: Pose,
+        insertion: Insertion | None = None,
+    ) -> NDArray[np.float32]:
         view = world_from_object.inverse() @ geometry
         self._placement.check(view)
         image = np.ones(self.panel.shape, dtype=np.float32)
@@ -272,6 +387,8 @@ class Imager(SceneOwner):
             paths = np.zeros((len(self._room_mu), *image.shape), dtype=np.float32)
             self._room.add(geometry, range(len(paths)), paths)
             image *= np.exp(-np.tensordot(np.array(self._room_mu, np.float32), paths, axes=1))
+        if insertion is not None:
+            image *= np.exp(-insertion.attenuation(view))
         return image
 
     def _release(self) -> None:

@@ -50,6 +50,7 @@ CONTRASTS = FigureKind(
             1,
             good="95 to 105 %",
             without_signal="worse",
+            blind_to=("noise",),
         ),
         Figure(
             "cnr",
@@ -59,6 +60,8 @@ CONTRASTS = FigureKind(
             best="higher",
             good="above 5",
             without_signal="null",
+            blind_to=("smoothing",),
+            beside=("recovery", "/edge_width_mm"),
         ),
     ),
     _measure,

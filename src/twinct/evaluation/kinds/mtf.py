@@ -138,6 +138,7 @@ MTF = FigureKind(
             best="higher",
             good="0.6 / voxel edge at best",
             without_signal="null",
+            blind_to=("noise", "contrast"),
         ),
         Figure(
             "f10_per_mm",
@@ -147,6 +148,7 @@ MTF = FigureKind(
             best="higher",
             good="0.9 / voxel edge at best",
             without_signal="null",
+            blind_to=("noise", "smoothing", "contrast"),
         ),
         Figure(
             "shift_mm",
@@ -157,6 +159,7 @@ MTF = FigureKind(
             best="lower",
             good="below half a voxel",
             without_signal="null",
+            blind_to=(),
         ),
     ),
     _measure,

@@ -56,6 +56,7 @@ NPS = FigureKind(
             "lower",
             good="a fifth of the contrast sought",
             without_signal="null",
+            blind_to=("blur", "smoothing", "shift", "contrast"),
         ),
         Figure(
             "mean_frequency_per_mm",

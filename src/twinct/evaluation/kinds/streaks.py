@@ -51,6 +51,7 @@ STREAKS = FigureKind(
             "lower",
             good="below 1 %",
             without_signal="null",
+            blind_to=("blur", "smoothing"),
         ),
     ),
     _measure,
