@@ -69,6 +69,26 @@ def zarr_stream(folder: Path) -> Path:
     return _described(folder, "a.zarr")
 
 
+def zarr_shard(folder: Path) -> Path:
+    """A shard whose inner chunks state 2 GiB to Blosc, in place of 1 kB."""
+    import zarr
+    from zarr.codecs import BloscCodec
+
+    zarr.create_array(
+        str(folder / "a.zarr"),
+        shape=(3, 16, 16),
+        shards=(3, 16, 16),
+        chunks=(1, 16, 16),
+        dtype="f4",
+        compressors=BloscCodec(),
+    )[:] = 1.0
+    file = folder / "a.zarr" / "c" / "0" / "0" / "0"
+    data = bytearray(file.read_bytes())
+    data[4:8] = struct.pack("<I", 2**31 - 17)
+    file.write_bytes(data)
+    return _described(folder, "a.zarr")
+
+
 def hdf5_chunk(folder: Path) -> Path:
     """A dataset of 30,000 x 30,000 pixels that was never written."""
     import h5py
@@ -242,7 +262,7 @@ def rtk_xml(folder: Path) -> Path:
     np.save(folder / "a.npy", np.ones((3, 4, 4), np.float32))
     _described(folder, "a.npy")
     told = json.loads((folder / "scan.yaml").read_text())
-    told["geometry"] = {"kind": "rtk", "path": "a.xml"}
+    told["geometry"] = {"kind": "rtk", "path": "a.xml", "pitch_mm": 2}
     (folder / "scan.yaml").write_text(json.dumps(told))
     return folder / "scan.yaml"
 
@@ -306,7 +326,17 @@ def ply(folder: Path) -> Path:
 
 
 IMPORTED: tuple[Callable[[Path], Path], ...] = (
-    *(zarr_chunk, zarr_stream, hdf5_chunk, hdf5_stream, npz, tiff_size, tiff_stream, png),
+    *(
+        zarr_chunk,
+        zarr_stream,
+        zarr_shard,
+        hdf5_chunk,
+        hdf5_stream,
+        npz,
+        tiff_size,
+        tiff_stream,
+        png,
+    ),
     *(dicom_frame, dicom_deflated, metaimage, mcap, rtk_xml, yaml_aliases),
 )
 """Those that ``twinct import`` reads."""
