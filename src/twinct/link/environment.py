@@ -61,7 +61,7 @@ def require_ros() -> None:
 
 
 SHARED_MEMORY = Path("/dev/shm")
-_TRACER_FILES = ("lttng-ust-wait-*[0-9]", "lttng-ust-wait-*-{user}")
+_TRACER_FILES = (r"lttng-ust-wait-\d+", r"lttng-ust-wait-\d+-{user}")
 """Files of LTTng's tracer, which every process of ROS 2 loads: a page each, for all users and for
 this one. The tracer maps them without asking whether there is room, so that a full disk ends the
 process by SIGBUS. Fast DDS asks, and sends over UDP if there is none."""
@@ -79,11 +79,10 @@ def require_shared_memory(folder: Path = SHARED_MEMORY, free: int | None = None)
     """
     if free is None and (free := free_shared_memory(folder)) is None:
         return
-    kept = [
-        any(file.lstat().st_blocks for file in folder.glob(name.format(user=os.getuid())))
-        for name in _TRACER_FILES
-    ]
-    needed = kept.count(False) * os.sysconf("SC_PAGE_SIZE")
+    there = [file.name for file in folder.glob("lttng-ust-wait-*") if file.lstat().st_blocks]
+    wanted = [re.compile(name.format(user=os.getuid())) for name in _TRACER_FILES]
+    missing = [name for name in wanted if not any(map(name.fullmatch, there))]
+    needed = len(missing) * os.sysconf("SC_PAGE_SIZE")
     if free < needed:
         raise InputError(
             f"{folder} is full: {free} bytes of shared memory are free, and ROS 2 needs {needed} "
