@@ -47,7 +47,7 @@ class Hdf5Images:
         if unknown := [number for number in filters if number not in _FILTERS]:
             raise InputError(
                 f"{where}: {dataset.name} is packed by HDF5's filter {unknown[0]}, which is not "
-                "read: h5repack -f GZIP=4 packs it anew"
+                "read: h5repack -f GZIP=4 writes a file that is"
             )
         self._filters = [_FILTERS[number] for number in filters]
         self._known: set[tuple[int, ...]] = set()
