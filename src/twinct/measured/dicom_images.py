@@ -21,7 +21,7 @@ MOST_FRAMES = 100_000
 
 @dataclass(frozen=True)
 class DicomFile:
-    """What the header of a file states.
+    """Size and form of the images in a file, as its header states them.
 
     Attributes:
         path: the file.

@@ -1,4 +1,4 @@
-"""What MuJoCo makes of short words in the description of an arm: pictures, fields and copies."""
+"""Limits of the pictures, fields and copies that short words in the description of an arm state."""
 
 from __future__ import annotations
 

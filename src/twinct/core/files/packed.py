@@ -1,4 +1,4 @@
-"""What external files unpack to, which is limited before anything is unpacked.
+"""Limits of the unpacked sizes of external files, which are checked before anything is unpacked.
 
 Each reader of packed data passes ``require_unpacked`` with the size that the file states. Where a
 decoder would follow its stream beyond that size, ``require_stream`` counts the stream first. The

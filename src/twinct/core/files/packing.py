@@ -1,4 +1,4 @@
-"""How a piece of an array is packed, and whether its bytes unpack to the size that is stated."""
+"""Packed pieces of arrays: chunks, strips and tiles, whose bytes unpack to a stated size."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _INDEX_ITEM_BYTES = 16
 
 @dataclass(frozen=True)
 class Packing:
-    """How the bytes of a chunk, strip or tile are packed.
+    """Codecs of a chunk, strip or tile, and its size in memory.
 
     Attributes:
         size: bytes in memory.
