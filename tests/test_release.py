@@ -121,3 +121,13 @@ def test_the_page_of_packages_names_every_extra_and_system_library() -> None:
     script = (ROOT / "tools" / "system-libraries").read_text(encoding="utf-8")
     for library in re.search(r"packages=\(\n(.*?)\n\)", script, re.DOTALL)[1].split():
         assert f" {library}" in page, library
+
+
+def test_users_get_the_versions_of_ros_that_are_locked():
+    """One of these packages runs at every start of Python (docs/security.md)."""
+    locked = set(
+        re.findall(r"^(ros-[a-z0-9-]+==\S+)", (ROOT / "constraints.txt").read_text(), re.M)
+    )
+    stated = {word for word in PROJECT["optional-dependencies"]["ros"] if word.startswith("ros-")}
+    assert stated == locked
+    assert any(word.startswith("ros-wheels-bootstrapper==") for word in stated)

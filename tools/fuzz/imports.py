@@ -6,10 +6,13 @@ import json
 import random
 import shutil
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 import pydicom
 import tifffile
+import zarr
 from cases import Case
 from input_files import SPECIAL, damaged, special
 from valid_files import write_ctsimu, write_dicom, write_meshes
@@ -107,6 +110,14 @@ def _sources(material: Path) -> list[str]:
     keys = {**CIRCLE, "angles": {"path": "angles.csv"}}
     stack = {"path": "images.npy", "values": "transmissions"}
     (material / "table" / "scan.yaml").write_text(json.dumps({"images": stack, "geometry": keys}))
+    for name, write in (("hdf5", _hdf5), ("zarr", _zarr)):
+        (material / name).mkdir()
+        write(material / name, images)
+        stack = {"path": f"images.{name}", "values": "transmissions"}
+        keys = {**CIRCLE, "angles": {"step": 360 / VIEWS}}
+        text = json.dumps({"images": stack, "geometry": keys})
+        (material / name / "scan.yaml").write_text(text)
+        found.append(f"{name}/scan.yaml")
     (material / "dicom").mkdir()
     write_dicom(material / "dicom")
     for view, file in enumerate(sorted((material / "dicom").iterdir())):
@@ -123,6 +134,16 @@ def _sources(material: Path) -> list[str]:
     files = render(scenario, material / "ctsimu" / "out", Options(1, 1, 0))
     metadata = str(files.metadata.relative_to(material))
     return [*found, "table/scan.yaml", "dicom/scan.yaml", metadata]
+
+
+def _hdf5(folder: Path, images: Any) -> None:
+    with h5py.File(folder / "images.hdf5", "w") as file:
+        file.create_dataset("scan/images", data=images, chunks=(1, 12, 16), compression="gzip")
+        file["scan"].attrs["camera"] = "none"
+
+
+def _zarr(folder: Path, images: Any) -> None:
+    zarr.create_array(str(folder / "images.zarr"), data=images, chunks=(1, 12, 8))
 
 
 def _yaml(pattern: str) -> str:

@@ -51,11 +51,53 @@ def require_ros() -> None:
     for another Python.
 
     Raises:
-        InputError: rclpy or a message package is not installed, or cannot be imported.
+        InputError: rclpy or a message package is not installed, or cannot be imported, or the
+            shared memory is full.
     """
     outside = _system_ros(os.environ)
     sys.path[:] = [path for path in sys.path if not path.startswith(outside)]
+    require_shared_memory()  # before any library of ROS is loaded
     require("ros")
+
+
+SHARED_MEMORY = Path("/dev/shm")
+_TRACER_FILES = (r"lttng-ust-wait-\d+", r"lttng-ust-wait-\d+-{user}")
+"""Files of LTTng's tracer, which every process of ROS 2 loads: a page each, for all users and for
+this one. The tracer maps them without asking whether there is room, so that a full disk ends the
+process by SIGBUS. Fast DDS asks, and sends over UDP if there is none."""
+
+
+def require_shared_memory(folder: Path = SHARED_MEMORY, free: int | None = None) -> None:
+    """Check that the tracer of ROS 2 has room for its two pages.
+
+    Args:
+        folder: where shared memory is.
+        free: bytes that are free there; None: as the system says.
+
+    Raises:
+        InputError: there is no room.
+    """
+    if free is None and (free := free_shared_memory(folder)) is None:
+        return
+    there = [file.name for file in folder.glob("lttng-ust-wait-*") if file.lstat().st_blocks]
+    wanted = [re.compile(name.format(user=os.getuid())) for name in _TRACER_FILES]
+    missing = [name for name in wanted if not any(map(name.fullmatch, there))]
+    needed = len(missing) * os.sysconf("SC_PAGE_SIZE")
+    if free < needed:
+        raise InputError(
+            f"{folder} is full: {free} bytes of shared memory are free, and ROS 2 needs {needed} "
+            f"at its start. Remove files from {folder} that no process uses; a container gets more "
+            "with --shm-size=64m. Or use the link local (--link local)"
+        )
+
+
+def free_shared_memory(folder: Path = SHARED_MEMORY) -> int | None:
+    """Return the bytes that are free in shared memory; None if there is none."""
+    try:
+        there = os.statvfs(folder)
+    except OSError:
+        return None
+    return there.f_bavail * there.f_frsize
 
 
 def without_system_ros(environment: Mapping[str, str]) -> dict[str, str]:
@@ -122,9 +164,8 @@ def middleware_settings(size: int = 0) -> Iterator[None]:
             slow.
     """
     size = min(size, _LARGEST_SEGMENT)
-    with suppress(OSError):
-        memory = os.statvfs("/dev/shm")
-        size = min(size, memory.f_bavail * memory.f_frsize // 4)
+    if (free := free_shared_memory()) is not None:
+        size = min(size, free // 4)
     if any(os.environ.get(key) for key in _FILE_KEYS):
         yield
         return
@@ -219,7 +260,7 @@ def _silent(domain: int) -> bool:
     return True
 
 
-def sweep_shared_memory(folder: Path = Path("/dev/shm")) -> None:
+def sweep_shared_memory(folder: Path = SHARED_MEMORY) -> None:
     """Remove shared memory of killed DDS participants.
 
     A live participant locks the ``_el`` file beside each of its segments, and every port with a

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 
 from twinct.core.errors import InputError, LinkError
+from twinct.core.files.plain_xml import xml_of
 from twinct.core.foreign_text import number, quoted
 from twinct.geometry import Floats
 from twinct.link.stamps import NANO, Stamp
@@ -118,7 +118,7 @@ def limits_of(description: str, where: str) -> dict[str, Limit]:
     """
     limits = {}
     try:
-        for joint in ElementTree.fromstring(description).iter("joint"):
+        for joint in xml_of(description).iter("joint"):
             limit = joint.find("limit")
             if limit is None or "name" not in joint.attrib:
                 continue
@@ -126,7 +126,7 @@ def limits_of(description: str, where: str) -> dict[str, Limit]:
             if joint.get("type") != "continuous" and "upper" in limit.attrib:
                 bounds = _bound(limit.get("lower", "0")), _bound(limit.attrib["upper"])
             limits[joint.attrib["name"]] = Limit(*bounds, _bound(limit.get("velocity", "inf")))
-    except (ElementTree.ParseError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"{where}: not a robot description: {error}") from None
     return limits
 

@@ -13,11 +13,23 @@ from pathlib import Path
 
 from twinct.core.files.links import no_link
 from twinct.link import heartbeat
+from twinct.link.environment import SHARED_MEMORY, free_shared_memory
 from twinct.link.heartbeat import LOOK_S, Pulse
 
 TERM_S, KILL_S = 3.0, 10.0
 """A node ends by itself in 1.5 s; if a long call blocks it, such as gVXR's import, by force."""
 TAIL_BYTES, TAIL_LINES = 8192, 15
+
+
+def _why(number: int) -> str:
+    """Return what a signal says about a node of ROS 2, as far as it says anything."""
+    if number != signal.SIGBUS:
+        return ""
+    free = free_shared_memory()
+    return (
+        f", because {SHARED_MEMORY} had no room: it has {free or 0} free bytes now. Remove files "
+        "there that no process uses; a container gets more with --shm-size=64m"
+    )
 
 
 class NodeProcess:
@@ -108,6 +120,7 @@ class NodeProcess:
         elif code is not None and code < 0:
             with suppress(ValueError):
                 how = f"was ended by {signal.Signals(-code).name}"
+            how += _why(-code)
         with self.log.open("rb") as log:
             size = log.seek(0, os.SEEK_END)
             log.seek(max(self._start_of_log, size - TAIL_BYTES))

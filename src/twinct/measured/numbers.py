@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from twinct.core.files.arrays import read_npy, read_npz
 from twinct.core.files.boundary import read_text
 from twinct.core.foreign_text import number, quoted
 
+T = TypeVar("T")
 MOST_BYTES = 2**32
 MOST_TEXT = 2**28
 
@@ -46,18 +48,27 @@ def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
     return numbers
 
 
-def named_array(arrays: dict[str, NDArray[Any]], name: str, where: str) -> NDArray[Any]:
+def named_array(arrays: Mapping[str, T], name: str, where: str) -> T:
     """Return an array by its name; the only one if the name is empty.
 
     Raises:
         InputError: there is no such array.
     """
-    if not name and len(arrays) == 1:
-        return next(iter(arrays.values()))
-    if name not in arrays:
+    return arrays[array_name(list(arrays), name, where)]
+
+
+def array_name(names: Sequence[str], name: str, where: str) -> str:
+    """Return the name of an array, or that of the only one if the name is empty.
+
+    Raises:
+        InputError: there is no such array.
+    """
+    if not name and len(names) == 1:
+        return names[0]
+    if name not in names:
         problem = f"no array {quoted(name)}" if name else "array: name one"
-        raise InputError(f"{where}: {problem}; it holds {', '.join(sorted(arrays))}")
-    return arrays[name]
+        raise InputError(f"{where}: {problem}; it holds {', '.join(sorted(names))}")
+    return name
 
 
 def _table(text: str, where: str) -> NDArray[np.float64]:

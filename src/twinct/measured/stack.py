@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
+import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
-from twinct.core.extras import require
-from twinct.core.files.boundary import file_bytes, library_errors, no_file
+from twinct.core.files.arrays import read_npz
+from twinct.core.files.boundary import file_bytes, library_errors, no_file, require_memory
 from twinct.core.files.metaimage import metaimage_header, read_metaimage
+from twinct.core.files.packed import require_growth
 from twinct.core.foreign_text import quoted, whole_number
 from twinct.measured.description import Files
-from twinct.measured.numbers import named_array
+from twinct.measured.dicom_images import dicom_files
+from twinct.measured.hdf5_images import open_hdf5
+from twinct.measured.numbers import MOST_BYTES, array_name
+from twinct.measured.zarr_images import open_zarr
 
 Image = NDArray[Any]
 
@@ -28,8 +32,8 @@ _DICOM = (".dcm", ".ima", "")
 _RAW = (".raw", ".bin", ".img", ".dat", ".vol")
 _HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
 
-MOST_FRAMES = 100_000
-"""Largest number of frames that a DICOM file may state."""
+IMAGE_FACTOR = 32
+"""Bytes in memory per pixel while an image is corrected: four images in double precision."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +73,31 @@ def open_stack(section: Files, key: str) -> Stack:
         MissingExtraError: HDF5 needs a package that is not installed.
     """
     path = Path(section.path)
-    if path.suffix.lower() == ".zarr" or (path / "zarr.json").is_file():
-        return _zarr(path, section, key)
-    files = _files(path, key)
+    is_zarr = path.suffix.lower() == ".zarr" or (path / "zarr.json").is_file()
+    with library_errors(f"{path}"):
+        if is_zarr:
+            files = [file for file in path.rglob("*") if file.is_file()]
+            stack = _of_array(open_zarr(path, section.array, key), section, f"{path}")
+        else:
+            files = _files(path, key)
+            stack = _stack_of(path, files, section, key)
+        return _bounded(stack, sum(file.stat().st_size for file in files))
+
+
+def _bounded(stack: Stack, packed: int) -> Stack:
+    """Return a stack whose images fit into the memory, and whose errors name the image."""
+    pixels = math.prod(stack.shape)
+    require_growth(packed, stack.count * pixels * stack.dtype.itemsize, stack.where)
+    require_memory(f"{stack.where}: an image", IMAGE_FACTOR * pixels)
+
+    def image(index: int) -> Image:
+        with library_errors(f"{stack.where}: image {index}"):
+            return stack.image(index)
+
+    return replace(stack, image=image)
+
+
+def _stack_of(path: Path, files: Sequence[Path], section: Files, key: str) -> Stack:
     suffix = files[0].suffix.lower()
     if others := sorted({f.suffix.lower() for f in files} - {suffix}):
         raise InputError(
@@ -167,16 +193,11 @@ def _npy(path: Path, section: Files, key: str, image: bool = False) -> Stack:
 
 
 def _npz(path: Path, section: Files, key: str) -> Stack:
-    where = f"{path}"
-    file_bytes(path, where)
-    with library_errors(where), np.load(path, allow_pickle=False) as archive:
-        name = section.array
-        if not name and len(archive.files) > 1:
-            named_array(dict.fromkeys(archive.files, np.zeros(0)), name, f"{key}: {where}")
-        if name and name not in archive.files:
-            named_array(dict.fromkeys(archive.files, np.zeros(0)), name, f"{key}: {where}")
-        array = archive[name or archive.files[0]]
-    return _of_array(array, section, where)
+    def choose(names: Sequence[str]) -> str:
+        return array_name(names, section.array, f"{key}: {path}")
+
+    (array,) = read_npz(path, f"{path}", MOST_BYTES, choose=choose).values()
+    return _of_array(array, section, f"{path}")
 
 
 def _metaimage(path: Path, section: Files, key: str) -> Stack:
@@ -189,32 +210,7 @@ def _metaimage(path: Path, section: Files, key: str) -> Stack:
 
 
 def _hdf5(path: Path, section: Files, key: str) -> Stack:
-    require("hdf5")
-    h5py: Any = importlib.import_module("h5py")
-    where = f"{path}"
-    with library_errors(where):
-        file = h5py.File(path, "r")
-        names: list[str] = []
-        file.visititems(
-            lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
-        )
-        arrays = {name: file[name] for name in names}
-    return _of_array(
-        named_array(arrays, section.array.strip("/"), f"{key}: {where}"), section, where
-    )
-
-
-def _zarr(path: Path, section: Files, key: str) -> Stack:
-    import zarr
-
-    where = f"{path}"
-    with library_errors(where):
-        opened: Any = zarr.open(str(path), mode="r")
-        if isinstance(opened, zarr.Array):
-            array: Any = opened
-        else:
-            array = named_array(dict(opened.arrays()), section.array, f"{key}: {where}")
-    return _of_array(array, section, where)
+    return _of_array(open_hdf5(path, section.array.strip("/"), key), section, f"{path}")
 
 
 def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
@@ -250,6 +246,8 @@ def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
 def _tiff(path: Path) -> Stack:
     import tifffile
 
+    from twinct.core.files.tiff import require_page
+
     where = f"{path}"
     file_bytes(path, where)
     with library_errors(where), tifffile.TiffFile(path) as file:
@@ -260,8 +258,8 @@ def _tiff(path: Path) -> Stack:
         raise InputError(f"{where}: expected grey images of one size; there are {sorted(shapes)}")
 
     def image(index: int) -> Image:
-        with library_errors(where):
-            return tifffile.imread(path, key=index)
+        with library_errors(where), tifffile.TiffFile(path) as file:
+            return require_page(file, index, path, where).asarray()
 
     return Stack(where, count, (shape[0], shape[1]), dtype, image)
 
@@ -277,41 +275,6 @@ def _picture(path: Path) -> Stack:
 
 def _dicom(files: Sequence[Path]) -> Stack:
     """Return the images of DICOM files: one or several frames each, by their instance numbers."""
-    import pydicom
-
-    images: list[tuple[int, Path, tuple[tuple[int, int], int, np.dtype[Any]]]] = []
-    for file in files:
-        with library_errors(str(file)):
-            header: Any = pydicom.dcmread(file, stop_before_pixels=True)
-            shape, frames = (
-                (int(header.Rows), int(header.Columns)),
-                int(header.get("NumberOfFrames", 1)),
-            )
-            dtype = np.dtype(
-                f"{'i' if header.get('PixelRepresentation', 0) else 'u'}"
-                f"{int(header.get('BitsAllocated', 16)) // 8}"
-            )
-            if header.get("SamplesPerPixel", 1) != 1 or "ModalityLUTSequence" in header:
-                raise InputError(
-                    f"{file}: an image in colours, or with a modality LUT, is not read"
-                )
-            if not 0 < frames <= MOST_FRAMES:
-                raise InputError(f"{file}: states {frames} frames; expected 1 to {MOST_FRAMES}")
-            images.append((int(header.get("InstanceNumber", 0) or 0), file, (shape, frames, dtype)))
-    if len({number for number, _, _ in images}) == len(images):
-        images.sort(key=lambda one: one[0])
-    stacks: list[Stack] = []
-    for _, file, (shape, frames, dtype) in images:
-
-        def image(index: int, file: Path = file, frames: int = frames) -> Image:
-            with library_errors(str(file)):
-                header: Any = pydicom.dcmread(file)
-                pixels = header.pixel_array[index] if frames > 1 else header.pixel_array
-                slope, intercept = (
-                    float(header.get(f"Rescale{name}", default))
-                    for name, default in (("Slope", 1), ("Intercept", 0))
-                )
-            return pixels if (slope, intercept) == (1, 0) else pixels * slope + intercept
-
-        stacks.append(Stack(str(file), frames, shape, dtype, image))
-    return _joined([file for _, file, _ in images], stacks)
+    headers = dicom_files(files)
+    stacks = [Stack(str(h.path), h.frames, h.shape, h.dtype, h.image) for h in headers]
+    return _joined([header.path for header in headers], stacks)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any, Literal
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import read_text
 from twinct.core.files.plain_json import json_of
+from twinct.core.files.plain_xml import xml_with_doctype
 from twinct.core.foreign_text import number, quoted
 from twinct.core.settings import Length, Pair, Section, setting
 from twinct.geometry import Floats, Panel, ScanGeometry
@@ -221,10 +221,8 @@ def _rtk_numbers(path: Path) -> dict[str, Floats]:
     """
     text = read_text(path, f"{path}: geometry", MOST_BYTES)
     try:
-        if "<!ENTITY" in text:
-            raise ElementTree.ParseError("it defines entities")
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+        root = xml_with_doctype(text)
+    except ValueError as error:
         raise InputError(f"{path}: not an XML file of RTK: {error}") from None
     projections = root.findall("Projection")
     if root.tag != "RTKThreeDCircularGeometry" or not projections:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import math
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
+from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import json_of, read_json
 from twinct.core.files.writing import complete, storage_errors, write_json
@@ -86,6 +86,19 @@ class Follower:
         self.on_iteration(number, residual, step.volume)
 
 
+_BESIDE_BYTES = 2**24
+"""Largest size of the residuals beside a checkpoint's volume."""
+
+
+def read_checkpoint(file: Path, grid: VolumeGrid) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a checkpoint: a volume on the grid, and its residuals as JSON.
+
+    Raises:
+        InputError: the file holds no arrays, or more bytes than such a volume.
+    """
+    return read_npz(file, f"{file}: the checkpoint", 4 * math.prod(grid.shape) + _BESIDE_BYTES)
+
+
 @dataclass(frozen=True)
 class Checkpoints:
     """Checkpoints of a reconstruction on disk; only the newest one is stored."""
@@ -99,9 +112,9 @@ class Checkpoints:
             if no_file(file):  # a pipe, perhaps, which would block
                 continue
             try:
-                with np.load(file) as content:
-                    volume, residuals = content["volume"], json_of(str(content["residuals"]))
-            except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+                content = read_checkpoint(file, grid)
+                volume, residuals = content["volume"], json_of(str(content["residuals"]))
+            except (OSError, ValueError, KeyError, InputError):
                 log.warning("%s is not readable and is ignored", file)
                 continue
             done = whole_number(file.stem.rpartition("-")[2])

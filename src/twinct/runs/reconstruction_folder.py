@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import complete, write_json
@@ -29,6 +30,8 @@ JUDGEMENT = "judgement.json"
 _FILES = ("volume.nii", "sections.npz")
 """Files whose digests are stored; see ``check_files``."""
 _ARRAYS = ("reconstruction", "truth", "roi")
+MOST_SECTION_BYTES = 2**30
+"""Largest size of cross-sections: nine of 4,000 x 4,000 voxels have half of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,16 +125,16 @@ class Reconstruction:
             results = data.pop("found", {key: value for key, value in before.items() if value})
             if why := no_file(path / "sections.npz"):
                 raise ValueError(f"sections.npz {why}")
-            with np.load(path / "sections.npz") as arrays:
-                slices = {
-                    plane: CrossSection(
-                        *(arrays[f"{plane}.{name}"] for name in _ARRAYS),
-                        extent_mm=tuple(extent),
-                        axes=tuple(axes),
-                        position=position,
-                    )
-                    for plane, (extent, axes, position) in data.pop("slices").items()
-                }
+            arrays = read_npz(path / "sections.npz", "sections.npz", MOST_SECTION_BYTES)
+            slices = {
+                plane: CrossSection(
+                    *(arrays[f"{plane}.{name}"] for name in _ARRAYS),
+                    extent_mm=tuple(extent),
+                    axes=tuple(axes),
+                    position=position,
+                )
+                for plane, (extent, axes, position) in data.pop("slices").items()
+            }
             figures = {
                 key: np.nan if value is None else value
                 for key, value in data.pop("figures").items()
@@ -145,7 +148,7 @@ class Reconstruction:
                 slices=slices,
                 path=path,
             )
-        except (OSError, ValueError, TypeError, KeyError) as error:
+        except (OSError, ValueError, TypeError, KeyError, InputError) as error:
             raise InputError(f"{path} is not a reconstruction of a run: {error}") from None
 
 

@@ -9,6 +9,7 @@ from zarr.abc.store import ByteRequest
 from zarr.core.buffer import Buffer, BufferPrototype
 from zarr.storage import LocalStore
 
+from twinct.core.files.packing import Packing
 from twinct.core.files.plain_json import read_json
 from twinct.scan.manifest import (
     ACQUIRED,
@@ -30,6 +31,9 @@ from twinct.scan.metadata import with_legal_chunks
 class CheckedStore(LocalStore):
     """Files of a scan store, which checks each chunk of a view when it is read.
 
+    Attributes:
+        packings: packing of the chunks of a view by array, which bounds what Zarr unpacks.
+
     A missing chunk, which Zarr would read as fill values, counts as damage even in a store without
     a manifest.
     """
@@ -40,6 +44,7 @@ class CheckedStore(LocalStore):
         self._has_manifest = (root / FOLDER).is_dir()
         self._rows: dict[int, dict[str, str]] = {}
         self._noted: dict[str, str] = {}
+        self.packings: dict[str, Packing] = {}
         if self._has_manifest:
             metadata = read_json(root / VIEWS / "zarr.json")
             self._width = int(metadata["shape"][1])
@@ -56,6 +61,7 @@ class CheckedStore(LocalStore):
 
         Raises:
             DamagedError: the file is damaged.
+            InputError: it unpacks to more than its array states.
         """
         data = None
         if (self.root / key).is_file():  # a pipe would block until somebody writes
@@ -64,6 +70,9 @@ class CheckedStore(LocalStore):
             data = type(data).from_bytes(with_legal_chunks(data.to_bytes()))
         if (view := view_of(key)) is not None and not key.startswith(FOLDER):
             self._check(key, view, None if data is None else data.to_bytes())
+            packing = self.packings.get(key.rpartition("/")[0])
+            if packing is not None and data is not None:
+                packing.require(data.to_bytes(), f"{self.root}/{key}")
         return data
 
     async def get(

@@ -19,6 +19,7 @@ from twinct.core.errors import DamagedError, InputError, ScanExistsError
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.private import sweep
 from twinct.core.files.writing import complete, require_space, storage_errors
+from twinct.core.files.zarr_chunks import ZarrChunks
 from twinct.core.foreign_text import quoted
 from twinct.core.interruption import postponed
 from twinct.geometry import Pose
@@ -305,6 +306,8 @@ class ScanStore:
                     f"{self.path}/plan: its arrays claim {total:.3g} bytes; at most "
                     f"{LARGEST_PLAN_BYTES:.3g} are read"
                 )
+            for name, array in data.items():
+                ZarrChunks(array, self.path, f"{self.path}/plan/{name}").require(...)
             arrays = {name: np.asarray(array[:]) for name, array in data.items()}
             return plan_of_arrays({**arrays, **group.attrs}, f"{self.path}/plan")
 
@@ -488,7 +491,13 @@ class ScanStore:
 
     def _array(self, name: str) -> Any:
         if name not in self._arrays:
-            self._arrays[name] = self._group[name]
+            array = self._group[name]
+            chunks = ZarrChunks(array, self.path, f"{self.path}/{name}")
+            if "/" in array.metadata.encode_chunk_key((0,) * array.ndim):
+                chunks.require(...)  # of all views, and compared when the store was opened
+            else:
+                self._files.packings[name] = chunks.packing
+            self._arrays[name] = array
         return self._arrays[name]
 
     def _remove_unfinished(self) -> None:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import no_file, open_regular, read_bytes, require_memory
+from twinct.core.files.dicom import DEFLATED, is_deflated
 from twinct.core.foreign_text import number, whole_number
 
 DICOM_SUFFIXES = (".dcm", ".ima", ".dicom")
@@ -179,7 +180,7 @@ def _image(path: Path, place: str) -> list[DicomImage]:
     """Return the image of a DICOM file; none if it holds something else, such as a report."""
     import pydicom
     from pydicom.filereader import read_file_meta_info
-    from pydicom.uid import UID, DeflatedExplicitVRLittleEndian
+    from pydicom.uid import UID
 
     raw = read_bytes(path, place, path.stat().st_size, SpecimenError)
     try:
@@ -190,16 +191,14 @@ def _image(path: Path, place: str) -> list[DicomImage]:
                 for name in ("TransferSyntaxUID", "MediaStorageSOPClassUID")
             )
             # A deflated file is not opened: nothing limits what it grows to.
-            deflated = syntax == DeflatedExplicitVRLittleEndian
+            deflated = is_deflated(path)
             data = None if deflated else pydicom.dcmread(BytesIO(raw))
     except MemoryError:
         raise
     except Exception:  # of any kind, about its own parsing
         raise SpecimenError(f"{place} is damaged: its DICOM header cannot be read") from None
     if data is None:
-        raise SpecimenError(
-            f"{place} is deflated; unpack the series, e.g. with dcmconv +te from dcmtk"
-        )
+        raise SpecimenError(f"{place} {DEFLATED}")
     if not syntax.is_transfer_syntax:
         syntax_in_words = (
             f"the unknown transfer syntax {_shown(syntax)}" if syntax else "no transfer syntax"

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from twinct import scenario
 from twinct.core.errors import SpecimenError
+from twinct.core.files.dicom import require_frame
+from twinct.core.files.packed import require_growth
 from twinct.specimen.ct_image import (
     AIR_HU,
     STATE_HU,
@@ -152,6 +154,11 @@ def values_hu(
 
 def _decoded(image: DicomImage, shape: tuple[int, int, int]) -> NDArray[np.integer]:
     """Return the stored numbers, (frames, rows, columns)."""
+    if image.data.file_meta.TransferSyntaxUID.is_encapsulated:
+        packed = len(image.value("PixelData") or b"")
+        require_growth(packed, 2 * math.prod(shape), image.where, SpecimenError)
+        for frame in range(shape[0]):
+            require_frame(image.data, frame, packed, image.where, SpecimenError)
     try:
         with silent_library():
             pixels = np.asarray(image.data.pixel_array)

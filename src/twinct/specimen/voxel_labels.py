@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct import scenario
 from twinct.core.errors import SpecimenError
+from twinct.core.files.plain_xml import xml_of
 from twinct.core.foreign_text import quoted, whole_number
 from twinct.specimen.ct_grid import canonical, same_place
 from twinct.specimen.ct_image import CtImage
@@ -133,8 +133,8 @@ def header_names(path: Path) -> dict[int, str]:
         content = extension.get_content()
         text = content if isinstance(content, bytes) else str(content).encode()
         try:
-            root = ElementTree.fromstring(text.strip(b"\0 \n"))
-        except ElementTree.ParseError:
+            root = xml_of(text.strip(b"\0 \n"))
+        except ValueError:
             continue
         for label in root.iter("Label"):
             key = whole_number(label.get("Key", ""))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from twinct.core.errors import InputError
 from twinct.core.extras import require
+from twinct.core.files.packed import require_unpacked
 from twinct.core.files.writing import complete, storage_errors
 from twinct.core.foreign_text import quoted
 from twinct.study.journal import Journal, Row
@@ -118,6 +119,19 @@ def write_results(folder: Path, rows: Iterable[Row]) -> None:
         pq.write_table(table.replace_schema_metadata(data), stream)
 
 
+def _require_table(path: Path, whole: Any) -> None:
+    """Check that a table is no larger in memory than its file allows: runs of one value are short.
+
+    Raises:
+        InputError: it is larger.
+    """
+    groups = [whole.row_group(k) for k in range(whole.num_row_groups)]
+    columns = max(whole.num_columns, 1)
+    values = 8 * columns * max(whole.num_rows, sum(group.num_rows for group in groups))
+    stated = max(values, sum(group.total_byte_size for group in groups))
+    require_unpacked(path.stat().st_size, stated, f"{path}: the table", copies=2)
+
+
 def load_results(folder: str | Path) -> pd.DataFrame:
     """Load the results of a finished or running study as a pandas table; see ``results_table``.
 
@@ -139,8 +153,10 @@ def load_results(folder: str | Path) -> pd.DataFrame:
         )
     try:
         with path.open("rb") as stream:
-            stated = (pq.read_schema(stream).metadata or {}).get(_JOURNAL_BYTES)
+            whole = pq.read_metadata(stream)
+            stated = (whole.metadata or {}).get(_JOURNAL_BYTES)
         if stated == str(journal.whole_bytes()).encode():
+            _require_table(path, whole)
             with path.open("rb") as stream:
                 return pq.read_table(stream).to_pandas()
     except (OSError, pa.ArrowException):

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from twinct.core.files.arrays import read_npz
 from twinct.report import CrossSection
+from twinct.runs.reconstruction_folder import MOST_SECTION_BYTES
 
 _ARRAYS = ("reconstruction", "truth", "roi")
 
@@ -29,16 +31,20 @@ def packed_sections(sections: Mapping[str, CrossSection], mu_reference: float) -
 
 
 def read_sections(path: Path) -> tuple[dict[str, CrossSection], float]:
-    """Read a file that ``packed_sections`` made."""
-    with np.load(path) as arrays:
-        data = json.loads(str(arrays["told"]))
-        sections = {
-            plane: CrossSection(
-                *(arrays[f"{plane}.{name}"] for name in _ARRAYS),
-                extent_mm=tuple(extent),
-                axes=tuple(axes),
-                position=position,
-            )
-            for plane, (extent, axes, position) in data["planes"].items()
-        }
+    """Read a file that ``packed_sections`` made.
+
+    Raises:
+        InputError: the file holds no arrays, or too many bytes.
+    """
+    arrays = read_npz(path, f"{path}: the cross-sections", MOST_SECTION_BYTES)
+    data = json.loads(str(arrays["told"]))
+    sections = {
+        plane: CrossSection(
+            *(arrays[f"{plane}.{name}"] for name in _ARRAYS),
+            extent_mm=tuple(extent),
+            axes=tuple(axes),
+            position=position,
+        )
+        for plane, (extent, axes, position) in data["planes"].items()
+    }
     return sections, data["mu_reference"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +11,13 @@ import numpy as np
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
-from twinct.core.files.plain_json import read_json
+from twinct.core.files.plain_json import json_of, read_json
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.observers import IterationDone
 from twinct.recon.volume import Volume
 from twinct.runs import Folder
+from twinct.runs.checkpoints import read_checkpoint
 from twinct.scan import OWN, Readings, ScanStore, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario
 from twinct.viewer.locate import folder_of_run
@@ -195,8 +195,8 @@ class RunFolder:
         grid = self._scenario_now().reconstruction.volume_grid
 
         def read(file: Path) -> tuple[Volume, str, int, tuple[float, ...]] | None:
-            with np.load(file) as arrays:
-                array, residuals = arrays["volume"], json.loads(str(arrays["residuals"]))
+            arrays = read_checkpoint(file, grid)
+            array, residuals = arrays["volume"], json_of(str(arrays["residuals"]))
             if array.shape != grid.shape:
                 return None
             which, _, number = file.stem.rpartition("-")
@@ -204,7 +204,7 @@ class RunFolder:
 
         try:
             return self._cached(files[-1], read, None)
-        except (OSError, ValueError, KeyError):
+        except (OSError, ValueError, KeyError, InputError):
             return None  # the next checkpoint has just replaced this one
 
     def _scenario_now(self) -> Scenario:

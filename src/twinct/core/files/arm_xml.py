@@ -13,7 +13,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 from twinct.core.errors import ScenarioError
-from twinct.core.files.boundary import ABSENT, no_file, read_bytes
+from twinct.core.files.arm_sizes import require_picture, require_small
+from twinct.core.files.boundary import ABSENT, PARSED_FACTOR, no_file, read_bytes, require_memory
+from twinct.core.files.plain_xml import xml_of
 from twinct.core.files.reading import reason
 from twinct.core.files.ros_packages import PATHS, is_package, package_folder, package_of
 from twinct.core.foreign_text import number, quoted, shortened
@@ -81,18 +83,12 @@ def read_arm_xml(path: Path, where: str) -> ArmXml:
     return ArmXml(text, tuple(dict.fromkeys(files)), is_urdf, speeds)
 
 
-class _Plain(ElementTree.TreeBuilder):
-    """XML without a document type, since its entities may grow or name other files."""
-
-    def doctype(self, *_: object) -> None:
-        raise ValueError("it has a DOCTYPE, which an arm does not need: remove it")
-
-
 def _parsed(path: Path, where: str) -> Any:
     data = read_bytes(path, where, LARGEST_BYTES, ScenarioError)
+    require_memory(where, PARSED_FACTOR * len(data), ScenarioError)
     try:
-        return ElementTree.fromstring(data, ElementTree.XMLParser(target=_Plain()))
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        return xml_of(data)
+    except ValueError as error:
         raise ScenarioError(f"{where} is not readable XML: {shortened(str(error))}") from None
 
 
@@ -150,6 +146,7 @@ def _mjcf_assets(root: Any, main: Path, where: str) -> list[Path]:
                 settings |= {name: value}
                 settings |= {"meshdir": value, "texturedir": value} if name == "assetdir" else {}
     files = []
+    require_small(root, where)
     for element in root.iter():
         if element.tag == "model" and element.get("file"):
             raise ScenarioError(
@@ -160,6 +157,8 @@ def _mjcf_assets(root: Any, main: Path, where: str) -> list[Path]:
             file = element.get(name)
             file = Path(file).name if settings.get("strippath") == "true" else file
             files.append(_inside(main, str(Path(folder) / file), where))
+            if files[-1].suffix.lower() == ".png":
+                require_picture(files[-1], where)
             if element.tag in ("mesh", "texture", "hfield") and element.get("name") is None:
                 element.set("name", Path(file).stem)
             element.set(name, str(files[-1]))

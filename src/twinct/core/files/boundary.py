@@ -22,6 +22,10 @@ from twinct.core.memory import available_bytes
 ABSENT = "does not exist"
 """Reason of ``no_file`` if there is nothing at the path."""
 
+PARSED_FACTOR = 24
+"""Bytes in memory for each byte of a text while it is parsed: ``{},`` in JSON takes 72 bytes, and
+an empty element of XML 80."""
+
 _OTHERS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a named pipe (FIFO)",
@@ -123,9 +127,11 @@ def read_text(path: Path, where: str, most: int, kind: type[InputError] = InputE
     """Read a regular file as UTF-8 text, with or without a byte order mark, with any line ends.
 
     Raises:
-        InputError: as ``read_bytes``, or the file is no such text.
+        InputError: as ``read_bytes``, or the file is no such text, or its content too large for
+            the memory.
     """
     data = read_bytes(path, where, most, kind)
+    require_memory(where, PARSED_FACTOR * len(data), kind)
     try:
         return io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig").read()
     except UnicodeDecodeError:

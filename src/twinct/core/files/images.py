@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,8 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npy
 from twinct.core.files.boundary import file_bytes, read_bytes, require_memory
+from twinct.core.files.packed import require_growth
+from twinct.core.files.tiff import require_page
 from twinct.core.files.writing import complete
 
 PICTURES = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF")
@@ -86,8 +87,9 @@ def _picture(path: Path, what: str, shape: tuple[int, int] | None) -> NDArray[np
         else:
             from skimage import io
 
-            stated = _stated_shape(path, where)
+            stated = stated_shape(path, where)
             _require_shape(path, what, stated, shape)
+            require_growth(path.stat().st_size, math.prod(stated), where)
             require_memory(where, 40.0 * math.prod(stated))
             with _quiet():
                 image = io.imread(path, as_gray=True)
@@ -104,7 +106,7 @@ def _picture(path: Path, what: str, shape: tuple[int, int] | None) -> NDArray[np
         raise InputError(f"{path}: cannot be read as the image of {what}: {cause}") from None
 
 
-def _stated_shape(path: Path, where: str) -> tuple[int, int]:
+def stated_shape(path: Path, where: str) -> tuple[int, int]:
     """Return rows and columns that the header of a picture states.
 
     Raises:
@@ -114,7 +116,7 @@ def _stated_shape(path: Path, where: str) -> tuple[int, int]:
         import tifffile
 
         with _quiet(), tifffile.TiffFile(path) as file:
-            number, first = len(file.pages), cast(Any, file.pages[0])
+            number, first = len(file.pages), require_page(file, 0, path, where)
             rows, columns = int(first.imagelength), int(first.imagewidth)
     else:
         from PIL import Image

@@ -1,7 +1,9 @@
-"""External files that may be packed with gzip: bounded, and read to their end.
+"""Limits of the unpacked sizes of external files, which are checked before anything is unpacked.
 
-The checksum and the length of a gzip file stand at its end, so that only a reader that gets there
-finds damage.
+Each reader of packed data passes ``require_unpacked`` with the size that the file states. Where a
+decoder would follow its stream beyond that size, ``require_stream`` counts the stream first. The
+checksum and the length of a gzip file stand at its end, so that only a reader that gets there finds
+damage.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, cast
 
 from twinct.core.errors import InputError
-from twinct.core.files.boundary import open_regular
+from twinct.core.files.boundary import open_regular, require_memory
 
 MAGIC = b"\x1f\x8b"
 """First bytes of a gzip file."""
@@ -64,9 +66,33 @@ def unpacked_limit(packed: int) -> int:
 
 
 def require_unpacked(
+    packed: int,
+    unpacked: int,
+    where: str,
+    kind: type[InputError] = InputError,
+    *,
+    copies: float = 1.0,
+) -> None:
+    """Raise an error if a file grows more than CT volumes do when it is unpacked, or fits nowhere.
+
+    Args:
+        packed: bytes in the file.
+        unpacked: bytes in memory, as the file states or as they were counted.
+        where: beginning of messages.
+        kind: type of the error.
+        copies: how many times the unpacked bytes are in memory at once.
+
+    Raises:
+        InputError: of this ``kind``, with the size and the limit in bytes.
+    """
+    require_growth(packed, unpacked, where, kind)
+    require_memory(where, copies * unpacked, kind)
+
+
+def require_growth(
     packed: int, unpacked: int, where: str, kind: type[InputError] = InputError
 ) -> None:
-    """Raise an error if a file grows more than CT volumes do when it is unpacked.
+    """Raise an error if what is read piece by piece grows more than CT volumes do.
 
     Raises:
         InputError: of this ``kind``, with the size and the limit in bytes.

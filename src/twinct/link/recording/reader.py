@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from mcap.exceptions import McapError
+from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -18,6 +19,8 @@ from zstandard import ZstdError
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
+from twinct.core.files.packed import require_growth, require_unpacked
+from twinct.core.files.streams import stream_bytes
 from twinct.core.foreign_text import whole_number
 from twinct.geometry.wire import PosePairs
 from twinct.link.definitions import definition
@@ -35,6 +38,34 @@ _BROKEN = (
 
 LARGEST_RECORD = 2**31
 """Size limit, bytes; an image of 20,000 x 20,000 pixels is smaller."""
+
+
+_CODECS = {"zstd": "zstd", "lz4": "lz4 frame"}
+"""Codecs of chunks, by their names in MCAP."""
+
+_MAGIC_BYTES = 8
+_RECORD = struct.Struct("<BQ")
+"""Opcode and length of a record."""
+
+_CHUNK = struct.Struct("<QQQII")
+"""Beginning of a chunk: its first and last time, its size, checksum and the length of a text."""
+
+
+def _packed_chunks(file: BinaryIO) -> tuple[int, int]:
+    """Return the bytes of all packed chunks in a file, and those that they state to unpack to."""
+    packed, unpacked = 0, 0
+    file.seek(_MAGIC_BYTES)
+    while len(head := file.read(_RECORD.size)) == _RECORD.size:
+        opcode, length = _RECORD.unpack(head)
+        if length > LARGEST_RECORD:
+            break  # damage, where the reader stops as well
+        start = file.tell()
+        if opcode == Opcode.CHUNK and len(begin := file.read(_CHUNK.size)) == _CHUNK.size:
+            _, _, size, _, text = _CHUNK.unpack(begin)
+            if text:
+                packed, unpacked = packed + length, unpacked + size
+        file.seek(start + length)
+    return packed, unpacked
 
 
 class Said(NamedTuple):
@@ -114,7 +145,7 @@ class Recording:
         """Check that the file is a recording.
 
         Raises:
-            InputError: the file is no recording, or cannot be read.
+            InputError: the file is no recording, cannot be read, or unpacks to too much.
         """
         self.path = path
         self.whole, self.damaged = False, 0
@@ -125,6 +156,8 @@ class Recording:
         try:
             with path.open("rb") as file:
                 next(StreamReader(file).records, None)
+                packed, unpacked = _packed_chunks(file)
+                require_growth(packed, unpacked, f"{path}")
                 file.seek(0)
                 self._read_summary(file)
         except OSError as error:
@@ -174,6 +207,12 @@ class Recording:
         if not isinstance(record, Chunk):
             return (record,)
         try:
+            if (codec := _CODECS.get(record.compression)) is not None:
+                stated = record.uncompressed_size
+                require_unpacked(len(record.data), stated, f"{self.path}: a chunk", copies=2)
+                # A frame that states another size is damaged, and libraries make room for it.
+                if stream_bytes(record.data, codec, stated) != stated:
+                    raise ValueError("a chunk of another size than stated")
             return breakup_chunk(record, validate_crc=True)
         except _BROKEN:
             self.damaged += 1
