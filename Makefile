@@ -7,6 +7,7 @@ PYTHON ?= python3
 JOBS ?= 3
 PYTEST_ARGS ?=
 LOCK_ARGS ?=
+VERSIONS_ARGS ?=
 # Of each kind of broken input.
 MINUTES ?= 10
 # Of tools/trials.
@@ -33,7 +34,7 @@ endef
 export MUJOCO_GL ?= egl
 export PYTHON
 
-.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs pictures lock clean bare clean-python
+.PHONY: help setup demo paper test test-all quick lint style types format bench fuzz trials qualify docs pictures lock clean bare versions
 
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
@@ -98,11 +99,11 @@ docs: setup ## Build the documentation site into build/site; its tutorials run m
 pictures: setup ## Draw the pictures of X-ray effects in docs/images anew
 	@$(VENV)/python tools/gallery.py
 
-bare: setup ## Try the wheel on a bare Debian: apt, pip, twinct demo, with the seconds of each (root, debootstrap)
+bare: ## Type the lines of the README on a bare Debian, with the seconds of each (root, debootstrap)
 	@tools/bare-machine
 
-clean-python: setup ## Try the wheel in a clean environment of another Python, OTHER=its path
-	@tools/clean-python $(OTHER)
+versions: setup ## Try the wheel on Python 3.11 to 3.13 with the newest and the lowest versions; VERSIONS_ARGS="--python 3.12 --extras all"
+	@$(VENV)/python tools/versions $(VERSIONS_ARGS)
 
 lock: ## Refresh constraints.txt; LOCK_ARGS=--upgrade takes the newest versions
 	@tools/lock $(LOCK_ARGS)

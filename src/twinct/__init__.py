@@ -20,6 +20,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from twinct.core import renamed
+from twinct.core.system_libraries import egl_is_there
 from twinct.version import __version__
 
 if TYPE_CHECKING:
@@ -67,9 +68,11 @@ renamed.install(__name__)
 for _name in ("NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES"):
     os.environ.setdefault(_name, "")
 # MuJoCo's other choice, GLFW, looks for code in the working directory, needs a display, and cannot
-# share a process with gVXR's context.
-if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL", "").strip():
-    os.environ["MUJOCO_GL"] = "egl"
+# share a process with gVXR's context. Without EGL, MuJoCo 4 cannot even be imported unless it is
+# told not to draw; that holds for a user's EGL as well.
+if sys.platform.startswith("linux"):
+    if os.environ.get("MUJOCO_GL", "").strip().lower() in ("", "egl"):
+        os.environ["MUJOCO_GL"] = "egl" if egl_is_there() else "disable"
 
 
 def __dir__() -> list[str]:

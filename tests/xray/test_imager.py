@@ -240,7 +240,7 @@ def test_without_gvxr_the_extra_is_named(monkeypatch):
     [
         (
             "libxcb-res.so.0: cannot open shared object file",
-            r"libxcb-res.*make setup.*libxcb-res0.*--set xray\.engine=mesh",
+            r"libxcb-res.*apt-get install.*libxcb-res0.*--set xray\.engine=mesh",
         ),
         (
             "_gvxr.so: failed to map segment from shared object",

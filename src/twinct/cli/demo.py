@@ -14,6 +14,7 @@ from twinct.cli.arguments import Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import say_result
 from twinct.core.errors import InputError, MissingExtraError
+from twinct.core.extras import WAY_OUT
 
 NAME = "demo"
 _TRY_GVXR = """
@@ -114,6 +115,8 @@ def _link() -> Literal["ros2", "local"]:
 def _why(error: InputError) -> str:
     """Return the reason alone, without the ways out that the demo takes itself."""
     reason = error.problems[0]
+    for way_out in WAY_OUT.values():
+        reason = reason.removesuffix(f", {way_out}")
     if isinstance(error, MissingExtraError):
         return f"twinct[{','.join(error.extras)}] is not installed"
     return reason

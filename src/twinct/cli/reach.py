@@ -18,7 +18,7 @@ from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, check_picture, storage_errors
 from twinct.core.progress import SILENT, Effort, Progress, WorkSpentError, counted
 from twinct.geometry import fibonacci_directions
-from twinct.robots.cell import overlaps
+from twinct.robots.cell import overlaps, tell_if_undrawable
 from twinct.robots.motion.feasible import Indices
 from twinct.robots.reach import (
     Bounds,
@@ -105,6 +105,7 @@ def reach_command(
         check_folder(out)
     builder = SimulationBuilder(loaded)
     with named_places(scenario, set_), on_terminal() as audience:
+        undrawable = tell_if_undrawable(audience) if out else []
         sod, its_odd, centre = _orbit(builder)
         result = reach(
             builder.cell,
@@ -136,7 +137,8 @@ def reach_command(
         write_tables(result, out)
         for k, one in enumerate(result.sod_mm.tolist()):
             draw_sphere(result, out / f"sphere_{one:g}.png", k, loaded.name)
-            draw_room(result, builder.room, out / f"room_{one:g}.png", k, loaded.name)
+            if not undrawable:
+                draw_room(result, builder.room, out / f"room_{one:g}.png", k, loaded.name)
     Console().print(f"wrote {out}", highlight=False)
     return rows
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from twinct.core.foreign_text import stated
+from twinct.core.installation import install_command
 from twinct.core.renamed import old_attribute, old_names
 
 
@@ -118,10 +119,14 @@ class MissingExtraError(InputError):
         super().__init__(
             f"{', '.join(packages)} {'are' if several else 'is'} not installed: "
             f"{'they come' if several else 'it comes'} with {wanted}: "
-            f"python -m pip install '{wanted}'{f'; {advice}' if advice else ''}"
+            f"{install_command(extras)}{f'; {advice}' if advice else ''}"
         )
         self.packages = tuple(packages)
         self.extras = tuple(extras)
+
+
+class DrawingError(InputError):
+    """Pictures of the room cannot be drawn on this machine; everything else works."""
 
 
 class StorageError(InputError):

@@ -7,6 +7,7 @@ import importlib.util
 from typing import Any
 
 from twinct.core.errors import InputError, MissingExtraError
+from twinct.core.installation import install_command
 
 _IMPORTED: dict[str, tuple[str, ...]] = {
     "robots": ("mujoco", "mink", "daqp", "ruckig", "ompl"),
@@ -83,7 +84,7 @@ def require(*extras: str) -> None:
             if problem:
                 broken.append(
                     f"{name} is installed but cannot be imported ({problem}): install it again "
-                    f"with python -m pip install --force-reinstall 'twinct[{extra}]'"
+                    f"with {install_command([extra], '--force-reinstall')}"
                     + (f", {WAY_OUT[extra]}" if extra in WAY_OUT else "")
                 )
                 break  # what depends on it fails, too
@@ -127,5 +128,5 @@ def _problem(module: str, *, installed_only: bool) -> str | None:
         gone = (error.name or module) if isinstance(error, ModuleNotFoundError) else "."
         if gone.partition(".")[0] == module.partition(".")[0]:
             return ""
-        return f"{type(error).__name__}: {error}"
+        return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
     return None

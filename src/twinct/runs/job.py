@@ -24,7 +24,7 @@ from twinct.link.recording import recorder_of
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
 from twinct.report import algorithm_results, physics_in_words
-from twinct.robots.cell import check_drawing
+from twinct.robots.cell import tell_if_undrawable
 from twinct.runs.acquisition import (
     Link,
     RigFactory,
@@ -142,7 +142,6 @@ def run(
     chosen = link or installed_link()
     require_memory(scenario)
     check_geometries(scenario, folder.geometries if store else None)
-    check_drawing()
     if store and folder.finished(scenario) and not store.missing and not store.damage:
         if not folder.measured(scenario):
             return _judged_again(finished_run(folder), scenario, observers)
@@ -247,6 +246,7 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
     if asked_anew:
         check_places(builder)
     with sole_owner(folder.lock), audience_of(observers) as audience:
+        tell_if_undrawable(audience)
         before = read_metrics(folder.metrics)
         truth = truth_of(now.scan, builder, audience, file=folder.truth).written(folder.truth)
         which = scenario.reconstruction.geometries[0]
@@ -295,6 +295,7 @@ def _prepare(
 ) -> list[str]:
     """Check and plan before anything is written; return warnings for the user."""
     require_feasible(builder.scenario, builder.commanded)
+    undrawable = tell_if_undrawable(audience)
     check_space(folder.path, builder.scenario, len(builder.targets))
     with seconds.stage("specimen"), audience.stage("specimen", 1) as step:
         warnings = check_sight(builder)
@@ -304,7 +305,7 @@ def _prepare(
     with seconds.stage("plan"), audience.stage("plan", 1) as step:
         builder.plan  # noqa: B018 - planned here, before anything is written
         step()
-    return warnings
+    return [*undrawable, *warnings]
 
 
 def _with_inputs(builder: SimulationBuilder, folder: Folder) -> SimulationBuilder:

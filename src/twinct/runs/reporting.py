@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from twinct.core.errors import MissingExtraError
+from twinct.core.errors import DrawingError, MissingExtraError
 from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import write_json
 from twinct.evaluation import (
@@ -35,6 +35,7 @@ from twinct.report import (
     plain,
     write_report,
 )
+from twinct.robots.cell import check_drawing
 from twinct.runs.folder import Folder, as_yaml
 from twinct.runs.known_motion import as_reconstructed, motion_in_words, moving_figures
 from twinct.runs.predicted_and_measured import (
@@ -272,12 +273,16 @@ def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> Re
 
 
 def _room(builder: SimulationBuilder) -> bytes | None:
-    """Draw the room at the middle of the path; return None if MuJoCo is not installed."""
+    """Draw the room at the middle of the path; return None if that cannot be done here."""
+    try:
+        check_drawing()
+    except DrawingError:  # see ``tell_if_undrawable``
+        return None
     with temporary_folder() as folder:
         path = folder / "room.png"
         try:
             builder.draw(path, len(builder.targets) // 2)
-        except MissingExtraError as error:
+        except (MissingExtraError, DrawingError) as error:
             log.warning("no picture of the room: %s", error)
             return None
         return path.read_bytes()

@@ -36,6 +36,7 @@ from twinct.core.errors import InputError, MissingExtraError, TwinctError
 from twinct.core.extras import WAY_OUT
 from twinct.core.interruption import postponed
 from twinct.core.memory import if_little, lacks_memory, require_of_ulimit
+from twinct.core.system_libraries import EGL, X11, apt_line
 from twinct.geometry import Panel, ScanGeometry
 from twinct.xray.engine import EngineChoice, SceneBody
 
@@ -55,11 +56,7 @@ _ANY_KEV = 80.0
 MEMORY_BYTES = 2500 * 2**20
 """Memory that gVXR allocates at import; it releases little."""
 
-ADVICE = (
-    "Install the system libraries with 'make setup' (on Debian: apt-get install libegl1 libgl1 "
-    "libgl1-mesa-dri libx11-6 libxcb-composite0 libxcb-ewmh2 libxcb-icccm4 libxcb-keysyms1 "
-    f"libxcb-res0 libxcb-xinerama0), {WAY_OUT['xray']}"
-)
+ADVICE = f"Install the system libraries ({apt_line((*EGL, *X11))}), {WAY_OUT['xray']}"
 
 _PRIMER = SceneBody(
     np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),

@@ -17,6 +17,7 @@ from twinct.robots.cell.render import (
     paint_specimen,
     render_cell,
     room_pictures,
+    tell_if_undrawable,
     whole_camera,
 )
 from twinct.robots.cell.scene import CellModel, GantryModel, build_cell, build_gantry
@@ -47,5 +48,6 @@ __all__ = [
     "paint_specimen",
     "render_cell",
     "room_pictures",
+    "tell_if_undrawable",
     "whole_camera",
 ]

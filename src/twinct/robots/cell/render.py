@@ -13,16 +13,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.core.errors import InputError, StorageError
+from twinct.core.errors import DrawingError, InputError, StorageError
 from twinct.core.files.writing import complete, storage_errors
 from twinct.core.memory import if_little
+from twinct.core.progress import Progress
+from twinct.core.system_libraries import EGL, apt_line, egl_is_there
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
 from twinct.robots.cell.standing import OBJECT, VISUAL_GROUP, ZONE
 
 _ADVICE = "leave MUJOCO_GL unset to use EGL, which needs no display"
-
+_OFF = ("disable", "disabled", "off", "false", "0")
+"""Values of ``MUJOCO_GL`` with which MuJoCo does not load OpenGL."""
 
 MOST_SHOWN = 10_000
 """Largest number of geoms and balls in one picture."""
@@ -91,12 +94,29 @@ def check_drawing() -> None:
     """Check before any work that the rendering back end can draw here.
 
     Raises:
-        InputError: ``MUJOCO_GL`` requires a display, and there is none.
+        DrawingError: there is no EGL, ``MUJOCO_GL`` requires a display, and there is none, or it
+            switches drawing off.
     """
     backend = os.environ.get("MUJOCO_GL", "")
     displays = ("DISPLAY", "WAYLAND_DISPLAY")
     if backend.lower() == "glfw" and not any(os.environ.get(name) for name in displays):
-        raise InputError(f"MUJOCO_GL={backend} needs a display, and there is none: {_ADVICE}")
+        raise DrawingError(f"MUJOCO_GL={backend} needs a display, and there is none: {_ADVICE}")
+    if backend.lower() in _OFF and not egl_is_there():
+        raise DrawingError(f"MuJoCo needs libEGL.so.1 to draw the room: {apt_line(EGL)}")
+    if backend.lower() in _OFF:
+        raise DrawingError(f"MUJOCO_GL={backend} switches pictures of the room off: {_ADVICE}")
+
+
+def tell_if_undrawable(progress: Progress) -> list[str]:
+    """Warn before any work if pictures of the room cannot be drawn here; return the warnings."""
+    try:
+        check_drawing()
+    except DrawingError as error:
+        warnings = [f"no picture of the room: {problem}" for problem in error.problems]
+        for warning in warnings:
+            progress.say(warning, warning=True)
+        return warnings
+    return []
 
 
 def check_picture_size(width: int, height: int) -> None:
@@ -296,11 +316,12 @@ def _shown(model: Any, data: Any, name: str, eye: Floats) -> float:
 
 
 def _renderer(model: Any, width: int, height: int) -> Any:
+    check_drawing()
     try:
         return mujoco_module().Renderer(model, height, width, max_geom=MOST_SHOWN)
     except Exception as error:  # MuJoCo's FatalError, and errors of EGL's and OSMesa's loaders
         chosen = os.environ.get("MUJOCO_GL", "")
-        raise InputError(
+        raise DrawingError(
             f"MuJoCo cannot draw with MUJOCO_GL={chosen} ({str(error).strip() or 'no context'}): "
             f"{_ADVICE}{if_little()}"
         ) from error
