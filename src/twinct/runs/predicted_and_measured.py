@@ -10,6 +10,7 @@ import numpy as np
 
 from twinct.core.files.boundary import library_errors, no_file
 from twinct.core.files.plain_json import read_json
+from twinct.report.measured import nested
 from twinct.report.style import Picture
 from twinct.scenario import Scenario
 
@@ -79,6 +80,5 @@ def planned_detectability(scenario: Scenario, image: Mapping[str, Any]) -> dict[
         predicted = float(data["goals"]["detectability"]["planned"])
     tasks = scenario.evaluation.entries("tasks") if scenario.evaluation else ()
     alike = [one.label for one in tasks if getattr(one, "signal", None) == goal.signal]
-    figures = image.get("tasks") or {}
-    measured = {name: figures.get(name, {}).get("detectability") for name in alike}
+    measured = {name: nested(image, f"tasks.{name}.detectability") for name in alike}
     return {"planned_detectability": {"predicted": predicted, "measured": measured}}

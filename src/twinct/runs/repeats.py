@@ -72,8 +72,9 @@ class Repeats:
 
     @property
     def _noisy(self) -> bool:
-        source, detector = self.scan.scenario.source, self.scan.scenario.detector
-        return not (source.ideal and detector.ideal)
+        detector = self.scan.scenario.detector
+        readout = detector.readout
+        return detector.noise is not None or (readout is not None and readout.electronic_noise > 0)
 
     def _reconstructed(self, transmission: Volume, which: str) -> Volume:
         return reconstruct(replace(self.scan, transmission=transmission), geometry=which).array

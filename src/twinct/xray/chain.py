@@ -188,11 +188,6 @@ class Chain:
         raw = np.where(self._bad, np.float32(0), raw) if self._bad.any() else raw
         return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, self._bad))
 
-    @property
-    def noisy(self) -> bool:
-        """False if all images of a view are equal."""
-        return self._detector.noise is not None or self._electronic > 0
-
     def mean(
         self,
         expected: Image,

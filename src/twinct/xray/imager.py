@@ -199,11 +199,6 @@ class Imager(SceneOwner):
             raise ValueError("an ideal source and detector give only a transmission")
         return self._frame(path.geometry(self.panel), path.object, view, before, time_s)
 
-    @property
-    def noisy(self) -> bool:
-        """False if all images of a view are equal."""
-        return self._paths is not None and (self._chain is None or self._chain.noisy)
-
     def repeated(
         self,
         path: PosePairs,
@@ -270,8 +265,8 @@ class Imager(SceneOwner):
             object_mm = self._object_mm(seen[0], path.object[0])
             means = []
             for one in (insertion, None):
-                chain, *light = self._exposure(seen, path.object, view, before, time_s, one)
-                means.append(chain.mean(light[0], object_mm, light[1]))
+                chain, light, last = self._exposure(seen, path.object, view, before, time_s, one)
+                means.append(chain.mean(light, object_mm, last))
         share = np.ones(self.panel.shape)
         np.divide(means[0], means[1], out=share, where=np.asarray(means[1]) > 0)
         return share.astype(np.float32)

@@ -35,8 +35,9 @@ class Insertion:
             surroundings.
         """
         panel = view.panel.divided(samples)
-        across = (np.arange(panel.columns) - (panel.columns - 1) / 2) * panel.pitch_u
-        up = (np.arange(panel.rows) - (panel.rows - 1) / 2) * panel.pitch_v
+        across = np.arange(panel.columns, dtype=np.float64) * panel.pitch_u
+        up = np.arange(panel.rows, dtype=np.float64) * panel.pitch_v
+        across, up = across - across.mean(), up - up.mean()
         out = np.zeros(panel.shape, dtype=np.float32)
         source = view.source[0]
         for centre in self._inserts.centres_mm:
