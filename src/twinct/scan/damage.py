@@ -12,7 +12,6 @@ import numpy as np
 from twinct.core.errors import DamagedError
 from twinct.core.files.links import linked_folders
 from twinct.core.files.plain_json import read_json
-from twinct.core.files.private import is_private
 from twinct.scan.manifest import (
     ACQUIRED,
     FOLDER,
@@ -87,9 +86,8 @@ def unknown_files(path: Path) -> list[str]:
         return view is not None and view < views and view not in whole and array in arrays
 
     there = (f for f in path.rglob("*") if f.is_symlink() or not f.is_dir())
-    files = [f.relative_to(path) for f in there]
-    own = {str(file) for file in files if not any(map(is_private, file.parts))}
-    return sorted(file for file in own if file not in known and not expected(file))
+    files = (str(f.relative_to(path)) for f in there)
+    return sorted(file for file in files if file not in known and not expected(file))
 
 
 def clear_paths(path: Path, damages: Iterable[Damage]) -> None:

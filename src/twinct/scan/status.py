@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
+import secrets
 from contextlib import suppress
 from pathlib import Path
 
-from twinct.core.files.writing import complete
 from twinct.scan.manifest import ACQUIRED, Damage, chunk_name, damaged, view_of
 
 
@@ -39,17 +39,22 @@ def is_acquired(path: Path, view: int) -> bool:
 
 
 def mark_acquired(path: Path, view: int) -> None:
-    """Write the status of a view atomically."""
-    chunk = path / status_file(view)
-    with complete(chunk) as draft:
-        draft.write_bytes(ACQUIRED)
+    """Write the status of a view atomically.
+
+    It is one byte of a view whose other files are written in place, so it has no private folder,
+    which would take as long as all of them. Like Zarr's own drafts, its draft has a random name,
+    and a resumed scan removes it; it is made anew ("x"), which follows no link.
+    """
+    chunk = f"{path}/{status_file(view)}"
+    draft = f"{chunk}.{secrets.token_hex(8)}.partial"
+    with open(draft, "xb", buffering=0) as file:
+        file.write(ACQUIRED)
+    os.replace(draft, chunk)
 
 
 def views_taken(path: Path) -> set[int]:
     """Return the views that have a status."""
     views = (
-        view_of(file.name)
-        for file in (path / "status").glob("c.*")
-        if file.suffix != ".partial"  # drafts of earlier versions
+        view_of(file.name) for file in (path / "status").glob("c.*") if file.suffix != ".partial"
     )
     return {view for view in views if view is not None}

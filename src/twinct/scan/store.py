@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import DamagedError, InputError, ScanExistsError
 from twinct.core.files.plain_json import json_of
-from twinct.core.files.private import sweep
 from twinct.core.files.writing import complete, require_space, storage_errors
 from twinct.core.files.zarr_chunks import ZarrChunks
 from twinct.core.foreign_text import quoted
@@ -173,7 +172,6 @@ class ScanStore:
         with storage_errors(path):
             for view in {damage.view for damage in damages}:
                 (path / status_file(view or 0)).unlink(missing_ok=True)
-            sweep(path / "status")
             store._remove_unfinished()
         return store
 

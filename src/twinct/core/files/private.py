@@ -46,7 +46,7 @@ def private_folder(parent: Path, prefix: str = DRAFT) -> Iterator[Path]:
         with postponed():
             folder, lock = _held(parent, prefix)
             stack.callback(_remove, folder, lock)
-        yield folder
+        yield Path(folder)
 
 
 def temporary_folder() -> contextlib.AbstractContextManager[Path]:
@@ -67,17 +67,17 @@ def sweep(parent: Path, prefix: str = DRAFT) -> None:
                 _remove_abandoned(entry)
 
 
-def _held(parent: Path, prefix: str) -> tuple[Path, int | None]:
+def _held(parent: Path, prefix: str) -> tuple[str, int | None]:
     """Return a new folder, and the descriptor of its lock; None on a disk that has no locks."""
     while True:
-        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-        lock = folder / _LOCK
+        folder = tempfile.mkdtemp(prefix=prefix, dir=parent)
+        lock = f"{folder}/{_LOCK}"
         try:
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC)
         except FileNotFoundError:  # a sweep took the folder for rubbish before it had its lock
             continue
         except OSError:  # the disk is full
-            folder.rmdir()
+            os.rmdir(folder)
             raise
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -86,7 +86,7 @@ def _held(parent: Path, prefix: str) -> tuple[Path, int | None]:
         except BlockingIOError:  # a sweep holds it
             pass
         except OSError:  # a disk without locks: without the file, a sweep leaves the folder
-            lock.unlink()
+            os.unlink(lock)
             os.close(descriptor)
             return folder, None
         os.close(descriptor)
@@ -109,10 +109,10 @@ def _remove_abandoned(entry: os.DirEntry[str]) -> None:
         except OSError:
             os.close(lock)
         else:
-            _remove(Path(entry.path), lock)
+            _remove(entry.path, lock)
 
 
-def _remove(folder: Path, lock: int | None) -> None:
+def _remove(folder: str, lock: int | None) -> None:
     """Remove a folder, its lock last, so that a sweep goes on with a removal that is killed."""
     with postponed():
         with contextlib.suppress(OSError):
@@ -122,7 +122,8 @@ def _remove(folder: Path, lock: int | None) -> None:
                         shutil.rmtree(entry.path)
                     elif entry.name != _LOCK:
                         os.unlink(entry.path)
-            (folder / _LOCK).unlink(missing_ok=True)
-            folder.rmdir()
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(f"{folder}/{_LOCK}")
+            os.rmdir(folder)
         if lock is not None:
             os.close(lock)
