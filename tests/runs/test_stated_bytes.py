@@ -17,13 +17,14 @@ import zarr
 
 from twinct import needs, run
 from twinct.exchange import bundle_bytes
-from twinct.geometry import Panel
+from twinct.geometry import Panel, VolumeGrid
 from twinct.link.recording.recorder import BYTES_A_PIXEL
 from twinct.link.xray_node import answer_bytes, image_bytes
+from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.known_components import implant_bytes
-from twinct.recon.memory import SPARE_BYTES
+from twinct.recon.memory import SPARE_BYTES, peak_bytes
 from twinct.recon.metal import metal_bytes
-from twinct.recon.moving import moving_bytes
+from twinct.recon.moving import COARSEST_MM, MAP_VOXELS, moving_bytes
 from twinct.runs.needs import PROCESS_BYTES, REPORT_BYTES
 from twinct.runs.volumes import memory_needed
 from twinct.scenario import Scenario, parse_scenario
@@ -124,6 +125,31 @@ def test_a_reconstruction_counts_the_scan_and_the_truth_beside_its_own_arrays() 
     assert stated == 8 * pixels + 5 * voxels + 4 * voxels + SPARE_BYTES
 
 
+def test_surroundings_count_the_wide_grid_twice_beside_scan_and_truth() -> None:
+    around = {"margin_mm": 24, "voxel_mm": 24}
+    grid = {"voxels": list(VOXELS), "voxel_mm": 12}
+    one = scenario(reconstruction={"grid": grid, "surroundings": around})
+    views = commanded_views(one.trajectory, one.detector.panel)
+    coarse = one.reconstruction.volume_grid.with_voxels(24, 24)
+    pixels, voxels = VIEWS * ROWS * COLUMNS, math.prod(VOXELS)
+    # The volume, two wide ones, the line integrals, and those in coarser pixels.
+    least = 4 * (voxels + 2 * math.prod(coarse.shape) + pixels)
+    stated = memory_needed(one, views)["surroundings"] - (8 * pixels + 5 * voxels)
+    # The shadow of a voxel of 24 mm covers two or three pixels of 14 mm along each edge.
+    coarser = {VIEWS * (ROWS // n) * (COLUMNS // n) for n in (2, 3)}
+    assert (stated - least) / 4 in coarser
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_an_algorithm_counts_its_volumes_and_projections(name: str) -> None:
+    algorithm, volume = BUILT_IN[name], np.zeros(1000, np.float32).nbytes
+    assert peak_bytes(algorithm, 0, 0) == SPARE_BYTES
+    both = peak_bytes(algorithm, 1000, 1000, 2, 3) - SPARE_BYTES
+    assert both == int(volume * (algorithm.volumes + 2 + algorithm.projections + 3))
+    more = peak_bytes(algorithm, 1000, 2000, 2, 3) - SPARE_BYTES
+    assert more - both == pytest.approx(volume * (algorithm.projections + 3), abs=1)
+
+
 @pytest.mark.parametrize(
     ("stated", "of_voxel", "of_pixel"),
     [(metal_bytes, 9, 4), (implant_bytes, 8, 12)],
@@ -145,6 +171,11 @@ def test_a_moving_projector_counts_two_volumes_and_the_maps_of_each_view() -> No
     assert moving_bytes(grid, 0) == volumes
     # In voxels of 12 mm a map has a node in each voxel: three shifts, float32, to and fro.
     assert moving_bytes(grid, VIEWS) - volumes == VIEWS * 2 * 3 * volumes // 2
+    # In fine voxels, a node in every so many along each axis.
+    fine = VolumeGrid((MAP_VOXELS, 2 * MAP_VOXELS, 3 * MAP_VOXELS), COARSEST_MM / MAP_VOXELS / 2)
+    nodes = np.zeros((1, 2, 3, 3), np.float32)
+    own = moving_bytes(fine, VIEWS) - 8 * math.prod(fine.shape)
+    assert own == VIEWS * 2 * nodes.nbytes
 
 
 def test_images_that_travel_have_the_bytes_of_their_arrays() -> None:
