@@ -1,4 +1,4 @@
-"""One list of system libraries: of the package, the tool, the README and the pages; and none lost."""
+"""One list of system libraries, in the package, the tool and the pages; and what works without."""
 
 from __future__ import annotations
 
