@@ -2,10 +2,10 @@
 
     python benchmarks/judge_driven.py out/driven.jsonl [--search-s 300]
 
-Arms and panel are looked at where a target was reached: all pairs of geoms by ``mj_geomDistance``,
-nothing left out. A referee says which targets can be held at all: all configurations of both arms
-in closed form, turned about the beam every 5 degrees where that is free, every pair of them. For
-what the node refused and the referee has, two trees grow from where the arms were and from all
+Arms and panel are looked at where a target was reached: all pairs of geoms by Coal, which shares no
+code with MuJoCo, nothing left out. A referee says which targets can be held at all: all
+configurations of both arms in closed form, turned about the beam every 5 degrees where that is
+free, every pair of them. For what the node refused and the referee has, two trees grow from where the arms were and from all
 those pairs until they meet or the time is over. Each verdict is a line of JSON beside the answers;
 those there are not judged again.
 """
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,10 @@ from typing import Any
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+
+from coal_distances import CoalDistances
 
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell import CellModel
@@ -44,7 +49,7 @@ class Judge:
 
     def __init__(self, cell: CellModel, motion: Motion) -> None:
         self._cell, self._least_mm = cell, required_gap_mm(motion)
-        self._data, self._line = mujoco.MjData(cell.model), np.zeros(6)
+        self._data, self._distances = mujoco.MjData(cell.model), CoalDistances(cell.model)
         self._branches = [Branches(cell, arm, motion.ik) for arm in range(2)]
         self._alone = [Feasible(cell, "source"), Feasible(cell, "detector")]
         self._cross, self._both = Feasible(cell, "cross"), Feasible(cell)
@@ -53,11 +58,7 @@ class Judge:
         """The smallest distance of all pairs that are not adjacent."""
         self._data.qpos[:] = joints
         mujoco.mj_kinematics(self._cell.model, self._data)
-        model, data = self._cell.model, self._data
-        return MM_PER_M * min(
-            mujoco.mj_geomDistance(model, data, a, b, 1.0, self._line)
-            for a, b in self._cell.pairs.tolist()
-        )
+        return MM_PER_M * self._distances.smallest(self._data, self._cell.pairs)
 
     def held(self, poses: list[list[float]], free: bool, near: Floats) -> Floats:
         """Pairs of configurations that hold both poses clear of everything, (m, n).

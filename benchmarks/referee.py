@@ -1,18 +1,25 @@
 """A referee for single poses: slow, plain, and not the planner.
 
-All configurations of each arm, turned about the beam where that is free, are judged by
-``mj_geomDistance`` over all pairs of geoms, nothing left out: each arm alone first, then both
-together until one pair is free. A UR10e's configurations come in closed form; any other arm's from
+All configurations of each arm, turned about the beam where that is free, are judged by the
+distances of all pairs of geoms, nothing left out: each arm alone first, then both together until
+one pair is free. Coal measures the distances (``tests/support/coal_distances.py``), which shares no
+code with MuJoCo. A UR10e's configurations come in closed form; any other arm's from
 random starts of a search that is not the planner's.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+
+from coal_distances import CoalDistances
 
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import CellModel
@@ -41,13 +48,13 @@ class Referee:
 
     def __init__(self, cell: CellModel, least_mm: float, ik: InverseKinematics, seed: int = 0):
         self._cell, self._least_m, self._seed = cell, least_mm / MM_PER_M, seed
-        self._data, self._line = mujoco.MjData(cell.model), np.zeros(6)
+        self._data, self._distances = mujoco.MjData(cell.model), CoalDistances(cell.model)
         bodies = cell.model.geom_bodyid[cell.pairs]
         of = [(cell.lever[bodies, part] > 0).any(axis=(1, 2)) for part in cell.arm_joints]
         self._pairs = [
-            cell.pairs[of[0] & ~of[1]].tolist(),
-            cell.pairs[of[1] & ~of[0]].tolist(),
-            cell.pairs[of[0] & of[1]].tolist(),
+            cell.pairs[of[0] & ~of[1]],
+            cell.pairs[of[1] & ~of[0]],
+            cell.pairs[of[0] & of[1]],
         ]
         arms = (cell.cell.source_arm, cell.cell.detector_arm)
         self._closed_form = [arm.model == "ur10e" for arm in arms]
@@ -102,11 +109,7 @@ class Referee:
     def gap_mm(self, joints: Floats) -> float:
         """Smallest distance of all pairs of geoms."""
         self._place(joints)
-        return MM_PER_M * min(
-            mujoco.mj_geomDistance(self._cell.model, self._data, a, b, 1.0, self._line)
-            for pairs in self._pairs
-            for a, b in pairs
-        )
+        return MM_PER_M * self._distances.smallest(self._data, np.vstack(self._pairs))
 
     def _alone(self, arm: int, pose: Pose, free: bool, hint: Floats | None) -> Iterator[Floats]:
         """Configurations of one arm that are free of room and itself."""
@@ -128,16 +131,7 @@ class Referee:
 
     def _free(self, joints: Floats, which: int) -> bool:
         self._place(joints)
-        pairs = self._pairs[which]
-        for k, (a, b) in enumerate(pairs):
-            if self._distance(a, b) < self._least_m:
-                # What collided is asked first the next time.
-                pairs.insert(0, pairs.pop(k))
-                return False
-        return True
-
-    def _distance(self, a: int, b: int) -> float:
-        return mujoco.mj_geomDistance(self._cell.model, self._data, a, b, self._least_m, self._line)
+        return self._distances.clear(self._data, self._pairs[which], self._least_m)
 
     def _configurations(self, arm: int, pose: Pose, rolls: Floats) -> Floats:
         turned = [

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from coal_distances import COAL_M, CoalDistances
 
 from twinct.core.errors import InputError, MemoryShortageError, ScenarioError, StorageError
 from twinct.geometry import Pose
@@ -99,17 +100,17 @@ def test_pairs_are_those_of_bodies_that_are_not_adjacent(cell: CellModel) -> Non
 def test_bounds_lie_below_and_the_smallest_distance_is_the_smallest(cell: CellModel) -> None:
     rng = np.random.default_rng(3)
     data = mujoco.MjData(cell.model)
-    clearance = Clearance(cell)
+    clearance, referee = Clearance(cell), CoalDistances(cell.model)
     for _ in range(8):
         data.qpos[:] = rng.uniform(-2, 2, cell.model.nq)
         mujoco.mj_kinematics(cell.model, data)
-        exact = np.array(
-            [mujoco.mj_geomDistance(cell.model, data, a, b, 10.0, None) for a, b in cell.pairs]
-        )
+        exact = np.array([referee.between(data, int(a), int(b)) for a, b in cell.pairs])
         bounds = clearance.lower_bounds(data)
-        assert (bounds <= exact + ROUNDING_M).all()
+        apart = exact > 0  # of shapes that overlap, both tell the depth in their own way
+        assert (bounds[apart] <= exact[apart] + COAL_M).all()
         assert bounds.max() > 0.5  # they do tell far from near
-        assert clearance.at(data).distance_mm == pytest.approx(exact.min() * 1000, abs=1e-3)
+        smallest = clearance.at(data).distance_mm / 1000
+        assert smallest == pytest.approx(exact.min(), abs=COAL_M) or max(smallest, exact.min()) <= 0
 
 
 def test_smallest_distance_over_a_motion_is_that_of_every_instant(cell: CellModel) -> None:

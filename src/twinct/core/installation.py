@@ -35,7 +35,7 @@ def installed_from() -> tuple[str, bool]:
         editable = bool(note.get("dir_info", {}).get("editable"))
     except (PackageNotFoundError, ValueError, AttributeError):
         url, editable = "", False
-    if not url:
+    if not isinstance(url, str) or not url:
         return "twinct", False
     if not url.startswith("file:"):
         return f"twinct @ {url}", False
