@@ -132,3 +132,18 @@ def test_other_filters_are_named(tmp_path):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("a", data=COUNTS, chunks=(1, 5, 7), compression="lzf")
     assert (read(tmp_path / "a.h5") == COUNTS).all()
+
+
+def test_a_frame_of_another_size_than_stated_is_not_decoded(tmp_path):
+    import io
+
+    import bombs
+    from PIL import Image
+    from pydicom.encaps import encapsulate
+    from pydicom.uid import JPEGBaseline8Bit
+
+    stream = io.BytesIO()
+    Image.new("L", (40, 30)).save(stream, "JPEG")
+    bombs.write_dicom(tmp_path, JPEGBaseline8Bit, encapsulate([stream.getvalue()]), 16)
+    with pytest.raises(InputError, match="a.dcm: frame 0 has 30 x 40 pixels; .* states 16 x 16"):
+        read(tmp_path / "a.dcm")

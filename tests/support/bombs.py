@@ -180,7 +180,8 @@ def png(folder: Path) -> Path:
     return _described(folder, "a.png")
 
 
-def _dicom(folder: Path, syntax: str, pixels: bytes, size: int) -> bytes:
+def write_dicom(folder: Path, syntax: str, pixels: bytes, size: int) -> bytes:
+    """Write one grey image with these bytes as its pixels; return the file."""
     from pydicom.dataset import FileDataset, FileMetaDataset
 
     meta: Any = FileMetaDataset()
@@ -207,7 +208,7 @@ def dicom_frame(folder: Path) -> Path:
 
     stream = io.BytesIO()
     Image.new("L", (1000, 1000)).save(stream, "JPEG")
-    _dicom(folder, JPEGBaseline8Bit, encapsulate([stream.getvalue()]), 65_535)
+    write_dicom(folder, JPEGBaseline8Bit, encapsulate([stream.getvalue()]), 65_535)
     return _described(folder, "a.dcm")
 
 
@@ -215,7 +216,7 @@ def dicom_deflated(folder: Path) -> Path:
     """A data set that is one stream, which unpacks to 2 GiB."""
     from pydicom.uid import DeflatedExplicitVRLittleEndian
 
-    whole = _dicom(folder, DeflatedExplicitVRLittleEndian, bytes(256), 16)
+    whole = write_dicom(folder, DeflatedExplicitVRLittleEndian, bytes(256), 16)
     (folder / "a.dcm").write_bytes(whole[:300] + zeros(bits=-zlib.MAX_WBITS))
     return _described(folder, "a.dcm")
 
