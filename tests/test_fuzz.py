@@ -225,6 +225,7 @@ for turn in range(2):
         *("scenarios", "files"),
         pytest.param("schema", marks=pytest.mark.tutorial),  # see the generated scenarios above
         pytest.param("stores", marks=pytest.mark.tutorial),  # their scans take a minute
+        pytest.param("goals", marks=pytest.mark.tutorial),  # see tests/motion/test_goals.py
         pytest.param("messages", marks=[pytest.mark.tutorial, pytest.mark.ros]),
     ],
 )

@@ -6,6 +6,7 @@ import errno
 import json
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from twinct.link.follow import ControllerError, courses
 from twinct.link.participant import Station
 from twinct.link.recording.bag import Bag
 from twinct.link.recording.drive_file import DriveFile
-from twinct.robots.motion import MotionPlan
+from twinct.robots.motion import Gate, MotionPlan, gate_of
 from twinct.robots.programs import Program, program_of
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
@@ -85,6 +86,7 @@ class Run:
     def __init__(self, domain: int, scenario: Scenario, program: Program, folder: Path) -> None:
         self.station, self.path = Station("twinct_drive", domain), folder / "drive.mcap"
         self._scenario, self._program = scenario, program
+        self.gate = gate_of(SimulationBuilder(scenario).cell, scenario.motion)
 
     def __call__(self, *, speed: float = 1.0, clock: Any = None, **choices: Any) -> Drive:
         parts = courses(self._program, ACTIONS, speed)
@@ -92,7 +94,9 @@ class Run:
         file = DriveFile(self.path, self._scenario, self._program.plan, names)
         further = {} if clock is None else {"clock": clock}
         choices = {"patience_s": HANG_S, "delay_s": HANG_S} | choices
-        drive = self.drive = Drive(self.station, parts, DriveSettings(**choices), file, **further)
+        drive = self.drive = Drive(
+            self.station, parts, DriveSettings(**choices), file, self.gate, **further
+        )
         try:
             drive.run()
         finally:
@@ -227,8 +231,21 @@ def test_limits_of_the_driver_are_respected(arms, run, program) -> None:
     names = [*program.names[0], *program.names[1]]
     slow = LIMITS.format("".join(LIMIT.format(name, 0.001) for name in names))
     arms(0, description=slow), arms(1)
-    with pytest.raises(InputError, match=r"deg/s, /robot_description allows 0.06 deg/s"):
+    with pytest.raises(InputError, match=r"its limit is 0.06 deg/s \(/robot_description\)"):
         run()
+    assert not run.drive.sent
+
+
+def test_what_the_gate_of_the_cell_refuses_is_not_sent(arms, run) -> None:
+    """Also if the drivers state no limits."""
+    arms(0), arms(1)
+    limits = run.gate.limits
+    run.gate = Gate(replace(limits, accelerations=limits.accelerations / 100), run.gate.cycle_s)
+    with pytest.raises(
+        InputError, match=r"follow_joint_trajectory: .* would change its speed by .* \(the scenario"
+    ):
+        run()
+    assert not run.drive.sent
 
 
 def test_a_controller_that_is_not_there_is_named(arms, run) -> None:
@@ -272,7 +289,8 @@ def stopped(*_: Any, **__: Any) -> None:
 def test_a_command_that_ends_before_it_sent_leaves_no_file(
     scenario, program, domain, tmp_path, monkeypatch, where: str, does: Any, error: type
 ) -> None:
-    monkeypatch.setattr("twinct.cli.drive.planned", lambda *_: (scenario, program))
+    gate = gate_of(SimulationBuilder(scenario).cell, scenario.motion)
+    monkeypatch.setattr("twinct.cli.drive.planned", lambda *_: (scenario, program, gate))
     monkeypatch.setattr(where, does)
     with pytest.raises(error):
         drive(Path("s.yaml"), out=tmp_path / "d.mcap", source=ACTIONS[0], detector=ACTIONS[1])

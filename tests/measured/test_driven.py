@@ -30,6 +30,7 @@ from twinct.link.recording.drive_file import DriveFile
 from twinct.measured import import_driven
 from twinct.robots.calibrated_arms import CalibratedArms, Change
 from twinct.robots.cell import nominal_chains
+from twinct.robots.motion import gate_of
 from twinct.robots.programs import Program, program_of
 from twinct.runs import Folder
 from twinct.runs.predicted_and_measured import drive_times
@@ -69,6 +70,7 @@ class Driven:
         plan = self.builder.plan
         assert plan is not None
         self.plan = plan
+        self.gate = gate_of(self.builder.cell, self.scenario.motion)
         self.program: Program = program_of(plan, "a test", ("left_", "right_"))
         self.path = folder / "drive.mcap"
         # The detector is triggered when the arms pass the views' poses, and its stamps are late.
@@ -113,7 +115,7 @@ class Driven:
         station = Station("twinct_drive", domain)
         try:
             settings = DriveSettings(record=(IMAGE,), patience_s=HANG_S, delay_s=HANG_S)
-            Drive(station, parts, settings, file).run()
+            Drive(station, parts, settings, file, self.gate).run()
         finally:
             file.close()
             station.close()

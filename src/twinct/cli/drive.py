@@ -12,6 +12,7 @@ import tyro
 from twinct.cli.arguments import Overrides, ScenarioFile
 
 if TYPE_CHECKING:
+    from twinct.robots.motion import Gate
     from twinct.robots.programs import Program
     from twinct.scenario import Scenario
 
@@ -105,7 +106,7 @@ def _drive(
         raise ScanExistsError(f"{out} exists already: choose another --out")
     require("robots", "record")
     require_ros()
-    loaded, program = planned(scenario, set_, prefixes)
+    loaded, program, gate = planned(scenario, set_, prefixes)
     from twinct.link.driving import Drive, DriveSettings, names_of
     from twinct.link.environment import ROS_ARGUMENTS
     from twinct.link.follow import courses
@@ -123,7 +124,7 @@ def _drive(
             with closing(Station("twinct_drive", ros_arguments=ROS_ARGUMENTS)) as station:
                 domain = station.domain_id
                 say(f"{parts[0].duration_s:.1f} s of motion; controllers of ROS domain {domain}")
-                run = Drive(station, parts, DriveSettings(*choices), file)
+                run = Drive(station, parts, DriveSettings(*choices), file, gate)
                 run.run()
         except BaseException:
             if run is None or not run.sent:  # nothing moved, so the recording tells nothing
@@ -140,8 +141,8 @@ def _drive(
 
 def planned(
     scenario: Path, set_: Sequence[str], prefixes: tuple[str, str]
-) -> tuple[Scenario, Program]:
-    """Return a scenario and its plan under the names of the drivers.
+) -> tuple[Scenario, Program, Gate]:
+    """Return a scenario, its plan under the names of the drivers, and the gate of its joints.
 
     Raises:
         InputError: the scenario has no arms, or no plan.
@@ -158,6 +159,7 @@ def planned(
     if loaded.motion.scheme == "reactive":
         raise InputError("motion.scheme: reactive has no plan to write; set it to planned")
     require("robots")
+    from twinct.robots.motion import gate_of
     from twinct.robots.programs import program_of
 
     builder = SimulationBuilder(loaded)
@@ -166,4 +168,5 @@ def planned(
             plan = builder.followed
             step()
     assert plan is not None
-    return loaded, program_of(plan, f"{loaded.name}, plan {plan.digest[:12]}", prefixes)
+    program = program_of(plan, f"{loaded.name}, plan {plan.digest[:12]}", prefixes)
+    return loaded, program, gate_of(builder.cell, loaded.motion)

@@ -159,7 +159,7 @@ def motion(
 
     language = language_named(to)
     check_absent(out)
-    _, program = planned(scenario, set_, (source_prefix, detector_prefix))
+    _, program, _ = planned(scenario, set_, (source_prefix, detector_prefix))
     write_program(out, language.write(program))
     plan = program.plan
     say(f"wrote {out}: {counted(len(plan.targets), 'view')} in {plan.duration_s:.1f} s")

@@ -30,6 +30,7 @@ from twinct.link.recording.drive_file import DriveFile
 from twinct.link.senders import Raw, Sender
 from twinct.link.stamps import Stamp
 from twinct.link.topics import DESCRIPTION, JOINTS, Topic
+from twinct.robots.motion import Gate
 
 FOREVER_S = 1e9
 QUIET_S = 1.0
@@ -101,6 +102,7 @@ class Drive:
         courses: Sequence[Course],
         settings: DriveSettings,
         file: DriveFile,
+        gate: Gate,
         *,
         clock: Callable[[], float] = time.monotonic,
         now_ns: Callable[[], int] = time.time_ns,
@@ -112,10 +114,12 @@ class Drive:
             courses: motion of each controller.
             settings: what to listen to, and how long to wait.
             file: takes what is heard.
+            gate: gate of the joints of the cell, in the order of the courses.
             clock: seconds, for waiting.
             now_ns: time of the drivers' clock, for a common start.
         """
         self._station, self._settings, self._file = station, settings, file
+        self._gate = gate
         self._clock, self._now_ns = clock, now_ns
         action = action_type(ACTION)
         self._parts = [
@@ -241,10 +245,10 @@ class Drive:
                 self._newest[names] = stamp
 
     def _check(self) -> None:
-        """Check the drivers' limits, and that the arms stand at the start.
+        """Let the motion pass the gate, and check that the arms stand at the start.
 
         Raises:
-            InputError: a joint is unknown, beyond its limits, or elsewhere.
+            InputError: a joint is unknown or elsewhere, or the gate refuses the motion.
         """
         names = {name for part in self._parts for name in part.course.joints}
         described = [n for n in self._settings.descriptions if self._station.kind_of(n)]
@@ -261,9 +265,12 @@ class Drive:
                 f"nobody publishes {', '.join(self._settings.descriptions)}, so the drivers' "
                 "limits of position and speed were not checked"
             )
+        first = 0
         for part in self._parts:
-            if limits:
-                check_limits(part.course, limits, ", ".join(self._limits))
+            joints = slice(first, first + len(part.course.joints))
+            gate = self._gate.of(joints, part.course.joints)
+            check_limits(part.course, gate, limits, ", ".join(self._limits))
+            first = joints.stop
             tolerance = np.radians(self._settings.start_tolerance_deg)
             check_start(part.course, self._at, float(tolerance))
 

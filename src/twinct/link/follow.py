@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 
 from twinct.core.errors import InputError, LinkError
 from twinct.core.files.plain_xml import xml_of
 from twinct.core.foreign_text import number, quoted
 from twinct.geometry import Floats
 from twinct.link.stamps import NANO, Stamp
+from twinct.robots.motion.gate import Gate, JointLimits
 from twinct.robots.programs import Program
 
 ACTION = "control_msgs/FollowJointTrajectory"
@@ -64,6 +66,14 @@ class Course:
     def duration_s(self) -> float:
         """Time from the first point to the last."""
         return float(self.time_s[-1])
+
+    def states(self, cycle_s: float) -> Floats:
+        """Return the states in each cycle of a control that interpolates, (cycles, 3, joints)."""
+        at = np.minimum(
+            np.arange(np.ceil(self.duration_s / cycle_s) + 1) * cycle_s, self.time_s[-1]
+        )
+        path = scipy.interpolate.BPoly.from_derivatives(self.time_s, self.state)
+        return np.stack([path(at), path.derivative()(at), path.derivative(2)(at)], axis=1)
 
     def goal(self, start: Stamp) -> dict[str, Any]:
         """Return the fields of a goal that starts at a time; zero for at once."""
@@ -139,24 +149,34 @@ def _bound(text: str) -> float:
     return bound
 
 
-def check_limits(course: Course, limits: Mapping[str, Limit], where: str) -> None:
-    """Check that a motion stays within the limits that a driver states.
+def check_limits(course: Course, gate: Gate, drivers: Mapping[str, Limit], where: str) -> None:
+    """Let a motion pass the gate of its joints, cycle by cycle, and not only at its points.
+
+    Args:
+        course: the motion.
+        gate: gate of the joints by the limits of the cell, in the order of the course.
+        drivers: limits that the drivers state as well; empty if they state none.
+        where: source of these limits.
 
     Raises:
-        InputError: a joint is unknown to the driver, or leaves its limits.
+        InputError: a joint is unknown to the drivers, or the gate refuses the motion.
     """
-    if unknown := [name for name in course.joints if name not in limits]:
-        raise InputError(f"{where} has no joint {', '.join(unknown)}; it has {', '.join(limits)}")
-    for column, name in enumerate(course.joints):
-        limit, (position, velocity) = limits[name], course.state[:, :2, column].T
-        for value, bound, unit in (
-            (position.min(), limit.lower, "deg"),
-            (position.max(), limit.upper, "deg"),
-            (np.abs(velocity).max(), limit.speed, "deg/s"),
-        ):
-            if (value < bound) if bound == limit.lower else (value > bound):
-                text = f"{np.degrees(value):.2f} {unit}, {where} allows {np.degrees(bound):.2f}"
-                raise InputError(f"{course.action}: the plan brings {name} to {text} {unit}")
+    limits, names = gate.limits, course.joints
+    if drivers:
+        if unknown := [name for name in names if name not in drivers]:
+            raise InputError(
+                f"{where} has no joint {', '.join(unknown)}; it has {', '.join(drivers)}"
+            )
+        stated = [drivers[name] for name in names]
+        low, high = limits.ranges.T
+        lower, upper = np.array([limit.lower for limit in stated]), [x.upper for x in stated]
+        ranges = np.stack([np.maximum(low, lower), np.minimum(high, upper)], axis=1)
+        speeds = np.minimum(limits.speeds, [limit.speed for limit in stated])
+        limits = JointLimits(names, ranges, speeds, limits.accelerations)
+    states = course.states(gate.cycle_s)
+    start = np.stack([states[0, 0], np.zeros(len(names))])
+    if (reason := Gate(limits, gate.cycle_s).reason(start, states)) is not None:
+        raise InputError(f"{course.action}: {reason} ({where or 'the scenario'})")
 
 
 def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float) -> None:

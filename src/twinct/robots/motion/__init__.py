@@ -4,6 +4,7 @@ MuJoCo, mink and Ruckig are imported on first use, not together with this packag
 """
 
 from twinct.core.renamed import old_names
+from twinct.robots.motion.gate import Gate, gate_of
 from twinct.robots.motion.joint_goal import GoalError, JointGoal, goal_of
 from twinct.robots.motion.kinematics import IkResult, Kinematics
 from twinct.robots.motion.layers import speeds_of
@@ -28,6 +29,7 @@ from twinct.robots.motion.tour import moving_seconds, shortest_tour
 __all__ = [
     "LARGEST_PLAN_BYTES",
     "RequestedViews",
+    "Gate",
     "GoalError",
     "IkResult",
     "Kinematics",
@@ -40,6 +42,7 @@ __all__ = [
     "PursuingSimulation",
     "checked_plan",
     "find_joint_path",
+    "gate_of",
     "goal_of",
     "load_plan",
     "moving_seconds",

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from twinct.geometry import Floats
+from twinct.robots.cell import CellModel
 from twinct.robots.cell.rails import JOINT as RAIL_JOINT
+from twinct.scenario import Motion
 
 OVER = 1.02
 """Factor by which speed and acceleration may exceed a limit.
@@ -65,9 +67,16 @@ class Gate:
         # Bounds of the state, then of its change, as scales and middles of one comparison.
         with np.errstate(divide="ignore", invalid="ignore"):
             self._middle = ((self._low + self._high) / 2).ravel()
-            bounds = np.stack([(self._high - self._low).ravel() / 2, self.jumps.ravel()])
+            bounds = np.stack([(self._high - self._low) / 2, self.jumps]).ravel()
             self._scale = 1 / bounds
-        self._work = np.zeros_like(bounds)
+        self._shares = np.zeros_like(bounds)
+        self._of_state, self._of_change = np.split(self._shares, 2)
+
+    def of(self, joints: slice, names: tuple[str, ...]) -> Gate:
+        """Return the gate of some joints, under names of their own."""
+        limits = self.limits
+        parts = (limits.ranges[joints], limits.speeds[joints], limits.accelerations[joints])
+        return Gate(JointLimits(names, *parts), self.cycle_s)
 
     def admits(self, before: Floats, state: Floats) -> bool:
         """Return True if a state may follow another; all limits must be finite.
@@ -76,13 +85,13 @@ class Gate:
             before: position and velocity of the cycle before, (2 n,).
             state: position and velocity, (2 n,).
         """
-        # Called in each cycle: five passes over small arrays in place.
-        work = self._work
-        np.subtract(state, self._middle, out=work[0])
-        np.subtract(state, before, out=work[1])
-        np.multiply(work, self._scale, out=work)
-        np.abs(work, out=work)
-        return bool(np.maximum.reduce(work, axis=None) <= 1 + ROUNDING)  # not for NaN
+        # Called in each cycle: few passes over one flat array, in place, are the fastest form.
+        shares = self._shares
+        np.subtract(state, self._middle, self._of_state)
+        np.subtract(state, before, self._of_change)
+        np.multiply(shares, self._scale, shares)
+        np.absolute(shares, shares)
+        return bool(np.maximum.reduce(shares) <= 1 + ROUNDING)  # False for NaN
 
     def reason(self, before: Floats, states: Floats) -> str | None:
         """Return why states may not follow each other, with the joint; None if they may.
@@ -114,6 +123,13 @@ class Gate:
                 allowed = in_unit(name, float(most[worst]))
                 return f"{name} would {does} {value}{per}; its limit is {allowed}{per}"
         return None
+
+
+def gate_of(cell: CellModel, motion: Motion) -> Gate:
+    """Return the gate of a cell: published speeds, and the largest acceleration of a motion."""
+    accelerations = np.full(len(cell.joint_names), np.radians(motion.acceleration_deg_s2))
+    limits = JointLimits(cell.joint_names, cell.joint_ranges, cell.speed_limits, accelerations)
+    return Gate(limits, cell.model.opt.timestep)
 
 
 def in_unit(name: str, value: float, how: str = "{:.2f}", to: float | None = None) -> str:

@@ -14,7 +14,7 @@ from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.geometry.wire import JointSample, PosePairs, Reached, places_m
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion.branches import SIDES
-from twinct.robots.motion.gate import Gate, JointLimits, brake
+from twinct.robots.motion.gate import brake, gate_of
 from twinct.robots.motion.guide import Guide
 from twinct.robots.motion.kinematics import mujoco, site_pose
 from twinct.robots.motion.plan import MotionPlan
@@ -106,9 +106,12 @@ class RobotSimulation:
         self._reactive = Reactive(cell_model, motion)
         self._reference = Reference(cell_model, motion)
         self._clearance = Clearance(cell_model)
-        self._gate, self._touch = _gate_of(cell_model, motion), Touch(cell_model)
+        self._gate, self._touch = gate_of(cell_model, motion), Touch(cell_model)
         self._sample_steps = max(1, int(SAMPLE_S / self._model.opt.timestep + 1e-9))
         self._n = len(cell_model.joint_names)
+        # Views into MuJoCo's memory, because looking them up takes as long as the gate's check.
+        self._reference_now = self._data.userdata[: 3 * self._n]
+        self._before = self._data.userdata[: 2 * self._n]
         self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
         # Both the servo's damping and the joint's friction brake a moving joint.
         self._drag = self._model.dof_damping - self._model.actuator_biasprm[: self._n, 2]
@@ -167,7 +170,7 @@ class RobotSimulation:
 
     def close(self) -> None:
         """Free MuJoCo's memory; a closed simulation cannot be used."""
-        del self._data, self._reactive, self._clearance
+        del self._data, self._reference_now, self._before, self._reactive, self._clearance
 
     def restore(self, state: Floats) -> None:
         """Restore the exact state of a ``Reached.state``.
@@ -433,9 +436,8 @@ class RobotSimulation:
             TargetRefusedError: the reference jumps or leaves the limits of the joints, or bodies
                 touch; the arms have come to rest.
         """
-        before, after = self._data.userdata[: 2 * self._n], state[:2].ravel()
-        if not self._gate.admits(before, after):
-            reason = self._gate.reason(before.reshape(2, -1), state[None])
+        if not self._gate.admits(self._before, state[:2].ravel()):
+            reason = self._gate.reason(self._before.reshape(2, -1), state[None])
             if reason is not None:
                 self._stop(reason, (reason,))  # it begins with the joint
         self._control(state)
@@ -461,10 +463,10 @@ class RobotSimulation:
 
     def _control(self, state: Floats) -> None:
         """Step the servos once towards a position, velocity and acceleration, (3, n)."""
-        model, data, n = self._model, self._data, self._n
+        model, data = self._model, self._data
         position, velocity, acceleration = state
         mujoco.mj_mulM(model, data, self._feedforward, acceleration)
-        data.userdata[: 3 * n] = state.ravel()
+        self._reference_now[:] = state.ravel()
         dry_friction = self._dry_friction * np.tanh(velocity / BREAKAWAY_RAD_S)
         torque = self._feedforward + self._drag * velocity + dry_friction
         data.ctrl[:] = position + torque / self._stiffness
@@ -542,10 +544,3 @@ class RobotSimulation:
         names, limits = self.joint_names, self._cell.torque_limits
         limited = [f"{names[joint]} ({limits[joint]:.0f} N m)" for joint in at_limit]
         return [f"torque limit reached in {', '.join(limited)}"] if limited else []
-
-
-def _gate_of(cell: CellModel, motion: Motion) -> Gate:
-    """Return the gate of a cell: published speeds, and the largest acceleration of a motion."""
-    accelerations = np.full(len(cell.joint_names), np.radians(motion.acceleration_deg_s2))
-    limits = JointLimits(cell.joint_names, cell.joint_ranges, cell.speed_limits, accelerations)
-    return Gate(limits, cell.model.opt.timestep)
