@@ -5,9 +5,9 @@
 Arms and panel are looked at where a target was reached: all pairs of geoms by Coal, which shares no
 code with MuJoCo, nothing left out. A referee says which targets can be held at all: all
 configurations of both arms in closed form, turned about the beam every 5 degrees where that is
-free, every pair of them. For what the node refused and the referee has, two trees grow from where the arms were and from all
-those pairs until they meet or the time is over. Each verdict is a line of JSON beside the answers;
-those there are not judged again.
+free, every pair of them. For what the node refused and the referee has, two trees grow from where
+the arms were and from all those pairs until they meet or the time is over. Each verdict is a line
+of JSON beside the answers; those there are not judged again.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ import pytest
 
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.extras import require
+from twinct.core.installation import install_command
 
 DEMO = Path(__file__).parents[1] / "scenarios" / "demo.yaml"
 
@@ -34,7 +35,7 @@ def test_all_missing_packages_are_named_at_once_with_one_command(monkeypatch) ->
         require("robots", "xray", "rtk")
     assert str(caught.value) == (
         "mink, ompl, itk-rtk are not installed: they come with twinct[robots,rtk]: "
-        "python -m pip install 'twinct[robots,rtk]'; or use reconstruction.algorithm: sart"
+        f"{install_command(['robots', 'rtk'])}; or use reconstruction.algorithm: sart"
     )
 
 

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from twinct.core.installation import install_command
+
 SCRIPT = """
 import sys
 
@@ -32,7 +34,7 @@ def test_missing_rclpy_is_named(use):
     )
     assert done.stdout.startswith("rclpy, "), done.stderr
     assert done.stdout.endswith(
-        " are not installed: they come with twinct[ros]: python -m pip install 'twinct[ros]'; "
+        f" are not installed: they come with twinct[ros]: {install_command(['ros'])}; "
         "or use the link local (--link local)\n"
     )
 
