@@ -43,8 +43,7 @@ scenario = load_scenario("scenarios/paper.yaml", [
     "evaluation={regions: [{name: brain, shape: {kind: box, size_mm: [30, 30, 20]}, "
     "position_mm: [0, -30, 20]}, {name: side, shape: {kind: sphere, radius_mm: 8}, "
     "position_mm: [-25, 0, 10]}], contrasts: [{region: side, against: brain}], "
-    "nps: [{region: brain}], mtf: [{at: ball}], streaks: [{part: ball}], tasks: [{name: spot, "
-    "region: brain, mtf: ball, signal: {kind: sphere, radius_mm: 2, contrast_rel: 0.1}}]}",
+    "nps: [{region: brain}], mtf: [{at: ball}], streaks: [{part: ball}]}",
 ])
 views = commanded_views(scenario.trajectory, scenario.detector.panel)
 builder = SimulationBuilder(scenario)

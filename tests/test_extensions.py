@@ -247,7 +247,7 @@ def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
     file, out = tmp_path / "tails.yaml", tmp_path / "out"
     file.write_text(
         f"extends: {HERE}/same_bytes/small.yaml\n"
-        "trajectory: {views: 3}\n"
+        "trajectory: {views: 12, longitude_range_deg: 180}\n"
         "cell: {kind: gantry}\n"
         "xray: {engine: analytic}\n"
         "evaluation:\n"

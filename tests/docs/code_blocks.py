@@ -99,6 +99,8 @@ def _command(words: list[str]) -> None:
         assert re.search(rf"^{arguments[0]}:", made, re.MULTILINE), arguments
     elif program == "pip":
         _extras(arguments)
+    elif program == "python3":
+        assert arguments[:2] == ["-m", "venv"], arguments
     elif program == "python":
         assert arguments[0] == "load.py" or (ROOT / arguments[0]).exists(), arguments
     else:
@@ -106,11 +108,14 @@ def _command(words: list[str]) -> None:
 
 
 def _extras(arguments: list[str]) -> None:
+    if arguments[0] == "uninstall":
+        return
     assert arguments[0] == "install"
     package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     for word in arguments[1:]:
-        if found := re.fullmatch(r"(\.|twinct)\[([\w,]+)\]", word):
-            assert set(found[2].split(",")) <= package["optional-dependencies"].keys()
+        assert not word.startswith("twinct"), "no package index has it"
+        if found := re.fullmatch(r"\.\[([\w,]+)\]", word):
+            assert set(found[1].split(",")) <= package["optional-dependencies"].keys()
 
 
 def twinct(arguments: list[str]) -> None:

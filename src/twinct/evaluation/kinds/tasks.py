@@ -34,7 +34,7 @@ and it is a small part of the whole."""
 
 
 USUAL_SCANS = 4
-"""Of two scans, the worst of ten d' is 18 % off an ensemble of 200 where the noise is blurred most
+"""Of two scans, the worst of ten d' is 20 % off an ensemble of 200 where the noise is blurred most
 (``benchmarks/bench_observer.py --scans 2``); three differences instead of one narrow this."""
 
 
