@@ -210,23 +210,3 @@ def test_old_names_import_the_same_things_with_a_warning() -> None:
         "twinct.robots.motion.path_search twinct.view_planning.planner twinct.core.errors",
         "True",
     ], result.stderr
-
-
-LONG_FUNCTION = 60
-"""Lines, the docstring included."""
-MOST_LONG_FUNCTIONS = 15
-LONGEST_FILE = 500
-"""Lines."""
-
-
-def test_functions_and_files_are_short() -> None:
-    files = {path: path.read_text(encoding="utf-8") for path in modules().values()}
-    functions = [
-        f"{path.name}: {node.name}"
-        for path, text in files.items()
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        and (node.end_lineno or 0) - node.lineno >= LONG_FUNCTION
-    ]
-    assert len(functions) <= MOST_LONG_FUNCTIONS, functions
-    assert not [path.name for path, text in files.items() if text.count("\n") > LONGEST_FILE]

@@ -104,7 +104,7 @@ def test_a_run_keeps_the_contract(finished: Path) -> None:
     assert set(metrics["image"]) == {
         "rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "mean_bone_rel",
         "roi_fraction", "roi_bone_fraction",
-        "ssim_bone", "signal_rel", "edge_width_mm", "rmse_rel_by_depth", "zero",
+        "ssim_bone", "signal_rel", "signal_error_rel", "edge_width_mm", "rmse_rel_by_depth", "zero",
     }  # fmt: skip
     seconds = metrics["seconds"]
     assert sum(seconds.values()) == pytest.approx(2 * seconds["total"])

@@ -47,7 +47,8 @@ def write_bundle(folder: Path, to: FormatName, bundle: Bundle) -> None:
     if folder.exists():
         raise ScanExistsError(f"{folder} already exists: choose another --out")
     form.check(bundle)
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    if not folder.parent.exists():
+        folder.parent.mkdir(parents=True)
     with complete(folder) as draft:
         draft.mkdir()
         form.write(bundle, draft)

@@ -22,6 +22,8 @@ _FILTERS = {1: "zlib", 2: "shuffle", 3: "fletcher32", 4: "szip", 32000: "lzf"}
 
 _MOST_LINKS = 16
 """Longest chain of soft links, as for HDF5 itself."""
+_LONGEST_PATH = 4096
+"""Characters of another file's name in a message; Linux takes no longer path."""
 
 Index = tuple[int | slice, ...]
 
@@ -137,7 +139,7 @@ def _followed(name: str, links: dict[str, Any], external: type, where: str) -> s
 
 
 def _elsewhere(where: str, name: str, files: list[str]) -> InputError:
-    others = ", ".join(quoted(file) for file in dict.fromkeys(files[:3]))
+    others = ", ".join(quoted(file, _LONGEST_PATH) for file in dict.fromkeys(files[:3]))
     more = f" and {len(files) - 3} more" if len(files) > 3 else ""
     return InputError(
         f"{where}: {name} is in another file, {others}{more}; other files are not opened for it: "

@@ -12,7 +12,11 @@ _SECTIONS = ("views", "reached", "simulated_seconds", "clearance_mm", "pose_erro
 _WITH_ARMS = ("tool_speed_mm_s",)
 _IMAGES = ("image", "image_by_geometry", "believed_minus_executed")
 _OF_ZERO = ("rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "ssim_bone")
-_OF_IMAGE = (*(one.key for one in IMAGE_FIGURES), *(f"zero.{name}" for name in _OF_ZERO))
+_OF_IMAGE = (
+    *(one.key for one in IMAGE_FIGURES),
+    "signal_error_rel",
+    *(f"zero.{name}" for name in _OF_ZERO),
+)
 
 
 def flat_figures(metrics: Mapping[str, Any]) -> dict[str, float | None]:
