@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
 from twinct.version import __version__
 
@@ -91,12 +92,10 @@ def test_the_conda_recipe_needs_what_the_package_needs() -> None:
     needed = {}
     for line in recipe["requirements"]["run"]:
         name, _, bound = line.partition(" ")
-        needed[conda.get(name, name)] = bound
-    assert needed.pop("__linux") == ""
-    assert set(needed.pop("python").split(",")) == set(PROJECT["requires-python"].split(","))
-    assert needed == {
-        one.name: str(one.specifier) for one in map(Requirement, PROJECT["dependencies"])
-    }
+        needed[conda.get(name, name)] = SpecifierSet(bound)
+    assert needed.pop("__linux") == SpecifierSet("")
+    assert needed.pop("python") == SpecifierSet(PROJECT["requires-python"])
+    assert needed == {one.name: one.specifier for one in map(Requirement, PROJECT["dependencies"])}
 
 
 def test_citation_and_zenodo_agree() -> None:
