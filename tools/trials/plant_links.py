@@ -17,8 +17,6 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent / "trials"))
-
 from commands import COMMANDS, begin, environment, line, prepare
 
 LEFT_OUT = {"drive", "study on a cluster"}
