@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -260,3 +261,26 @@ def test_other_tools_can_check_a_store(finished: Run) -> None:
     lists = [FRAME_FILE, *(f"manifest/views/c.{view}.0" for view in range(10))]
     check = ["sha256sum", "--check", "--strict", "--quiet", *lists]
     subprocess.run(check, cwd=path, check=True)
+
+
+WITHOUT_ROBOTS = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("mujoco", "mink", "daqp", "ruckig", "ompl"):
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Absent())
+from twinct.runs import verify
+print(verify(sys.argv[1]).problems)
+"""
+
+
+def test_a_scan_of_arms_is_verified_without_the_robots_extra(tmp_path: Path) -> None:
+    kept = Path(__file__).parents[1] / "version_1_0" / "local.tar.xz"
+    shutil.unpack_archive(kept, tmp_path)
+    folder = tmp_path / "local"
+    assert (folder / "scan.zarr" / "plan").is_dir()
+    command = [sys.executable, "-c", WITHOUT_ROBOTS, str(folder)]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == "()\n"

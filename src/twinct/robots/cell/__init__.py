@@ -3,7 +3,7 @@
 MuJoCo is imported when a cell is built, not together with this package.
 """
 
-from twinct.robots.cell._mujoco import mujoco_module
+from twinct.robots.cell._mujoco import mujoco, mujoco_module
 from twinct.robots.cell.bodies import BodyPlaces
 from twinct.robots.cell.chains import chains_of, joint_names_of, nominal_chains
 from twinct.robots.cell.clearance import Clearance, Gap
@@ -41,6 +41,7 @@ __all__ = [
     "chains_of",
     "check_drawing",
     "check_picture_size",
+    "mujoco",
     "mujoco_module",
     "joint_names_of",
     "nominal_chains",

@@ -7,19 +7,13 @@ contiguous memory: (3, m) for points, (3, 3, m) for rotations, (6, n, m) for Jac
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.progress import spend
 from twinct.geometry import Floats
-from twinct.robots.cell import CellModel, mujoco_module
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
+from twinct.robots.cell import CellModel, mujoco
 
 STEPS = 40
 """Largest number of steps from a start."""

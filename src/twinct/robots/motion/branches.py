@@ -8,22 +8,16 @@ configurations.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from twinct.geometry import MM_PER_M, Floats, Pose
-from twinct.robots.cell import CellModel, mujoco_module
+from twinct.robots.cell import CellModel, mujoco
 from twinct.robots.motion.arm_search import SerialArm
 from twinct.robots.motion.carriers import Carrier
 from twinct.scenario import InverseKinematics
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
 
 SIDES = ("source", "detector")
 

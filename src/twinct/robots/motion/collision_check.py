@@ -7,17 +7,11 @@ thousands of configurations this way; distances then verify the result.
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twinct.geometry import MM_PER_M, Floats
-from twinct.robots.cell import CellModel, mujoco_module
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
+from twinct.robots.cell import CellModel, mujoco
 
 
 class CollisionCheck:

@@ -9,19 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats
-from twinct.robots.cell import CellModel, mujoco_module
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
+from twinct.robots.cell import CellModel, mujoco
 
 Whom = Literal["source", "detector", "both", "cross"]
 """Pairs to check: one arm with itself and the room, all pairs, or one arm with the other."""

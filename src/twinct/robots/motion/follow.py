@@ -15,10 +15,10 @@ import numpy as np
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.geometry.wire import PosePairs
-from twinct.robots.cell import CellModel, Clearance, Gap
+from twinct.robots.cell import CellModel, Clearance, Gap, mujoco
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.home import FLIP_RAD, home_off
-from twinct.robots.motion.kinematics import Kinematics, mujoco
+from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.path_search import JointPath
 from twinct.robots.motion.refusals import far_problems, gap_problems, named, runs
 from twinct.scenario import Motion

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -12,13 +12,8 @@ from twinct.core.errors import MissingExtraError
 from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.robots.cell import CellModel, mujoco_module
+from twinct.robots.cell import CellModel, mujoco
 from twinct.scenario import InverseKinematics
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
 
 FAR_MM = 20.0
 FAR_DEG = 4.0

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import NoPathError, TrajectoryError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.robots.cell import CellModel, mujoco_module
+from twinct.robots.cell import CellModel
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible, Flags, Indices
 from twinct.robots.motion.home import home_off
@@ -44,11 +43,6 @@ from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.motion.tour import moving_seconds, shortest_tour
 from twinct.robots.motion.view_configurations import Candidates, ViewConfigurations
 from twinct.scenario import Motion
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
 
 SETTLED_ROOM_MM = 0.5
 """Margin of a path above the required clearance, for arms that come to rest in every view."""

@@ -9,8 +9,8 @@ import numpy as np
 
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs, Reached
+from twinct.robots.cell import mujoco
 from twinct.robots.motion.joint_goal import JointGoal, states_of
-from twinct.robots.motion.kinematics import mujoco
 from twinct.robots.motion.simulation import RobotSimulation
 
 

@@ -7,11 +7,11 @@ import numpy as np
 from twinct.core.errors import TargetRefusedError
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs
-from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.cell import CellModel, Clearance, mujoco
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.follow import straight_path
 from twinct.robots.motion.home import FLIP_RAD
-from twinct.robots.motion.kinematics import Kinematics, mujoco
+from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.refusals import readable
 from twinct.scenario import Motion
 

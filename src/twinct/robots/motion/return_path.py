@@ -7,9 +7,9 @@ import numpy as np
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs
-from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.cell import CellModel, Clearance, mujoco
 from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible
-from twinct.robots.motion.kinematics import mujoco, site_pose
+from twinct.robots.motion.kinematics import site_pose
 from twinct.robots.motion.path_planner import SEARCHES, Detours
 from twinct.robots.motion.path_search import JointPath, required_gap_mm
 from twinct.robots.motion.refusals import gap_text

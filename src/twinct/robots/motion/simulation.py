@@ -12,11 +12,11 @@ import numpy as np
 from twinct.core.errors import MotionError, TargetRefusedError
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.geometry.wire import JointSample, PosePairs, Reached, places_m
-from twinct.robots.cell import CellModel, Clearance
+from twinct.robots.cell import CellModel, Clearance, mujoco
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.gate import brake, gate_of
 from twinct.robots.motion.guide import Guide
-from twinct.robots.motion.kinematics import mujoco, site_pose
+from twinct.robots.motion.kinematics import site_pose
 from twinct.robots.motion.plan import MotionPlan
 from twinct.robots.motion.reactive import Reactive
 from twinct.robots.motion.reference import Reference

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Floats
-from twinct.robots.cell import CellModel, mujoco_module
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
+from twinct.robots.cell import CellModel, mujoco
 
 TORQUE_SHARE = 0.9
 """Share of the torque limits that a law may use; the rest is for the servos' corrections."""

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
-from twinct.robots.cell import CellModel
-from twinct.robots.motion.kinematics import mujoco
+from twinct.robots.cell import CellModel, mujoco
 from twinct.robots.motion.refusals import weak_text
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.scenario import Motion

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twinct.geometry import MM_PER_M
-from twinct.robots.cell import CellModel
-from twinct.robots.motion.kinematics import mujoco
+from twinct.robots.cell import CellModel, mujoco
 from twinct.robots.motion.refusals import readable
 
 DEEPER_MM = 0.1

@@ -5,25 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs
-from twinct.robots.cell import CellModel, Clearance, Gap, mujoco_module
+from twinct.robots.cell import CellModel, Clearance, Gap, mujoco
 from twinct.robots.motion.branches import SIDES, Branches, matrices
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.refusals import far_problems, gap_problems, sample_of, weak_problems
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength, load_s
 from twinct.scenario import Motion
-
-if TYPE_CHECKING:
-    import mujoco
-else:
-    mujoco = mujoco_module()
 
 ROLL_STEP_DEG = 5.0
 """Step between the roll angles that are tried where the roll is free."""
