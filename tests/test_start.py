@@ -78,19 +78,3 @@ def test_a_mistake_in_a_scenario_is_told_with_few_modules(tmp_path) -> None:
     assert "did you mean 'name'?" in said
     assert heavy(modules) == []
     assert len(modules) <= MOST_OF_A_COMMAND
-
-
-@pytest.mark.process
-@pytest.mark.parametrize(
-    ("name", "handler"), [("bin/twinct", "SIG_DFL"), ("mine.py", "default_int_handler")]
-)
-def test_ctrl_c_ends_a_command_at_once_while_it_is_imported(name: str, handler: str) -> None:
-    """Without Python's traceback, until its own messages; a program that imports twinct decides."""
-    code = f"""
-import signal, sys
-sys.argv[0] = {name!r}
-import twinct
-assert signal.getsignal(signal.SIGINT) == signal.{handler}
-"""
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
