@@ -17,7 +17,7 @@ from twinct.robots.motion.gate import OVER, Gate, JointLimits, brake
 from twinct.scenario import Motion
 
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
-CHAINS = 12
+CHAINS = 6
 GOALS_A_CHAIN = 3
 JOINT = "source_wrist_1_joint"
 TIMESTEP_S = 0.002
