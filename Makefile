@@ -90,14 +90,12 @@ qualify: setup ## Let BAM's toolbox judge our images (CTSimU suite; 20 minutes)
 	@$(VENV)/twinct ctsimu qualify --out out/qualify
 
 docs: setup ## Build the documentation site into build/site; its tutorials run meanwhile
-	@$(VENV)/python tools/scenario_reference.py
-	@$(VENV)/python tools/validation_pages.py
 	@$(VENV)/python tools/check_links.py
 	@$(VENV)/python -m sphinx -q -W --keep-going docs build/site
 	@echo "Site: $(CURDIR)/build/site/index.html"
 
 pictures: setup ## Draw the pictures of X-ray effects in docs/images anew
-	@$(VENV)/python tools/gallery.py
+	@$(VENV)/python docs/pictures/physics.py
 
 bare: ## Type the lines of the README on a bare Debian, with the seconds of each (root, debootstrap)
 	@tools/bare-machine

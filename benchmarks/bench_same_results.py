@@ -6,7 +6,7 @@ file of the scan store, the voxels of volume and truth, the stage digests, and t
 (``tools/fuzz`` of the older checkout): a valid mutant has equal stage digests, an invalid one the
 same exit code, lines and keys; words may differ.
 
-    git worktree add /tmp/older d907d515; git worktree add /tmp/newer 449d2870
+    git worktree add /tmp/older HEAD~20; git worktree add /tmp/newer HEAD
     python benchmarks/bench_same_results.py /tmp/older /tmp/newer --mutants 2000
 """
 
@@ -107,7 +107,9 @@ def runs(folder: str, link: str, *files: str) -> None:
 def ran(file: str, link: str, out: Path) -> dict[str, str]:
     """Run a scenario; over ROS 2 only its scan, as a volume is made of the store alone."""
     import twinct.runs.job
+    from twinct.link import ros_rigs
     from twinct.runs import acquire_to_store
+    from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, stage_digests
 
     scenario = load_scenario(file, scale(file))
@@ -116,14 +118,6 @@ def ran(file: str, link: str, out: Path) -> dict[str, str]:
         twinct.runs.job.write_results = lambda *_: None  # its figures are compared for one run
         twinct.run(scenario, out, link="local")
         return found | volumes(out)
-    try:
-        from twinct.link import ros_rigs
-    except ImportError:  # the name before the restructuring
-        from twinct.ros import ros_rigs  # pyright: ignore[reportMissingImports]
-    try:
-        from twinct.scan import SimulationBuilder
-    except ImportError:
-        from twinct.scan import Workshop as SimulationBuilder
     out.mkdir(parents=True)
     rigs = ros_rigs(out / "logs")
     acquire_to_store(SimulationBuilder(scenario), out / "scan.zarr", rigs, resume=False)

@@ -1,4 +1,4 @@
-"""First-order covariances of a scan's errors against draws, for docs/validation/uncertainty.md."""
+"""First-order covariances of a scan's errors against draws."""
 
 from __future__ import annotations
 

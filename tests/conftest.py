@@ -132,7 +132,7 @@ def _kernels_keep_to_their_share() -> None:
 
 @pytest.fixture
 def figure(record_property: Callable[[str, object], None]) -> Callable[[str], None]:
-    """Says a measured figure that benchmarks/results quotes: on the screen with -s, and in XML."""
+    """Says a measured figure that docs/validation.md quotes: on the screen with -s, and in XML."""
 
     def say(text: str) -> None:
         record_property("figure", text)

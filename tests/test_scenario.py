@@ -292,13 +292,7 @@ def test_another_algorithm_leaves_inherited_keys_it_lacks_and_keeps_the_rest(
     )
 
 
-def test_the_engine_is_an_algorithm_now() -> None:
-    text = problems("reconstruction.engine=rtk")
-    assert text == (
-        "--set reconstruction.engine=rtk: reconstruction.engine: this key no longer exists: "
-        "use algorithm: rtk_sart"
-    )
-    assert "no longer exists: leave it out" in problems("reconstruction.engine=twinct")
+def test_unknown_algorithms_and_malformed_sections_are_named() -> None:
     assert "algorithm 'x' is not" in problems("reconstruction={kind: y, algorithm: x}")
     assert "reconstruction: must be a section" in problems("reconstruction=sart")
     assert "has 4" in problems("reconstruction.grid.voxel_mm=[1, 1, 1, 1]")

@@ -8,9 +8,6 @@ import sys
 
 import pytest
 
-MOST_MODULES = 720
-MOST_OF_A_COMMAND = 740
-"""tyro loads typeguard to parse a command, and with it 50 modules of the standard library."""
 HEAVY = {
     "gvxrPython3",
     "matplotlib",
@@ -44,12 +41,11 @@ def heavy(modules: list[str]) -> list[str]:
 
 
 @pytest.mark.process
-def test_importing_run_loads_few_modules() -> None:
+def test_importing_run_loads_nothing_heavy() -> None:
     modules, code, _ = loaded(RUN)
     assert code == 0
     assert "twinct.runs.job" in modules
     assert heavy(modules) == []
-    assert len(modules) <= MOST_MODULES
 
 
 @pytest.mark.process
@@ -60,37 +56,19 @@ def test_importing_run_looks_for_no_engines_of_other_packages() -> None:
 
 
 @pytest.mark.process
-def test_the_help_loads_few_modules() -> None:
+def test_the_help_loads_nothing_heavy() -> None:
     modules, code, said = loaded(COMMAND.format(arguments=["--help"]))
     assert code == 0
     assert "reconstruct" in said
     assert "twinct.xray.engines" not in modules
     assert heavy(modules) == []
-    assert len(modules) <= MOST_MODULES
 
 
 @pytest.mark.process
-def test_a_mistake_in_a_scenario_is_told_with_few_modules(tmp_path) -> None:
+def test_a_mistake_in_a_scenario_is_told_without_anything_heavy(tmp_path) -> None:
     scenario = tmp_path / "wrong.yaml"
     scenario.write_text("nmae: x\n", encoding="utf-8")
     modules, code, said = loaded(COMMAND.format(arguments=["check", str(scenario)]))
     assert code == 2
     assert "did you mean 'name'?" in said
     assert heavy(modules) == []
-    assert len(modules) <= MOST_OF_A_COMMAND
-
-
-@pytest.mark.process
-@pytest.mark.parametrize(
-    ("name", "handler"), [("bin/twinct", "SIG_DFL"), ("mine.py", "default_int_handler")]
-)
-def test_ctrl_c_ends_a_command_at_once_while_it_is_imported(name: str, handler: str) -> None:
-    """Without Python's traceback, until its own messages; a program that imports twinct decides."""
-    code = f"""
-import signal, sys
-sys.argv[0] = {name!r}
-import twinct
-assert signal.getsignal(signal.SIGINT) == signal.{handler}
-"""
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr

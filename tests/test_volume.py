@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import twinct
 from twinct.core.errors import InputError, StorageError
 from twinct.geometry import Pose, VolumeGrid
 from twinct.recon.volume import Volume
-from twinct.recon.volume_formats import VolumeFacts
 
 
 def test_voxels_lie_where_the_grid_says(tmp_path) -> None:
@@ -171,14 +169,6 @@ def test_files_are_named_by_text_and_end_as_a_format_does(pair, tmp_path) -> Non
     for name in ("v.dcm", "v", "v.gz"):
         with pytest.raises(InputError, match=rf"{name}: .* end in \.nii, \.nii\.gz, \.mha"):
             v.write(tmp_path / name)
-
-
-def test_facts_of_a_file_have_an_old_name(pair, tmp_path) -> None:
-    with pytest.warns(DeprecationWarning, match=r"write\(told=...\) is now .*write\(facts=...\)"):
-        pair[0].write(tmp_path / "v.nii", told=VolumeFacts(note="of before"))
-    assert twinct.Volume.read(tmp_path / "v.nii").extras["note"] == "of before"
-    with pytest.raises(TypeError, match="unexpected keyword argument 'fact'"):
-        pair[0].write(tmp_path / "v.nii", fact=None)
 
 
 def test_a_volume_is_shown_in_a_file(pair, tmp_path) -> None:

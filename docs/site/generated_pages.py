@@ -13,6 +13,7 @@ from typing import Any
 import tyro
 from pydantic_core import PydanticUndefined
 from pygments.lexers.special import TextLexer
+from scenario_page import scenario, stages
 
 from twinct.cli.commands import app
 from twinct.evaluation import IMAGE_FIGURES, figure_kinds
@@ -128,11 +129,19 @@ def changes() -> str:
     return text.replace("](docs/", "](/")
 
 
-PAGES: dict[str, Callable[[], str]] = {"commands": commands, "figures": figures, "changes": changes}
+PARTS: dict[str, Callable[[], str]] = {
+    **{"commands": commands, "figures": figures, "changes": changes},
+    **{"scenario": scenario, "stages": stages},
+}
+
+
+def filled(page: str) -> str:
+    """Return the text of a page with what its markers stand for."""
+    return MARKER.sub(lambda found: PARTS[found[1]](), page)
 
 
 def _fill(app: Any, name: str, source: list[str]) -> None:
-    text = MARKER.sub(lambda found: PAGES[found[1]](), source[0])
+    text = filled(source[0])
     text = text.replace("](../CHANGELOG.md", "](/reference/changelog.md")
     text = EXAMPLE.sub(r"{doc}`\1 </\2>`", text)
     source[0] = OUTSIDE.sub(r"\1", text)

@@ -7,19 +7,9 @@ from __future__ import annotations
 
 import os
 import sys
-
-# Ctrl-C ends a command that is still being imported at once, without Python's traceback, until
-# ``twinct.cli`` takes care of signals.
-if os.path.basename(sys.argv[0]) == "twinct" or (sys.argv[0] == "-m" and "twinct" in sys.orig_argv):
-    import signal
-
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from twinct.core import renamed
 from twinct.core.system_libraries import egl_is_there
 from twinct.version import __version__
 
@@ -59,8 +49,6 @@ def __getattr__(name: str) -> Any:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(f"module 'twinct' has no attribute {name!r}")
 
-
-renamed.install(__name__)
 
 # Libraries read these variables when they are first imported; values of the user are kept.
 # numba also reads its two from .numba_config.yaml in the working directory, which may be a

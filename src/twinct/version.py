@@ -1,3 +1,3 @@
 """Version of twinct."""
 
-__version__ = "1.0.0"
+__version__ = "1.0.0.dev0"

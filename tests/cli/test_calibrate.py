@@ -1,8 +1,7 @@
-"""``twinct calibrate``: options of each method, and the spelling of version 0.1."""
+"""``twinct calibrate``: options of each method."""
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -89,32 +88,6 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Calls:
     return calls
 
 
-SPELLINGS = [
-    ("out/a", "beads out/a"),
-    ("out/a --to out/b out/c --as mine", "beads out/a --to out/b out/c --as mine"),
-    ("--with beads out/a", "beads out/a"),
-    ("out/a --with balls --ball-radius-mm 2 --align", "balls out/a --ball-radius-mm 2 --align"),
-    ("out/a --with=self --what patient", "self out/a --what patient"),
-    ("--sigma-mm 3 out/a --with self --start epipolar", "self --sigma-mm 3 out/a --start epipolar"),
-    ("self --with self", "self self"),
-    ("out/a --with kinematics --to out/b", "kinematics out/a --to out/b"),
-    ("'a b' --with kinematics --from arms.json", "kinematics 'a b' --from arms.json"),
-]
-
-
-@pytest.mark.parametrize(("old", "new"), SPELLINGS)
-def test_the_old_spelling_does_the_same_and_says_the_new_one(calls, old, new, capfd) -> None:
-    assert run_command(["calibrate", *shlex.split(new)]) == 0
-    said, first = capfd.readouterr(), calls.arguments()
-    assert "write:" not in said.err
-    assert run_command(["calibrate", *shlex.split(old)]) == 0
-    again = capfd.readouterr()
-    assert calls.arguments() == first != []
-    assert again.out == said.out
-    hint = f"twinct: the method comes first now; write: twinct calibrate {new}"
-    assert [line for line in again.err.splitlines() if "write:" in line] == [hint]
-
-
 def test_options_reach_the_calibration(calls) -> None:
     keys = ["--sigma-mm", "3", "--sigma-deg", "2", "--correlation-views", "15", "--align"]
     assert run_command(["calibrate", "self", "out/a", "--what", "patient", *keys]) == 0
@@ -161,26 +134,14 @@ def test_each_method_has_its_own_options_alone(calls, method: str, capfd) -> Non
     assert {option for option in ALL if f"{option} " in told} == OPTIONS[method]
     for option in sorted(ALL - OPTIONS[method]):
         value = [VALUES.get(option, "1")] if VALUES.get(option, "1") else []
-        for spelling in ([method, "out/a"], ["out/a", "--with", method]):
-            assert run_command(["calibrate", *spelling, option, *value]) == 2
-            assert option in capfd.readouterr().err
+        assert run_command(["calibrate", method, "out/a", option, *value]) == 2
+        assert option in capfd.readouterr().err
     assert calls.arguments() == []
 
 
 def test_a_word_before_the_folder_is_a_method(calls, capfd) -> None:
     assert run_command(["calibrate", "foo", "out/a"]) == 2
     assert "twinct calibrate has no command 'foo' (beads, balls, self" in capfd.readouterr().err
-    assert calls.arguments() == []
-
-
-@pytest.mark.parametrize(
-    ("words", "method"),
-    [(["out/a", "--with", "bead"], "bead"), (["--with="], ""), (["out/a", "--with"], "")],
-)
-def test_an_unknown_method_is_refused(calls, capfd, words: list[str], method: str) -> None:
-    assert run_command(["calibrate", *words]) == 2
-    told = f"--with {method}: unknown; choose from beads, balls, self, circle, kinematics"
-    assert told in capfd.readouterr().err
     assert calls.arguments() == []
 
 

@@ -28,7 +28,3 @@ def test_a_command_says_what_the_page_quotes(
     said = capfd.readouterr().err
     assert title in said
     assert message in said
-
-
-def test_most_messages_are_tried() -> None:
-    assert len(QUOTED) >= 9

@@ -23,7 +23,7 @@ from twinct.scenario.digests import declared
 
 sys.path.insert(0, str(ROOT / "docs" / "site"))
 
-from generated_pages import command_parser, subcommands  # noqa: E402
+from generated_pages import command_parser, scenario, subcommands  # noqa: E402
 
 SECTIONS = "|".join(Scenario.model_fields)
 KEY = re.compile(rf"`((?:{SECTIONS})(?:\.[a-z_0-9]+)+)`")
@@ -73,8 +73,7 @@ def _is_key(key: str) -> bool:
 def _of_a_kind(key: str) -> bool:
     """Return whether the scenario reference lists the key below a section that has kinds."""
     *path, name = key.split(".")
-    page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
-    sections = re.split(r"^## ", page, flags=re.MULTILINE)
+    sections = re.split(r"^## ", scenario(), flags=re.MULTILINE)
     return any(
         section.split("\n")[0].split(" (")[0] == ".".join(path) and f"\n| `{name}` |" in section
         for section in sections

@@ -52,7 +52,7 @@ def test_a_message_tells_who_sent_it_whatever_its_node_is_called(domain, tmp_pat
 
 
 def test_bytes_that_are_no_message_are_told_once_and_end_nothing(domain):
-    """Found by tools/fuzz messages: whoever was on the domain could end a node so."""
+    """Whoever was on the domain could end a node so."""
     heard, told = [], []
     with (
         closing(Station("listener", domain)) as listener,

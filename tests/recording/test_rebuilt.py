@@ -212,7 +212,7 @@ def last_number(value):
 def test_messages_that_no_scan_says_are_told_and_nothing_is_left(
     taken, tmp_path, changes, files, why
 ):
-    """Found by tools/fuzz messages."""
+    """Found by changing single messages."""
     bag = otherwise(taken.folder / "scan.mcap", tmp_path / "x.mcap", changes, files=files)
     with pytest.raises(InputError, match=why):
         import_scan([bag], tmp_path / "out")

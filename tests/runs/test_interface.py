@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -105,30 +103,3 @@ def test_a_geometry_is_given_itself(finished: Run) -> None:
     )
     with pytest.raises(InputError, match=r"geometry: 5 views of .* the scan has 10 of"):
         twinct.reconstruct(scan, geometry=scan.geometry()[:5])
-
-
-OLD = """
-import warnings
-import twinct
-warnings.simplefilter("error", DeprecationWarning)
-try:
-    import twinct.evaluate
-except DeprecationWarning as warning:
-    print(warning)
-warnings.simplefilter("ignore")
-from twinct.evaluate import ImageFigures
-from twinct.evaluate.image import ImageFigures as again
-from twinct.evaluation import ImageFigures as new
-print(ImageFigures is new is again, new.__module__)
-print(twinct.evaluate.__name__, callable(twinct.evaluate))
-"""
-
-
-@pytest.mark.process
-def test_old_names_of_modules_import_with_a_warning() -> None:
-    result = subprocess.run([sys.executable, "-c", OLD], capture_output=True, text=True)
-    assert result.stdout.splitlines() == [
-        "twinct.evaluate is now twinct.evaluation",
-        "True twinct.evaluation.image",
-        "evaluate True",
-    ], result.stderr

@@ -1,4 +1,4 @@
-"""Test files of others, from the wheels of pydicom and nibabel (tools/read_wheels.py)."""
+"""Test files of others, from the wheels of pydicom and nibabel (tests/support/read_wheels.py)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twinct.scenario import HuLine
 from twinct.specimen.ct_image import AIR_HU
 from twinct.specimen.volumes import read_ct
 
-TOOL = Path(__file__).parents[2] / "tools" / "read_wheels.py"
+TOOL = Path(__file__).parents[1] / "support" / "read_wheels.py"
 LIBRARY_WORDS = re.compile(r"Error|Exception|numpy|nibabel|pydicom|\bdtype\b|Traceback")
 NOT_BY_ITK = ("rtdose_1frame.dcm", "rtdose_expb_1frame.dcm", "rtdose_rle_1frame.dcm")
 """Single slices of a dose, whose place SimpleITK does not find."""

@@ -15,9 +15,7 @@ import pytest
 from waiting import HANG_S, Patience, until
 
 from twinct.core.errors import InputError, MemoryShortageError
-from twinct.workers import Died, Done, Event, Failed, LocalPool, WithArtifacts, Work
-from twinct.workers.call import call, received, sent
-from twinct.workers.worker import LocalPlace
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Work
 
 GIB = 2**30
 
@@ -237,18 +235,6 @@ def test_contents_come_from_where_they_were_offered_and_go_where_they_are_saved(
     pool.withdraw("text")
     with pytest.raises(ValueError, match="not offered.*text"):
         pool.submit(Work("again", jobs.read, "text", inputs=("text",)))
-
-
-def test_functions_of_earlier_versions_return_their_artifacts(
-    pool: LocalPool, tmp_path: Path
-) -> None:
-    with pytest.warns(DeprecationWarning, match="place.attach"):
-        made = WithArtifacts(7, {"here": tmp_path})
-    work = Work("old", jobs.meet, (tmp_path, "", made))
-    event = received(call(sent(work, pool, (), ()), LocalPlace(tmp_path, 1, {})))
-    assert isinstance(event, Done) and (event.key, event.value) == ("old", 7)
-    event.artifacts["here"].save(tmp_path.with_name("there"))
-    assert tmp_path.with_name("there").is_dir()
 
 
 def test_what_cannot_be_sent_is_refused_before_anything_starts(pool: LocalPool) -> None:

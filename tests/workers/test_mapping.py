@@ -10,7 +10,7 @@ import pool_jobs as jobs
 import pytest
 
 from twinct.core.errors import InputError, MemoryShortageError, TwinctError
-from twinct.workers import Died, Done, Event, Failed, LocalPool, Work, each, map_over
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Work, map_over
 
 GIB = 2**30
 
@@ -117,9 +117,3 @@ def test_a_map_keeps_the_order_and_raises_what_failed(tmp_path: Path) -> None:
         with pytest.raises(TwinctError, match="RuntimeError: other") as other:
             list(map_over(jobs.fail, ["other"], pool=pool))
         assert "in fail" in other.value.__notes__[0]
-
-
-def test_the_old_name_of_the_stream_of_results_warns_and_works() -> None:
-    with pytest.warns(DeprecationWarning, match="map_over"):
-        results = each(Scripted({}), [work("a")])
-    assert list(results) == [Done("a", "a", {}, 0.0)]

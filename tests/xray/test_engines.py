@@ -17,7 +17,7 @@ from twinct.scenario import Detector, Source, Specimen, Xray, load_scenario
 from twinct.specimen import build_specimen
 from twinct.specimen.materials import material
 from twinct.xray import Imager, engines
-from twinct.xray.engine import EngineChoice, SceneBody, SceneView
+from twinct.xray.engine import EngineChoice, SceneBody
 from twinct.xray.gvxr import GVXR
 from twinct.xray.paths import Body, PathRenderer
 
@@ -146,25 +146,6 @@ def test_another_engine_needs_no_gvxr(monkeypatch) -> None:
         require_extras(load_scenario(DEMO))
     for other in ("idle", "mesh"):
         require_extras(load_scenario(DEMO, {"xray.engine": other}))
-
-
-def test_an_engine_of_an_older_package_gets_the_views_that_it_knows(monkeypatch) -> None:
-    class Old(Idle):
-        render = property()
-
-        def expose(self, view: SceneView, image: np.ndarray) -> None:
-            image[:] = view.centre
-
-        def path_lengths(self, view: SceneView, body: int, lengths: np.ndarray) -> None:
-            lengths[:] = view.source
-
-    offering(monkeypatch, EngineChoice("old", Old()))  # type: ignore[arg-type]
-    with pytest.warns(DeprecationWarning, match=r"Old\.expose is now Old\.render"):
-        engine = engines.engine_named("old").engine
-    view, image = random_view(np.random.default_rng(1), PANEL, np.zeros(3)), np.zeros((2, 3))
-    engine.render(view, image[0])
-    engine.path_lengths(view, 0, image[1])
-    assert np.array_equal(image, [view.detector[0], view.source[0]])
 
 
 def test_a_detector_takes_the_path_lengths_of_any_engine_alike(figure) -> None:

@@ -21,9 +21,8 @@ from pathlib import Path
 from driver import fuzz
 
 KINDS = {
-    **{"scenarios": "scenario_files", "schema": "generated", "bodies": "bodies"},
-    **{"files": "input_files", "imports": "imports", "stores": "store_files"},
-    **{"messages": "message_fields", "goals": "goals"},
+    **{"scenarios": "scenario_files", "bodies": "bodies", "files": "input_files"},
+    **{"imports": "imports", "stores": "store_files"},
 }
 """Name of the module of each kind, which has a class ``Kind``."""
 

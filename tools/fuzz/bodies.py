@@ -25,7 +25,7 @@ class Kind(ScenarioFiles):
     memory_bytes = 2 * 2**30
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """Make a case with a section from the schema, or with changed values in a valid section."""
+        """Make a case with changed numbers in a valid section."""
         key = rng.choice(SECTIONS)
         told = self.valid_with(rng, folder / "mutant.yaml", key)
         return Case(told, lambda: _built(folder / "mutant.yaml"))

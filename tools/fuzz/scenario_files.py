@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 import yaml
 from cases import Case
-from mutations import NASTY_TEXTS, broken, number_near
-from schema import Schema, drawn
+from mutations import NASTY_TEXTS, broken, nasty, number_near
 
 from twinct.core.errors import MemoryShortageError
 from twinct.core.files.plain_yaml import read_file, written
 from twinct.runs import needs, require_memory
-from twinct.scenario import load_scenario, parse_scenario, scenario_schema
+from twinct.scenario import load_scenario, parse_scenario
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 
@@ -35,7 +34,6 @@ class Kind:
     """Mutants of the repository's scenarios.
 
     Attributes:
-        schema: source of generated values.
         data: the scenarios as plain data.
     """
 
@@ -48,7 +46,6 @@ class Kind:
         (material / "data").mkdir(exist_ok=True)
         np.savetxt(material / "data" / "table.csv", np.arange(24).reshape(4, 6), delimiter=",")
         (material / "data" / "curve.txt").write_text("0 1\n1 0.5\n200 0.1\n")
-        self.schema = Schema(scenario_schema())
         self._texts: list[str] = []
         self.data: list[dict[str, Any]] = []
         files = sorted(SCENARIOS.glob("*.yaml"))
@@ -68,25 +65,18 @@ class Kind:
                 self.data.append(json.loads(whole.resolved()))
 
     def case(self, rng: random.Random, folder: Path) -> Case:
-        """Make a case with changed bytes or lines."""
-        text, told = rng.choice((self._bytes, self._lines))(rng)
-        return self.loaded(rng, folder, text, (), told)
+        """Make a case with changed bytes, lines or values."""
+        text, told = rng.choice((self._bytes, self._lines, self._values))(rng)
+        return self.loaded(rng, folder, text, told)
 
-    def loaded(
-        self, rng: random.Random, folder: Path, text: bytes, overrides: tuple[str, ...], told: str
-    ) -> Case:
+    def loaded(self, rng: random.Random, folder: Path, text: bytes, told: str) -> Case:
         """Write a scenario beside the files that it names; return the case that loads it."""
         path = folder / "mutant.yaml"
-        if overrides:
-            (folder / "overrides.txt").write_text("\n".join(map(repr, overrides)))
         for file in self._material.iterdir():
             (folder / file.name).symlink_to(file)
         path.write_bytes(text)
         again, by_needs = rng.random() < ROUND_TRIPS, rng.random() < 0.5
-        return Case(
-            f"{told} {overrides or ''}"[:1000],
-            lambda: _weighed(path, overrides, again, by_needs),
-        )
+        return Case(told[:1000], lambda: _weighed(path, again, by_needs))
 
     def _bytes(self, rng: random.Random) -> tuple[bytes, str]:
         return broken(rng, rng.choice(self._texts).encode())
@@ -117,6 +107,23 @@ class Kind:
             rng.choice(("utf-8",) * 18 + ("utf-16", "latin-1")), "replace"
         ), ", ".join(told)
 
+    def _values(self, rng: random.Random) -> tuple[bytes, str]:
+        """Change one to four values, of which a list or section may be one."""
+        data = copy.deepcopy(rng.choice(self.data))
+        told: list[str] = []
+        for _ in range(rng.choice((1, 1, 2, 4))):
+            key = rng.choice(list(keys_of(data)))
+            around, name = at(data, key[:-1]), key[-1]
+            old = around[name]
+            if rng.random() < 0.15:
+                del around[name]
+            elif isinstance(old, int | float) and rng.random() < 0.6:
+                around[name] = number_near(rng, old)
+            else:
+                around[name] = nasty(rng)
+            told.append(".".join(map(str, key)))
+        return self.text_of(data), f"values: {', '.join(told)}"
+
     def valid_with(self, rng: random.Random, path: Path, key: Key) -> str:
         """Write a valid scenario with one changed section, or a few changed numbers in it."""
         data = copy.deepcopy(rng.choice([d for d in self.data if "specimen" in d]))
@@ -128,16 +135,12 @@ class Kind:
         here: Any = data
         for step in key[:-1]:
             here = here[step]
-        if rng.random() < 0.4 and isinstance(here, dict):
-            here[key[-1]] = drawn(rng, self.schema.at(key))
-            told = ["all"]
-        else:
-            section = here.get(key[-1], {}) if isinstance(here, dict) else here[key[-1]]
-            numbers = [k for k in keys_of(section) if isinstance(at(section, k), int | float)]
-            told = []
-            for inner in rng.sample(numbers, min(len(numbers), rng.choice((1, 1, 2, 3)))):
-                at(section, inner[:-1])[inner[-1]] = number_near(rng, at(section, inner))
-                told.append(".".join(map(str, inner)))
+        section = here.get(key[-1], {}) if isinstance(here, dict) else here[key[-1]]
+        numbers = [k for k in keys_of(section) if isinstance(at(section, k), int | float)]
+        told: list[str] = []
+        for inner in rng.sample(numbers, min(len(numbers), rng.choice((1, 1, 2, 3)))):
+            at(section, inner[:-1])[inner[-1]] = number_near(rng, at(section, inner))
+            told.append(".".join(map(str, inner)))
         path.write_bytes(self.text_of(data))
         return f"{'.'.join(map(str, key))}: {', '.join(told)}"
 
@@ -164,8 +167,8 @@ def at(data: Any, key: Key) -> Any:
     return data
 
 
-def _weighed(path: Path, overrides: tuple[str, ...], again: bool, by_needs: bool) -> str:
-    scenario = load_scenario(path, overrides)
+def _weighed(path: Path, again: bool, by_needs: bool) -> str:
+    scenario = load_scenario(path)
     if again:
         plain = json.loads(scenario.resolved())
         path.with_name("again.yaml").write_text(written(plain), encoding="utf-8")

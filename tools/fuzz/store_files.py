@@ -8,18 +8,18 @@ import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import zarr as _zarr
 from cases import Case
 from mutations import broken, nasty
-from store_damages import KINDS, change, drawn, seal_anew
+from store_damages import KINDS, change, contents, drawn, seal_anew
 from valid_scans import OLD, SCANS, make_scans
 
-from twinct import load_scan, reconstruct
+from twinct import load_scan, reconstruct, run
 from twinct.core.errors import InputError
-from twinct.runs import Folder, verify
+from twinct.runs import Folder, import_scan, verify
 from twinct.runs.job import finished_run
 from twinct.runs.reconstruction_folder import stored_reconstructions
 from twinct.runs.repair import resumable
@@ -44,9 +44,19 @@ CODECS: tuple[Any, ...] = (
     {"name": "numcodecs.pickle"},
 )
 
+RUNS_AGAIN = 0.25
+"""Share of the scans of the gantry that are run again to their end."""
+
+Mend = Literal["not", "resume", "run"]
+"""What a case does with a damaged scan: leave it, repair its frame, or run it to its end."""
+
 
 class Kind:
-    """A scan of each kind, damaged, then verified, read, reconstructed and resumed."""
+    """A scan of each kind, damaged, then verified, read, reconstructed and resumed.
+
+    Of a store with digests, ``verify`` names each change, only the original data are read, and a
+    resume restores the original files.
+    """
 
     seconds = 30.0
     memory_bytes = 2 * 2**30
@@ -60,10 +70,9 @@ class Kind:
     def case(self, rng: random.Random, folder: Path) -> Case:
         """Make a case with one or two damages to a scan."""
         name = rng.choice(list(self._whole))
-        run = folder / "run"
-        shutil.copytree(self._material / name, run)
+        shutil.copytree(self._material / name, folder / "run")
         scenario = self._material / name / "scenario.yaml"
-        store, told = run / "scan.zarr", [name]
+        store, told = folder / "run" / "scan.zarr", [name]
         for _ in range(rng.choice((1, 1, 2))):
             kind = rng.choice(list(DAMAGES))
             told.append(kind)
@@ -75,21 +84,34 @@ class Kind:
         if sealed:
             told.append("digests anew")
             seal_anew(store)
-        whole = None if sealed or name in OLD else self._whole[name]
-        mend = name != "arms"  # mending a scan of arms would plan its motion
-        return Case(", ".join(told), lambda: _used(run, scenario, whole, mend=mend))
+        whole = None if sealed or name in OLD else self._material / name
+        mend: Mend = "not"  # mending a scan of arms would plan its motion
+        if name != "arms":
+            mend = "run" if name == "gantry" and rng.random() < RUNS_AGAIN else "resume"
+        return Case(", ".join(told), lambda: self._used(folder / "run", scenario, whole, mend))
+
+    def _used(self, path: Path, scenario_file: Path, whole: Path | None, mend: Mend) -> str:
+        """Verify, read, reconstruct and resume a scan as a user does; each step may be refused."""
+        data = None if whole is None else self._whole[whole.name]
+        files = None if whole is None else contents(whole / "scan.zarr")
+        words = [
+            _word(lambda: _verified(path, files)),
+            _word(lambda: _read(path, data)),
+            _word(lambda: _finished(path)),
+            _word(lambda: _reconstructed(path)),
+            _word(lambda: _imported(path)),
+            _word(lambda: _resumed(path, scenario_file, mend=mend != "not")),
+        ]
+        if mend == "run":
+            _word(lambda: _run_again(path, scenario_file, files))
+        return "read" if words[1] != "refused" else "refused"
 
 
-def _used(path: Path, scenario_file: Path, whole: bytes | None, *, mend: bool) -> str:
-    """Verify, read, reconstruct and resume a scan as a user does; each step may be refused."""
-    words = [
-        _word(lambda: verify(path)),
-        _word(lambda: _read(path, whole)),
-        _word(lambda: _finished(path)),
-        _word(lambda: _reconstructed(path)),
-        _word(lambda: _resumed(path, scenario_file, mend=mend)),
-    ]
-    return "read" if words[1] != "refused" else "refused"
+def _verified(path: Path, files: dict[str, Any] | None) -> None:
+    now, said = contents(path / "scan.zarr"), verify(path)
+    changed = {n for n, data in (files or {}).items() if data != "folder" and now.get(n) != data}
+    if changed and not said.problems:
+        raise AssertionError(f"not named: {', '.join(sorted(changed)[:3])}")
 
 
 def _word(act: Callable[[], object]) -> str:
@@ -136,14 +158,20 @@ def _read(path: Path, whole: bytes | None) -> None:
 
 
 def _finished(path: Path) -> None:
-    run = finished_run(Folder(path))
-    _ = run.figures, run.volume, run.scan.believed
-    stored_reconstructions(run.paths.reconstructions)
+    finished = finished_run(Folder(path))
+    _ = finished.figures, finished.volume, finished.scan.believed
+    stored_reconstructions(finished.paths.reconstructions)
 
 
 def _reconstructed(path: Path) -> None:
     if not np.isfinite(reconstruct(load_scan(path)).array).all():
         raise AssertionError("a volume that is not finite")
+
+
+def _imported(path: Path) -> None:
+    if (path / "scan.mcap").exists():  # runs of version 0.1 have none
+        import_scan([path / "scan.mcap"], path.parent / "imported")
+        everything(load_scan(path.parent / "imported"))
 
 
 def _resumed(path: Path, scenario_file: Path, *, mend: bool) -> None:
@@ -157,6 +185,23 @@ def _resumed(path: Path, scenario_file: Path, *, mend: bool) -> None:
     for views in store.missing:
         if views.start and not np.isfinite(store.state(views.start - 1)).all():
             raise AssertionError("a state that is not finite was accepted")
+
+
+def _run_again(path: Path, scenario_file: Path, files: dict[str, Any] | None) -> None:
+    """Run with ``--resume``: the store is whole again, or refused and unchanged."""
+    store = path / "scan.zarr"
+    before = contents(store)
+    try:
+        run(load_scenario(scenario_file), path, link="local", resume=True)
+    except InputError:
+        if contents(store) != before:
+            raise AssertionError("refused, but changed") from None
+        raise
+    now = contents(store)
+    if lost := [name for name, data in (files or {}).items() if now.get(name) != data]:
+        raise AssertionError(f"resumed, but differs in {', '.join(lost[:3])}")
+    if lost := [name for name in before.keys() - (files or before).keys() if name not in now]:
+        raise AssertionError(f"resumed, but lost {', '.join(lost[:3])}")
 
 
 def _values(rng: random.Random, path: Path) -> None:

@@ -26,7 +26,6 @@ from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.resection import PARAMETERS, Resection, moved, resected
 from twinct.calibration.shadows import Shadows, measured, spots
 from twinct.calibration.tracks import Tracks, tracked
-from twinct.core.renamed import old_names
 from twinct.robots.calibrated_arms import CalibratedArms, Change, frames_of, require_same_arms
 
 __all__ = [
@@ -72,5 +71,3 @@ __all__ = [
     "self_calibrated",
     "spots",
 ]
-
-__getattr__ = old_names(__name__, {"Seen": "PhantomViews", "Untold": "UndeterminedByArm"})

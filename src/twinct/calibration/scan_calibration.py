@@ -29,7 +29,6 @@ from twinct.core.errors import CalibrationError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
 from twinct.core.foreign_text import quoted
 from twinct.core.progress import Progress
-from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, VolumeGrid
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience, Observers, audience_of
@@ -65,7 +64,6 @@ class SelfCalibrated:
     after: Aligned
     start: EpipolarConsistency | None = None
     started: Aligned | None = None
-    found = old_attribute("found", "estimate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +79,6 @@ class OnlineCalibrated:
     estimate: OnlineCalibration
     believed: Aligned
     after: Aligned
-    found = old_attribute("found", "estimate")
 
 
 def phantom_of(scenario: Scenario) -> BallPhantom:

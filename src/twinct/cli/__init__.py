@@ -119,13 +119,11 @@ def _code_of(arguments: list[str]) -> int:
 
             arguments = take_ros_arguments(arguments)
         from twinct.cli.commands import app, check_names, overview
-        from twinct.cli.old_spelling import respelled
 
         alone = arguments in ([], ["-h"], ["--help"])
         if arguments[:1] == ["--completion"]:
             arguments = ["--tyro-print-completion", *arguments[1:]]
         elif not alone:
-            arguments = respelled(arguments)
             check_names(arguments)
         (overview() if alone else app).cli(
             prog="twinct",

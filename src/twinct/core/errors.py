@@ -12,7 +12,6 @@ from typing import Any
 
 from twinct.core.foreign_text import stated
 from twinct.core.installation import install_command
-from twinct.core.renamed import old_attribute, old_names
 
 
 class TwinctError(Exception):
@@ -94,8 +93,6 @@ class DamagedError(InputError):
         damages: the damages, each a ``twinct.scan.manifest.Damage``.
     """
 
-    found = old_attribute("found", "damages")
-
     def __init__(self, problems: Iterable[str], damages: Iterable[Any]) -> None:
         """Store the problems and the damages."""
         super().__init__(problems)
@@ -156,6 +153,3 @@ class TargetRefusedError(MotionError):
 
 class LinkError(TwinctError):
     """The link between the simulations broke: a process died or did not answer."""
-
-
-__getattr__ = old_names(__name__, {"NoWayError": "NoPathError"})

@@ -5,7 +5,6 @@ in the grid's own frame, in which every grid is axis-aligned and centred on the 
 toolkit need not support shifted or rotated grids.
 """
 
-from twinct.core.renamed import old_names
 from twinct.exchange.bundle import bundle_bytes, write_bundle
 from twinct.exchange.format import Bundle, Format, Values
 from twinct.exchange.formats import BUILT_IN, FormatName, format_named, formats
@@ -21,5 +20,3 @@ __all__ = [
     "formats",
     "write_bundle",
 ]
-
-__getattr__ = old_names(__name__, {"TOOLKITS": "BUILT_IN", "Toolkit": "FormatName"})

@@ -7,7 +7,6 @@ geometries and images are bit-identical.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import overload
@@ -186,11 +185,3 @@ class JointSample:
     def __post_init__(self) -> None:
         """Lock the arrays."""
         lock(self, "position", "velocity", "effort")
-
-
-def __getattr__(name: str) -> type[PosePairs]:
-    """Return what has another name now, with a warning."""
-    if name not in ("Target", "Instant"):
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    warnings.warn(f"{__name__}.{name} is now {__name__}.PosePairs", DeprecationWarning, 2)
-    return PosePairs

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.pictures import show
-from twinct.core.renamed import old_attribute
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.measured.circle import Circle
 from twinct.measured.corrections import Corrections, corrections
@@ -119,7 +118,6 @@ class Ranking:
     """Candidates by classes of equal residuals, the best class first."""
 
     classes: tuple[tuple[Tried, ...], ...]
-    told = old_attribute("told", "notes")
 
     @property
     def notes(self) -> tuple[str, ...]:

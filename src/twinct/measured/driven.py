@@ -24,7 +24,6 @@ from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import complete, storage_errors, write_json
 from twinct.core.foreign_text import quoted
-from twinct.core.renamed import old_attribute
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
@@ -101,7 +100,6 @@ class Driven:
     lag_ms: float | None
     notes: tuple[str, ...]
     views: int
-    told = old_attribute("told", "notes")
 
 
 def is_driven(paths: Sequence[Path], choice: ArmsRecording) -> bool:

@@ -16,7 +16,6 @@ from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, remove_folder, storage_errors
-from twinct.core.renamed import old_attribute
 from twinct.evaluation import coarse, views_needed
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs, Reached
@@ -63,7 +62,6 @@ class Imported:
     scenario: Scenario
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
-    told = old_attribute("told", "notes")
 
 
 def import_measured(

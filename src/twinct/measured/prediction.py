@@ -29,7 +29,6 @@ from twinct.core.files.writing import (
 )
 from twinct.core.foreign_text import counted
 from twinct.core.interruption import keeping
-from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.measured.predicted_mesh import check_seen
 from twinct.measured.prediction_picture import show_prediction
@@ -78,7 +77,6 @@ class Prediction:
     geometry: str
     residuals: Residuals
     path: Path
-    told = old_attribute("told", "notes")
 
     @property
     def notes(self) -> tuple[str, ...]:

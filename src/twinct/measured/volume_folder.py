@@ -17,7 +17,6 @@ from twinct.core.files.boundary import no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import complete, remove_folder, storage_errors, write_json
-from twinct.core.renamed import old_attribute
 from twinct.measured.judgement import Judgement, judge_volume
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
@@ -71,7 +70,6 @@ class MeasuredVolume:
     residuals: tuple[float, ...]
     seconds: float
     path: Path = field(compare=False)
-    told = old_attribute("told", "description")
 
     @property
     def volume(self) -> Volume:

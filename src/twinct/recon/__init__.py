@@ -1,6 +1,5 @@
 """Reconstruction: projector, algorithms, and RTK's SART for comparison."""
 
-from twinct.core.renamed import old_names
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem
 from twinct.recon.cgls import cgls
 from twinct.recon.fast import fast
@@ -63,5 +62,3 @@ __all__ = [
     "without_metal",
     "without_surroundings",
 ]
-
-__getattr__ = old_names(__name__, {"FoundImplant": "FittedImplant"})

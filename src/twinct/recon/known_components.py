@@ -29,7 +29,6 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
-from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.recon.checks import Checks, Mask, mask_of
 from twinct.recon.engine import Singles
@@ -162,7 +161,6 @@ class WithoutImplants:
     line_integrals: Singles
     background: Singles
     fitted: tuple[FittedImplant, ...]
-    found = old_attribute("found", "fitted")
 
 
 def without_implants(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -239,7 +238,6 @@ class Volume(NDArrayOperatorsMixin):
         *,
         to: str | None = None,
         facts: VolumeFacts | None = None,
-        **old: Any,
     ) -> None:
         """Write the volume as a file or a folder, which appears only when it is complete.
 
@@ -251,7 +249,6 @@ class Volume(NDArrayOperatorsMixin):
             note: one line on the origin of the volume.
             to: name of a format, such as ``dicom``; None: by the ending.
             facts: further facts, such as the unit of the voxels; 1/mm by default.
-            **old: ``told``, the old name of ``facts``.
 
         Raises:
             InputError: the ending or the format is unknown.
@@ -267,7 +264,7 @@ class Volume(NDArrayOperatorsMixin):
 
         path = Path(path)
         form = volume_format_named(to) if to else format_of_name(path, volume_formats().values())
-        facts = _renamed(facts, old) or VolumeFacts()
+        facts = facts or VolumeFacts()
         facts = replace(facts, note=note or facts.note)
         if path.is_dir():
             raise ScanExistsError(f"{path} exists already: choose another name")
@@ -311,13 +308,3 @@ def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:
         )
     middle = affine @ [*((np.array(shape[::-1]) - 1) / 2), 1.0]
     return VolumeGrid(shape, edges, Pose.from_matrix(middle[:3], linear / edges))
-
-
-def _renamed(facts: VolumeFacts | None, old: dict[str, Any]) -> VolumeFacts | None:
-    """Return the argument ``facts`` of ``Volume.write``, also by its old name ``told``."""
-    if unknown := [name for name in old if name != "told"]:
-        raise TypeError(f"Volume.write() got an unexpected keyword argument {unknown[0]!r}")
-    if old:
-        text = "Volume.write(told=...) is now Volume.write(facts=...)"
-        warnings.warn(text, DeprecationWarning, stacklevel=3)
-    return old.get("told", facts)

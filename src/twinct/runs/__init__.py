@@ -1,6 +1,5 @@
 """Runs: from a scenario to a scan, a volume and its figures, in memory or in a folder."""
 
-from twinct.core.renamed import old_names
 from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
 from twinct.runs.checks import (
     check_geometries,
@@ -63,7 +62,3 @@ __all__ = [
     "truth_of",
     "verify",
 ]
-
-__getattr__ = old_names(
-    __name__, {"reconstruct_again": "reconstruct_run", "report_again": "rewrite_report"}
-)

@@ -17,7 +17,6 @@ from twinct.core.files.arrays import read_npz
 from twinct.core.files.boundary import no_file
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import complete, write_json
-from twinct.core.renamed import old_attribute
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
 from twinct.report import CrossSection, plain, with_results
@@ -65,8 +64,6 @@ class Reconstruction:
     slices: Mapping[str, CrossSection]
     path: Path
     results: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    found = old_attribute("found", "results")
-    told = old_attribute("told", "description")
 
     @property
     def description(self) -> str:

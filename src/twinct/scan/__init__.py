@@ -1,6 +1,5 @@
 """Acquisition: the rig protocol, the rig in one process, the scan and its store."""
 
-from twinct.core.renamed import old_names
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.builder import SimulationBuilder
 from twinct.scan.damage import frame_damage, unknown_files, view_damage
@@ -44,5 +43,3 @@ __all__ = [
     "view_damage",
     "write_frame",
 ]
-
-__getattr__ = old_names(__name__, {"Workshop": "SimulationBuilder"})

@@ -16,7 +16,6 @@ import numpy as np
 
 from twinct.core.cached import once
 from twinct.core.errors import InputError
-from twinct.core.renamed import old_attribute
 from twinct.geometry import Floats, Pose, ScanGeometry, fibonacci_directions
 from twinct.geometry.wire import PosePairs, places_m, targets_of
 from twinct.robots.gantry import Gantry
@@ -89,8 +88,6 @@ class SimulationBuilder:
     def requested(self) -> ScanGeometry:
         """Views that the trajectory requests, in its order."""
         return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
-
-    asked = old_attribute("asked", "requested")
 
     @cached_property
     def commanded(self) -> ScanGeometry:

@@ -15,7 +15,6 @@ from twinct.core.errors import InputError
 from twinct.core.extras import optional
 from twinct.core.files.pictures import show
 from twinct.core.foreign_text import counted, quoted
-from twinct.core.renamed import old_attribute
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.recon.few_photons import integrals_of_photons
@@ -138,8 +137,6 @@ class Scan:
         Equal to ``executed`` if the controllers' model has no errors.
         """
         return nominal_poses(self.scenario, self.commanded, self.executed, self.joints)
-
-    told = old_attribute("told", "nominal")
 
     @property
     def stands(self) -> Pose:

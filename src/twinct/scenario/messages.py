@@ -20,7 +20,6 @@ from twinct.scenario.scenario import Scenario
 from twinct.scenario.specimen import PART_KINDS
 from twinct.scenario.task import BROKEN_OBJECTIVES
 from twinct.scenario.uncertainty import BROKEN_TERMS
-from twinct.scenario.version_0_1 import advice
 from twinct.trajectory.families import families
 
 _BROKEN: dict[Key, dict[str, str]] = {
@@ -153,7 +152,7 @@ def _sentence(
     given: Any = detail["input"]
     if kind == "extra_forbidden":
         broken = _BROKEN.get(key[:-1], {}).get(str(key[-1]))
-        return advice(key, given) or broken or _unknown_key(key, model, others)
+        return broken or _unknown_key(key, model, others)
     if kind == "missing" and is_list(given):
         length = _length(model, key) or detail["loc"][-1] + 1
         return f"must have {length} entries, but has {len(given)}: {shown(given)}"

@@ -70,11 +70,3 @@ def _in_order(value: Any) -> Any:
     places = {key: place for place, key in enumerate(_ORDER)}
     ordered = sorted(section, key=lambda key: places.get(key, len(_ORDER)))
     return {key: _in_order(section[key]) for key in ordered}
-
-
-def advice(key: tuple[str | int, ...], value: Any) -> str:
-    """Return advice about a key of version 0.1 that no longer exists; empty for any other key."""
-    if key != ("reconstruction", "engine"):
-        return ""
-    instead = "use algorithm: rtk_sart" if value == "rtk" else "leave it out"
-    return f"this key no longer exists: {instead}"

@@ -1,8 +1,7 @@
 """Work in other processes of this machine; ``twinct.workers.cluster`` uses several machines."""
 
-from twinct.core.renamed import old_names
 from twinct.workers.local import LocalPool
-from twinct.workers.mapping import each, map_over
+from twinct.workers.mapping import map_over
 from twinct.workers.work import (
     Artifact,
     Died,
@@ -11,7 +10,6 @@ from twinct.workers.work import (
     Failed,
     Place,
     Pool,
-    WithArtifacts,
     Work,
 )
 
@@ -21,13 +19,9 @@ __all__ = [
     "Event",
     "Failed",
     "LocalPool",
-    "WithArtifacts",
     "Artifact",
     "Place",
     "Pool",
     "Work",
-    "each",
     "map_over",
 ]
-
-__getattr__ = old_names(__name__, {"Made": "WithArtifacts", "Parcel": "Artifact"})

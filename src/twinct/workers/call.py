@@ -12,7 +12,7 @@ from typing import Any
 
 from twinct.core.errors import InputError, MemoryShortageError, TwinctError
 from twinct.workers.artifact import LocalArtifact
-from twinct.workers.work import Done, Failed, Place, Pool, WithArtifacts, Work
+from twinct.workers.work import Done, Failed, Place, Pool, Work
 
 
 class _ByNames(pickle.Pickler):
@@ -73,10 +73,6 @@ def call(request: bytes, place: Place) -> Done | Failed:
         function, argument = pickle.loads(task)
         value = function(argument, place)
         seconds = time.monotonic() - begun
-        if isinstance(value, WithArtifacts):
-            for name, path in value.artifacts.items():
-                place.attach(name, path)
-            value = value.value
         artifacts = {name: LocalArtifact(path.absolute()) for name, path in place.attached.items()}
         for name, artifact in artifacts.items():
             if not artifact.path.exists():

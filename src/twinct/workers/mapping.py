@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -59,26 +58,14 @@ def map_over(
     return _in_order(pool, work, arguments)
 
 
-def each(
-    pool: Pool, source: Iterable[Work | None], deaths: int = DEATHS
-) -> Iterator[Done | Failed]:
-    """Call ``map_over(None, source, pool=pool)``, the new name, with another number of deaths."""
-    warnings.warn(
-        "each(pool, works) is now map_over(None, works, pool=pool)", DeprecationWarning, 2
-    )
-    return _as_they_arrive(pool, source, deaths)
-
-
-def _as_they_arrive(
-    pool: Pool, source: Iterable[Work | None], deaths: int = DEATHS
-) -> Iterator[Done | Failed]:
+def _as_they_arrive(pool: Pool, source: Iterable[Work | None]) -> Iterator[Done | Failed]:
     under_way: dict[str, Work] = {}
     killed: Counter[str] = Counter()
 
     def result(event: Event) -> Done | Failed | None:
         if isinstance(event, Died):
             killed[event.key] += event.blamed
-            if (count := killed[event.key]) < deaths:
+            if (count := killed[event.key]) < DEATHS:
                 pool.submit(under_way[event.key])
                 return None
             problem = f"killed its worker {count} times: {event.how}"

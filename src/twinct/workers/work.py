@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, Self
 
@@ -57,19 +56,6 @@ class Work:
     argument: Any
     memory_bytes: int = 0
     inputs: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class WithArtifacts:
-    """A value, and files or folders that are sent back with it: ``Place.attach`` replaces it."""
-
-    value: Any
-    artifacts: Mapping[str, Path] = field(default_factory=dict[str, Path])
-
-    def __post_init__(self) -> None:
-        """Warn: the class stays for programs that were written before ``Place.attach``."""
-        text = "instead of WithArtifacts, call place.attach(name, path), and return the value"
-        warnings.warn(text, DeprecationWarning, stacklevel=3)
 
 
 class Artifact(Protocol):

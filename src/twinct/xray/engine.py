@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,22 +28,6 @@ class SceneBody(NamedTuple):
     vertices: Floats
     faces: NDArray[np.integer]
     mu_per_mm: float | None = None
-
-
-class SceneView(NamedTuple):
-    """One view as engines with a method ``expose`` took it; they still work (``SceneViewEngine``).
-
-    Attributes:
-        source: focal spot, (3,), mm.
-        centre: centre of the panel, (3,), mm.
-        u: unit vector along increasing columns, (3,).
-        v: unit vector along increasing rows, (3,), at right angles to ``u``.
-    """
-
-    source: Floats
-    centre: Floats
-    u: Floats
-    v: Floats
 
 
 class XrayEngine(Protocol):
@@ -119,24 +103,3 @@ class EngineChoice:
     modules: tuple[str, ...] = ()
     memory_bytes: int = 0
     check: Callable[[], object] = field(default=lambda: None)
-
-
-class SceneViewEngine:
-    """Engine of another package with a method ``expose`` and views as ``SceneView``."""
-
-    def __init__(self, old: Any) -> None:
-        """Take the engine."""
-        self._old = old
-        self.prepare, self.acquire, self.release = old.prepare, old.acquire, old.release
-
-    def render(self, view: ScanGeometry, image: NDArray[np.float32]) -> None:
-        """See ``XrayEngine.render``."""
-        self._old.expose(_scene_view(view), image)
-
-    def path_lengths(self, view: ScanGeometry, body: int, lengths: NDArray[np.float32]) -> None:
-        """See ``XrayEngine.path_lengths``."""
-        self._old.path_lengths(_scene_view(view), body, lengths)
-
-
-def _scene_view(view: ScanGeometry) -> SceneView:
-    return SceneView(view.source[0], view.detector[0], view.u[0], view.v[0])

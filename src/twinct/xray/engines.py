@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import warnings
-from dataclasses import replace
 from functools import cache
 from importlib.util import find_spec
 
@@ -12,7 +10,7 @@ from twinct.core.errors import InputError
 from twinct.core.extensions import Offers, offers
 from twinct.core.foreign_text import quoted
 from twinct.xray.cuda_mesh import CUDA_MESH
-from twinct.xray.engine import EngineChoice, SceneViewEngine
+from twinct.xray.engine import EngineChoice
 from twinct.xray.gvxr import GVXR
 from twinct.xray.mesh import MESH
 
@@ -48,10 +46,6 @@ def engine_named(name: str) -> EngineChoice:
             "installed here "
             f"(allowed without: {', '.join(free)})"
         )
-    if not hasattr(choice.engine, "render"):
-        engine = type(choice.engine).__name__
-        warnings.warn(f"{engine}.expose is now {engine}.render", DeprecationWarning, stacklevel=2)
-        return replace(choice, engine=SceneViewEngine(choice.engine))
     return choice
 
 

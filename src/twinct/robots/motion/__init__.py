@@ -3,7 +3,6 @@
 MuJoCo, mink and Ruckig are imported on first use, not together with this package.
 """
 
-from twinct.core.renamed import old_names
 from twinct.robots.motion.gate import Gate, gate_of
 from twinct.robots.motion.joint_goal import GoalError, JointGoal, goal_of
 from twinct.robots.motion.kinematics import IkResult, Kinematics
@@ -55,7 +54,3 @@ __all__ = [
     "shortest_tour",
     "speeds_of",
 ]
-
-__getattr__ = old_names(
-    __name__, {"Asked": "RequestedViews", "Way": "JointPath", "find_way": "find_joint_path"}
-)

@@ -1,6 +1,5 @@
 """Reach of the arms, their best placement, and the diagnosis of infeasible views."""
 
-from twinct.core.renamed import old_names
 from twinct.robots.reach.cures import CureSearch
 from twinct.robots.reach.holding import Holder, Poses
 from twinct.robots.reach.place import Bounds, Placement, place
@@ -21,5 +20,3 @@ __all__ = [
     "reasons",
     "shown",
 ]
-
-__getattr__ = old_names(__name__, {"View": "HeldView"})

@@ -1,4 +1,4 @@
-"""Fuzzing of joint trajectories: legal goals of a foreign planner, one after the other.
+"""Legal joint trajectories of a foreign planner, one after the other.
 
 Each moves the joints that it names, and no other. The judge of what is legal shares no code with
 twinct's gate: it samples the interpolation of SciPy against the limits.
@@ -8,19 +8,13 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.interpolate
-from cases import Case
 
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.motion import PursuingSimulation, goal_of
-from twinct.scan import SimulationBuilder
-from twinct.scenario import load_scenario
-
-ROOT = Path(__file__).parents[2]
 
 MOVED_DEG = 0.01
 """Largest distance between the rests of a joint that a goal does not name."""
@@ -39,9 +33,6 @@ SETTLED_S = 0.5
 
 SAMPLES = 400
 """Samples by which a goal is judged."""
-
-SLOW = ("motion.tool_speed_mm_s=40",)
-"""A scan whose plan lasts longer than the goals of a chain, so that it might go on."""
 
 FORMS = ("line", "cubic", "quintic")
 
@@ -166,38 +157,3 @@ class Chain:
         if not self.moved_deg <= MOVED_DEG:
             worst = self._simulation.joint_names[int(off.argmax())]
             raise AssertionError(f"{worst} moves by {off.max():.4f} deg, but is not named")
-
-
-class Kind:
-    """Legal goals, mixed with exposures and cancels."""
-
-    seconds = 60.0
-    memory_bytes = 2 * 2**30
-
-    def __init__(self, material: Path) -> None:
-        """Plan the scan that no goal may follow."""
-        del material
-        scenario = load_scenario(ROOT / "scenarios" / "demo.yaml", SLOW)
-        builder = SimulationBuilder(scenario)
-        robots, plan = builder.robots(), builder.plan
-        assert isinstance(robots, PursuingSimulation) and plan is not None
-        self._robots, self._plan = robots, plan
-        self._goals = Goals(builder.cell, scenario.motion.acceleration_deg_s2)
-
-    def case(self, rng: random.Random, folder: Path) -> Case:
-        """Make a chain that begins at home."""
-        del folder
-        acts = [rng.choice(("goal", "goal", "cancel", "expose")) for _ in range(rng.randint(1, 3))]
-        acts.append("goal")
-        return Case(", ".join(acts), lambda: self._run(rng, acts))
-
-    def _run(self, rng: random.Random, acts: list[str]) -> str:
-        self._robots.follow(self._plan)
-        chain = Chain(self._robots, self._goals)
-        for act in acts:
-            if act == "expose":
-                chain.expose()
-            else:
-                chain.follow(rng, cancel=act == "cancel")
-        chain.end()
-        return f"{chain.followed} goals"

@@ -1,6 +1,6 @@
 """Draw docs/images/algorithms.png and truncation.png: the demo's skull from every algorithm.
 
-    python tools/picture_algorithms.py
+    python docs/pictures/algorithms.py
 
 gVXR renders the projections from the commanded poses. The first picture has Poisson noise of 1e4
 photons per pixel; there, fdk uses an arc with the same number of views.
@@ -33,7 +33,7 @@ from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 IMAGES = ROOT / "docs" / "images"
 PHOTONS, SEED = 1e4, 1
 ARC = "trajectory={kind: arc, views: 100, longitude_range_deg: 212}"

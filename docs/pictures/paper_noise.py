@@ -1,7 +1,7 @@
 """Make the table and picture of docs/paper_noise.md from examples/studies/paper_noise.yaml.
 
     twinct study examples/studies/paper_noise.yaml --out out/paper_noise
-    python tools/picture_paper_noise.py out/paper_noise
+    python docs/pictures/paper_noise.py out/paper_noise
 
 Given the folder of the study, store its figures in benchmarks/results/paper_noise.csv; otherwise
 read them from there. Draw the picture and print the table: mean and half the 95 % interval over ten
@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from twinct import load_results
 from twinct.report.repetitions import mean_of
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 KEPT = ROOT / "benchmarks" / "results" / "paper_noise.csv"
 PICTURE = ROOT / "docs" / "images" / "paper_noise.png"
 SIGMA, ITERATIONS = "sigma / mm", "reconstruction.iterations"

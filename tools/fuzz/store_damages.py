@@ -1,7 +1,4 @@
-"""Damage the files of a scan store in many ways, and restore them.
-
-``damage_store.py`` and the kind ``stores`` of ``fuzz`` use these functions.
-"""
+"""Damage to the files of a scan store, of many kinds."""
 
 import contextlib
 import hashlib
@@ -190,30 +187,3 @@ KINDS = {
     **{"folder": folder_missing, "exchanged": exchanged, "copied": copied},
     **{"other kind": other_kind, "metadata": metadata, "resealed": resealed, "added": added},
 }
-
-
-def restore(path, kept):
-    """Restore the store to its former contents, whatever its present state."""
-    for link in [p for p in path.rglob("*") if p.is_symlink()]:
-        link.unlink()
-    now = contents(path) if path.is_dir() and not path.is_symlink() else {}
-    if not now:
-        with contextlib.suppress(OSError):
-            path.unlink()
-        path.mkdir(exist_ok=True)
-    for name in sorted(now, reverse=True):
-        if kept.get(name) != now[name]:
-            there = path / name
-            shutil.rmtree(there) if now[name] == "folder" else there.unlink(missing_ok=True)
-    for name, data in kept.items():
-        there = path / name
-        if data == "folder":
-            there.mkdir(exist_ok=True)
-        elif not there.exists():
-            there.write_bytes(data)
-
-
-def differ(one, other):
-    """Return the names of the first four entries that differ."""
-    names = [n for n in sorted(one.keys() | other.keys()) if one.get(n) != other.get(n)]
-    return ", ".join(names[:4])

@@ -1,6 +1,6 @@
 """Draw docs/images/trajectories.png: source positions of each family of trajectories.
 
-python tools/picture_trajectories.py
+python docs/pictures/trajectories.py
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twinct.geometry import Panel
 from twinct.scenario import AnyTrajectory
 from twinct.trajectory import commanded_views
 
-PICTURE = Path(__file__).parents[1] / "docs" / "images" / "trajectories.png"
+PICTURE = Path(__file__).parents[2] / "docs" / "images" / "trajectories.png"
 PANEL = Panel(480, 640, 0.5, 0.5)
 SHOWN: dict[str, dict[str, Any]] = {
     "sinusoid": {},

@@ -1,11 +1,9 @@
-"""Write docs/scenario.md: every key of a scenario, from the models that validate it."""
+"""Tables of docs/scenario.md: every key of a scenario, from the models that validate it."""
 
 from __future__ import annotations
 
 import inspect
-import sys
 import typing
-from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel
@@ -14,120 +12,6 @@ from pydantic_core import PydanticUndefined
 from twinct.scenario import Reconstruction, Scenario
 from twinct.scenario.digests import STAGES, declared
 from twinct.scenario.reconstruction import SECTIONS, own_keys
-
-PAGE = Path(__file__).parents[1] / "docs" / "scenario.md"
-
-HEAD = """# Scenario reference
-
-One YAML file describes a whole simulation. This page is generated from the models that validate the
-file (`make docs`); `twinct schema` prints these models as a JSON Schema, for editors:
-
-```yaml
-# yaml-language-server: $schema=twinct.schema.json
-extends: paper.yaml     # build on another file, relative to this one
-trajectory: {views: 100}
-```
-
-`extends` merges mappings key by key and replaces everything else; a section whose `kind` changes
-starts afresh. A new `algorithm` inherits the keys that it shares with the previous one, such as the
-number of iterations; the other inherited keys are dropped with a note in the log. Keys of another
-algorithm that you set together with the algorithm, or later, are refused. `--set KEY=VALUE` on the
-command line overrides a key: `--set specimen.parts.0.material=water`. Unknown keys are refused.
-Lengths are in mm and angles in degrees, as the name of each key says. A `path` is relative to the
-file that names it.
-
-Files use a plain subset of YAML 1.2: mappings, lists, texts, numbers, `true`, `false` and `null`.
-`no`, `2020-01-01`, `1:30` and `1_000` are texts. Anchors, aliases, tags, merge keys and repeated
-keys are refused, and so are files of more than 1 MB, 20 levels or 100,000 values. A length is
-between 1e-6 and 1e6 mm. A scenario that does not fit into the memory, or a body that cannot be
-built, is refused before work starts; the message names the key.
-
-The column *source* says where a default or a definition comes from: "the paper" is that of Freiling
-et al. ([how we read it](paper.md)); an empty cell means that the value is our choice. The pictures
-show the built-in skull without and with the effect of a key, and the difference
-([more about each](physics.md)).
-"""
-
-ANEW = """## What a changed key computes again
-
-Each stage has a digest of the keys that it reads (unless they have their default), of the content
-of its files, and of the stages before it. A result is reused as long as this digest stays the same.
-The name, the description and the names of the parts never count. `seed` counts for a stage that
-draws random numbers: images with noise or random bad pixels, a volume with the views in random
-order, executed poses with errors, and believed poses with noise unless `uncertainty.seed` is set.
-`uncertainty.seed` changes only the believed poses, and a volume that is made from them.
-"""
-
-EXTENSIONS = """## Extensions of your own
-
-Your package can add algorithms, trajectories, objectives of a plan, figures, error terms, X-ray
-engines and export formats. The package names them as entry points. Once it is installed
-(`pip install .` in its folder), the command line, the ROS 2 nodes and Python all know them:
-
-```toml
-[project.entry-points."twinct.algorithms"]
-landweber = "my_package.landweber:LANDWEBER"
-[project.entry-points."twinct.trajectories"]
-zigzag = "my_package.zigzag:ZIGZAG"
-[project.entry-points."twinct.objectives"]
-level = "my_package.level:LEVEL"
-[project.entry-points."twinct.figures"]
-tails = "my_package.tails:TAILS"
-[project.entry-points."twinct.xray_engines"]
-analytic = "my_package.analytic:ANALYTIC"
-[project.entry-points."twinct.errors"]
-sag = "my_package.sag:SAG"
-[project.entry-points."twinct.exports"]
-mine = "my_package.mine:MINE"
-```
-
-A trajectory, for example, is its keys, a function, and a `Family`:
-
-```python
-from typing import Literal
-
-import numpy as np
-from pydantic import Field
-
-from twinct.geometry import Panel, ScanGeometry
-from twinct.trajectory import Family, OrbitSettings, on_sphere, orbit_views, stops
-
-
-class Zigzag(OrbitSettings):
-    \"\"\"An arc whose views lie above and below it in turn.\"\"\"
-
-    kind: Literal["zigzag"]
-    range_deg: float = Field(default=20.0, gt=0, le=360, description="Arc of longitude.")
-    latitude_deg: float = Field(default=2.0, ge=0, lt=90, description="Above and below.")
-
-
-def views(section: Zigzag, panel: Panel) -> ScanGeometry:
-    longitude = section.centre_longitude_deg + section.range_deg * (stops(section.views) - 0.5)
-    latitude = section.latitude_deg * (-1.0) ** np.arange(section.views)
-    path = on_sphere(np.radians(longitude), np.radians(latitude), section.sod_mm)
-    return orbit_views(section, panel, path)
-
-
-ZIGZAG = Family(Zigzag, views)
-```
-
-`OrbitSettings` has the keys that all orbits share; `TrajectorySettings` has none. The name of an
-entry point is the name in a scenario: the value of `kind`, `algorithm` or `xray.engine`, a key of
-`task` or `evaluation`, or the value of `--to`. The other kinds:
-
-- [an algorithm](howto/own_algorithm.md#choose-it-by-name-in-a-scenario): settings, a function, an
-  `Algorithm`
-- [an objective of a plan](howto/own_objective.md): keys, a measure, an `Objective`
-- [a kind of figures](howto/own_figure.md): settings, a formula, a `FigureKind`
-- [an X-ray engine](howto/own_engine.md): a class, an `EngineChoice`
-- [an export format](howto/own_format.md): a function, a script, a `Format`
-
-Algorithms, trajectories, objectives and figures must not import `twinct.scenario`, which is built
-from them. In any section, a key `path`, `file` or `plan` names an input file: the path is made
-absolute, the file must exist, and its content counts for the digests. An entry point that fails, or
-whose name is taken, is reported with its package, and only scenarios that name it are refused.
-`tests/extension` is a complete example of such a package.
-"""
 
 UNITS = {
     "mm": "mm",
@@ -176,18 +60,18 @@ PICTURES = {
         "`{kind: two_materials}`: a small head, less the truth at the mean energy, 1/cm.",
     },
 }
-"""Captions by section and by name of the picture in ``tools/gallery.py``."""
+"""Captions by section and by name of the picture in ``docs/pictures/physics.py``."""
 
 
-def reference() -> str:
-    """Return the whole page."""
-    sections: list[str] = [HEAD]
-    seen: set[type[BaseModel]] = set()
-    _write(Scenario, "Scenario", sections, seen)
-    return "\n".join([*sections, ANEW, _stages(), EXTENSIONS])
+def scenario() -> str:
+    """Return a table of keys for each section of a scenario."""
+    sections: list[str] = []
+    _write(Scenario, "Scenario", sections, set())
+    return "\n".join(sections)
 
 
-def _stages() -> str:
+def stages() -> str:
+    """Return the table of the stages and the keys that they read."""
     rows = ["| stage | reads | depends on |", "|---|---|---|"]
     for name, stage in STAGES.items():
         keys = dict.fromkeys(key for key, stages in declared(Scenario) if name in stages)
@@ -319,8 +203,3 @@ def _plain(value: Any) -> str:
     if isinstance(value, bool):
         return f"{value}".lower()
     return f"{value:g}" if isinstance(value, float) else f"{value}"
-
-
-if __name__ == "__main__":
-    PAGE.write_text(reference(), encoding="utf-8")
-    sys.stdout.write(f"wrote {PAGE.name}\n")

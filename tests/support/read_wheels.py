@@ -1,7 +1,7 @@
 """Read the test files in the wheels of pydicom and nibabel as CT volumes.
 
-    python tools/read_wheels.py           # a line for each file, then the sums
-    python tools/read_wheels.py --json    # the same for programs
+    python tests/support/read_wheels.py           # a line for each file, then the sums
+    python tests/support/read_wheels.py --json    # the same for programs
 
 A DICOM file is read as a folder; one image is written twice, one slice apart, as a volume needs
 two. Folders are read as series. Everything is read twice: as it is, and as a part reads it whose

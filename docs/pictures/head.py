@@ -1,6 +1,6 @@
 """Draw docs/images/head_sections.png: ground truth of the head with screws, in five planes.
 
-python tools/picture_head.py
+python docs/pictures/head.py
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import load_scenario
 from twinct.specimen import build_specimen, material
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 KEV = 60.0
 PLANES = (("z", 8.0), ("z", -6.5), ("z", -76.8), ("x", -32.2), ("y", 68.3))
 """Planes: inserts in a narrow window, petrous screw, jaw screw, left eye and jaw, both eyes."""

@@ -3,8 +3,8 @@
 Each picture shows the ideal image, the image with one effect and their difference in transmission,
 in one view of the paper's geometry with a coarser panel. Beam hardening is shown in a volume.
 
-    python tools/gallery.py            # all
-    python tools/gallery.py lag noise  # some
+    python docs/pictures/physics.py            # all
+    python docs/pictures/physics.py lag noise  # some
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from twinct.scenario import Scenario, parse_scenario
 from twinct.xray.build import effective_energy_kev
 
 MM_PER_CM = 10.0
-FOLDER = Path(__file__).parents[1] / "docs" / "images"
+FOLDER = Path(__file__).parents[2] / "docs" / "images"
 TUBE = {"kind": "tube", "kvp": 80}
 BASE = {
     "detector": {"columns": 320, "rows": 240, "pixel_pitch_mm": 1.0},
