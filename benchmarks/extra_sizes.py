@@ -1,6 +1,6 @@
 """Print the size of twinct's dependencies and of each extra, as they are installed here.
 
-    python tools/extra_sizes.py
+    python benchmarks/extra_sizes.py
 
 Writes a table in Markdown: packages and megabytes that an extra adds to twinct without extras.
 """
