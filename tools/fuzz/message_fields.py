@@ -31,7 +31,7 @@ from twinct.geometry.wire import PosePairs, Reached
 from twinct.link import messages
 from twinct.link.joint_trajectory import PARTS, PlanListener
 from twinct.link.messages import MalformedError
-from twinct.link.node import Diagnostics
+from twinct.link.node import SPEAKER, Diagnostics
 from twinct.link.recording.bag import Bag
 from twinct.link.rig import RosRig
 from twinct.link.robots_node import RobotsNode, Turns
@@ -244,19 +244,18 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
     """Make a case in which one of its nodes, or a stranger, sends the rig a changed message."""
     view = rng.randrange(len(of.targets))
     good, topic = of.answers(view), rng.choice((*ANSWERS, DIAGNOSTICS))
+    stranger = rng.random() < 0.4
+    owner = topic.owner or rng.choice((ROBOTS, XRAY))
+    who = STRANGER if stranger else MEMBERS[owner]
     if topic == DIAGNOSTICS:
-        status = messages.diagnostic_message(
-            of.epoch.at(view), XRAY, messages.ERROR, "no", {"reason": "x"}
-        )
+        values = {"reason": "x", SPEAKER: who * 12}
+        status = messages.diagnostic_message(of.epoch.at(view), XRAY, messages.ERROR, "no", values)
         data, told = _changed(rng, topic, serialize_message(status))
     else:
         data, told = _changed(rng, topic, good[topic])
-    stranger = rng.random() < 0.4
-    owner = topic.owner or rng.choice((ROBOTS, XRAY))
     said = [(t, d, MEMBERS[t.owner]) for t, d in good.items() if stranger or t != topic]
     rng.shuffle(said)
-    changed = (topic, data, STRANGER if stranger else MEMBERS[owner])
-    said.insert(rng.randrange(len(said) + 1), changed)
+    said.insert(rng.randrange(len(said) + 1), (topic, data, who))
 
     def rig() -> RosRig:
         rig, station = object.__new__(RosRig), Station()
@@ -268,7 +267,7 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
             **{"_joints_until": Stamp(0, 0), "_asked": None, "_ready": {ROBOTS, XRAY}},
             **{"_refusal": None, "_conflict": None, "_ended": [], "_closing": False},
             **{"_tell_joints": lambda joints: require_finite(joints.position, joints.time_s)},
-            **{"_station": station, "_members": members, "_me": MEMBERS[SCAN] * 12},
+            **{"_station": station, "_members": members},
             "_diagnostics": Diagnostics(station, lambda _: None),  # type: ignore[arg-type]
         }
         for name, value in own.items():
@@ -283,8 +282,8 @@ def _of_rig(rng: random.Random, folder: Path, of: _Recorded) -> tuple[str, Calla
             reached = opened.move(view, of.targets[view])
             image = opened.expose(view)
         except TwinctError:
-            if stranger:
-                raise AssertionError("a stranger ended the scan") from None
+            if stranger and topic == DIAGNOSTICS:
+                raise AssertionError("a stranger's report ended the scan") from None
             return "refused"
         _check_reached(reached, arms=of.arms)
         require_finite(image)

@@ -88,14 +88,15 @@ class Station:
         """See ``Participant``."""
         self._garbled = tell
 
-    def name_of(self, topic: str, sender: Sender) -> str:
+    def names_on(self, topic: str, of: Callable[[str], bool]) -> str:
         """See ``Participant``."""
-        return f"{topic} {sender.publisher}"
+        del of
+        return f"a node on {topic}"
 
     def hear(self, topic: Topic, data: bytes, sender: str) -> None:
-        """Hand a message on as ``SenderExecutor`` does."""
+        """Hand a message on as a subscription does."""
         self._number += 1
-        who = Sender(f"{sender * 12}{'00' * 4}", self._number)
+        who = Sender(f"{sender * 12}{'00' * 4}", self._number, self._number)
         try:
             message = decoded(topic, data)
         except rclpy_implementation.RMWError:
