@@ -15,8 +15,9 @@ from std_srvs.srv import Trigger
 from waiting import HANG_S
 
 from twinct.link.arm_server import NAME
-from twinct.link.follow import ACTION, Course
-from twinct.link.made_types import action_type
+from twinct.link.arm_types import follow_joint_trajectory
+from twinct.link.follow import Course
+from twinct.link.messages import ros_message
 from twinct.link.node import Diagnostics
 from twinct.link.participant import Station
 from twinct.link.robots_node import RobotsNode
@@ -47,7 +48,7 @@ class Planner:
         self.node = RobotsNode(
             self._node_station, Diagnostics(self._node_station, lambda _: None), self.robots
         )
-        self._action = action_type(ACTION)
+        self._action = follow_joint_trajectory()
         self._client = self.station.action_client(self._action, NAME)
         self.feedback: list[Any] = []
         self._ending = Event()
@@ -58,7 +59,7 @@ class Planner:
     def send(self, **goal: Any) -> Any:
         """Goal handle of a goal; ``motion`` gives a course, or fields of a goal."""
         asked = self._client.send_goal_async(
-            self._action.Goal(**goal), feedback_callback=self.feedback.append
+            ros_message(self._action.Goal, goal), feedback_callback=self.feedback.append
         )
         return self.wait_for(asked)
 

@@ -20,7 +20,6 @@ from twinct.link.messages import diagnostic_values, executed_of, image_of, targe
 from twinct.link.node import Ledger, RefusedError
 from twinct.link.processes import NodeProcess
 from twinct.link.robots_node import Turns
-from twinct.link.senders import participant_of
 from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import IMAGE
 from twinct.scan import SimulationBuilder
@@ -154,8 +153,7 @@ class Disturbed:
 
     def refusals(self):
         """What the stranger was refused."""
-        me = participant_of(self.out)
-        return [error for error in errors(self.diagnostics) if error.get("asked_by") == me]
+        return errors(self.diagnostics)
 
     @property
     def worked_once(self):

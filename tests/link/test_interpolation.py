@@ -57,7 +57,7 @@ def test_interpolated_joints_give_the_executed_poses(
     turns, urdf = Turns(epoch, targets, 0), cell_urdf(cell, Pose.identity())
     RobotsNode(said, said.diagnostics, robots, turns, None, urdf, LinkFrames(cell))
     for view, target in enumerate(targets):
-        said.hears[TARGET](messages.target_message(epoch.at(view), target), Sender("0" * 32, 1))
+        said.hears[TARGET](messages.target_message(epoch.at(view), target), Sender("0" * 32, 1, 1))
     assert len(said.of(REACHED)) == len(targets) and not said.diagnostics.refused
     heard = {topic.name: said.of(topic) for topic in (JOINTS, REACHED, DESCRIPTION)}
     off = client.offsets_mm({**heard, "/xray/image": said.of(VIEWS)})
@@ -82,18 +82,18 @@ def _check_frames(said):
     """Frames are told with each view, with its poses, and between the views as often as joints."""
     told = {}
     for message in said.of(TF):
-        stamp = Stamp(**message.transforms[0]["header"]["stamp"])
+        stamp = _stamp(message.transforms[0])
         assert stamp not in told
-        told[stamp] = {one["child_frame_id"]: one["transform"] for one in message.transforms}
+        told[stamp] = {one.child_frame_id: one.transform for one in message.transforms}
     for reached in said.of(REACHED):
         frames = told[_stamp(reached)]
         for name, pose in zip(("source", "specimen", "detector"), reached.poses, strict=False):
-            place = pose.position
-            assert frames[name]["translation"] == {"x": place.x, "y": place.y, "z": place.z}
+            place, told_at = pose.position, frames[name].translation
+            assert (told_at.x, told_at.y, told_at.z) == (place.x, place.y, place.z)
         assert "source_wrist_3" in frames
     assert set(told) == {_stamp(message) for message in said.of(JOINTS)}
     [standing] = said.of(TF_STATIC)
-    assert "table" in {one["child_frame_id"] for one in standing.transforms}
+    assert "table" in {one.child_frame_id for one in standing.transforms}
 
 
 def _stamp(message):

@@ -33,7 +33,7 @@ class Out:
 
 
 class Station:
-    name = "xray"
+    name, participant = "xray", "00"
 
     def __init__(self) -> None:
         self.heard = Heard()

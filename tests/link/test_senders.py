@@ -1,10 +1,9 @@
-"""Who answers must be a node that the scan started: nobody else's answers are used."""
+"""Each topic of a scan has one publisher, a node that the scan started; a second one ends it."""
 
 from contextlib import closing
 
-import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray
 from waiting import HANG_S, until
@@ -14,7 +13,6 @@ from twinct.link import RosRig, messages
 from twinct.link.node import Diagnostics
 from twinct.link.participant import Station
 from twinct.link.senders import Members
-from twinct.link.stamps import Stamp
 from twinct.link.topics import IMAGE, JOINTS, REACHED, STATE, VIEWS
 from twinct.scan import LocalRig
 
@@ -26,29 +24,39 @@ NAME = "somebody_else"
 """Of a foreign node."""
 
 
-def test_a_message_tells_who_sent_it_whatever_its_node_is_called(domain, tmp_path):
+def test_a_message_has_a_sender_while_its_topic_has_one_publisher(domain, tmp_path):
     heard = []
     with (
         closing(Station("listener", domain)) as listener,
         closing(Station("robots", domain)) as one,
         closing(Station("robots", domain)) as other,
     ):
+
+        def hear(out, value):
+            out.publish(Float64MultiArray(data=[value]))
+            count = len(heard) + 1
+            assert listener.wait(lambda: len(heard) == count, HANG_S)
+            assert heard[-1][0].data[0] == value
+            return heard[-1][1].participant
+
         members = Members(tmp_path)
         assert not members.knows("robots")
         listener.listen(STATE, lambda m, s: heard.append((m, s)))
         members.enter("robots", one.participant)
-        for station, value in ((one, 1.0), (other, 2.0), (one, 3.0)):
-            out = station.publisher(STATE)
-            out.publish(Float64MultiArray(data=[value]))
-            count = len(heard) + 1
-            assert listener.wait(lambda count=count: len(heard) == count, HANG_S)
-            assert heard[-1][0].data[0] == value
-        assert [members.sent("robots", sender) for _, sender in heard] == [True, False, True]
-        assert len({sender for _, sender in heard}) == 3
-        assert one.participant != other.participant == heard[1][1].participant
+        assert one.participant != other.participant
+        first = one.publisher(STATE)
+        assert members.has("robots", hear(first, 1.0))
+        second = other.publisher(STATE)
+        assert {hear(second, 2.0), hear(first, 3.0)} == {""}, "nobody can tell them apart"
+        other._node.destroy_publisher(second)
+        until(lambda: listener._node.count_publishers(STATE) == 1)
+        assert hear(first, 4.0) == one.participant
+        assert len({sender for _, sender in heard}) == 4
         # The name is discovered later than the endpoint.
-        sender = heard[1][1]
-        assert listener.wait(lambda: "'robots'" in listener.name_of(STATE.name, sender), HANG_S)
+        assert listener.wait(
+            lambda: listener.names_on(STATE, members._known["robots"].__eq__) == "a node 'robots'",
+            HANG_S,
+        )
 
 
 def test_bytes_that_are_no_message_are_told_once_and_end_nothing(domain):
@@ -86,111 +94,29 @@ def test_ctrl_c_while_a_message_is_read_ends_the_waiting(domain, monkeypatch):
             listener.wait(lambda: False, HANG_S)
 
 
-def names_of_publishers(rig, topic):
-    return {info.node_name for info in rig._station._node.get_publishers_info_by_topic(topic.name)}
-
-
-class Forger:
-    """A stranger who answers the scan's targets before its nodes do."""
-
-    def __init__(self, stranger, rig, scenario, fakes):
-        self.stranger, self.rig, self.fakes = stranger, rig, fakes
-        self.shape = scenario.detector.panel.shape
-        self.out = {
-            topic: stranger.node.create_publisher(topic.message_class, topic.name, LATCHED)
-            for topic in TOPICS
-        }
-        self.diagnostics = stranger.listen("/diagnostics", DiagnosticArray)
-        stranger.until(
-            lambda: (
-                all(out.get_subscription_count() for out in self.out.values())
-                and self.out[REACHED].get_subscription_count() >= 3
-                and self.out[VIEWS].get_subscription_count() >= 2
-            )
-        )
-        until(
-            lambda: all(NAME in names_of_publishers(rig, topic) for topic in TOPICS),
-            "the rig knows the stranger's name",
-        )
-
-        self.read = []
-        tell = rig._diagnostics.stranger
-
-        def read(topic, sender):
-            self.read.append(topic)
-            tell(topic, sender)
-
-        rig._diagnostics.stranger = read
-
-    def answer(self, view, target, image, state=None):
-        """Forge all answers to a target; the rig has read them then."""
-        robots = self.fakes.FakeRobots()
-        robots.moves = view
-        stamp = Stamp.at(robots.move(view, target).middle_s)  # that of the true answer
-        robots.moves = 40
-        reached = robots.move(view, target)
-        forged = messages.state_message(stamp, reached)
-        if state is not None:
-            forged.data = state
-        for topic, message in {
-            VIEWS: messages.view_message(Stamp.at(99), self.rig.epoch.at(view), view),
-            REACHED: messages.reached_message(stamp, messages.executed(reached)),
-            JOINTS: messages.joints_message(stamp, reached),
-            STATE: forged,
-            IMAGE: messages.image_message(stamp, image),
-        }.items():
-            self.out[topic].publish(message)
-        count = len(self.read) + len(TOPICS)
-        assert self.rig._station.wait(lambda: len(self.read) == count, HANG_S)
-
-    def warnings(self):
-        return [
-            (status.name, messages.diagnostic_values(status.values)["topic"])
-            for message in self.diagnostics
-            for status in message.status
-            if status.level == DiagnosticStatus.WARN
-        ]
-
-
-def test_forged_answers_change_nothing_and_are_named_once(
-    scenario, targets, fake_command, foreign, fakes, caplog
+@pytest.mark.parametrize("topic", TOPICS)
+def test_a_second_publisher_ends_the_scan_by_name_and_with_no_wrong_data(
+    topic, scenario, targets, fake_command, foreign, fakes
 ):
-    forgeries = [
-        {"image": np.ones((1, 1), np.float32)},
-        {"image": np.ones((1, scenario.detector.columns), np.float32)},
-        {"image": np.ones(scenario.detector.panel.shape, np.float32)},
-        {"image": np.full((3, 5), np.nan, np.float32), "state": []},
-        {"image": np.ones((1, 1), np.float32), "state": [np.nan] * 8},
-    ]
     local = LocalRig(
         fakes.FakeRobots(), fakes.FakeImager(scenario.detector), scenario.detector.panel
     )
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
-        forger = Forger(foreign(rig.domain_id), rig, scenario, fakes)
-        for view, forged in enumerate(forgeries):
-            forger.answer(view, targets[view], **forged)
-            reached, true = rig.move(view, targets[view]), local.move(view, targets[view])
-            forger.answer(view, targets[view], **forged)
-            image = rig.expose(view)
-            assert image.tobytes() == local.expose(view).tobytes()
-            assert reached.state.tobytes() == true.state.tobytes()
-            assert (reached.executed, reached.time_s) == (true.executed, true.time_s)
-        # A true view after all that was forged: who answers it has read that.
-        rig.move(len(forgeries), targets[len(forgeries)])
-        rig.expose(len(forgeries))
-        forger.stranger.until(lambda: len(forger.warnings()) >= 7)
-        log = (rig.log_dir / "xray.log").read_text()
-    told = sorted(forger.warnings())
-    assert told == sorted(
-        [("twinct_scan", topic.name) for topic in TOPICS]
-        + [("twinct_xray", topic.name) for topic in (REACHED, VIEWS)]
-    )
-    assert log.count("not part of this scan") == 2, "as often as it is said on the topic"
-    words = [
-        record.getMessage() for record in caplog.records if "not part of this scan" in record.msg
-    ]
-    assert len(words) == len(TOPICS)
-    assert all(f"'{NAME}'" in line for line in words)
+        reached, true = rig.move(0, targets[0]), local.move(0, targets[0])
+        assert (reached.executed, reached.time_s) == (true.executed, true.time_s)
+        assert rig.expose(0).tobytes() == local.expose(0).tobytes()
+        stranger = foreign(rig.domain_id)
+        out = stranger.node.create_publisher(topic.message_class, topic.name, LATCHED)
+        stranger.until(out.get_subscription_count)
+        until(
+            lambda: rig._station.names_on(topic, lambda who: who != rig._station.participant).count(
+                NAME
+            )
+        )
+        words = f"a node '{NAME}', which is not part of this scan, publishes on {topic}: end it"
+        with pytest.raises(LinkError, match=words):
+            rig.move(1, targets[1])
+            rig.expose(1)
 
 
 def test_an_image_of_another_shape_ends_the_scan_by_name(scenario, targets, fake_command, notes):
@@ -202,23 +128,6 @@ def test_an_image_of_another_shape_ends_the_scan_by_name(scenario, targets, fake
                 rig.expose(0)
         finally:
             notes.tell("one_pixel", 0)
-
-
-def test_an_answer_that_does_not_come_names_the_strangers(
-    scenario, targets, fake_command, foreign, fakes, notes
-):
-    with closing(RosRig(scenario, node_command=fake_command, answer_s=0.0)) as rig:
-        forger = Forger(foreign(rig.domain_id), rig, scenario, fakes)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(rig, "_answer_s", HANG_S)  # but for the answer that does not come
-            rig.move(0, targets[0])
-            rig.expose(0)
-            forger.answer(1, targets[1], np.ones((1, 1), np.float32))
-            with notes.renders_held(1):
-                rig.move(1, targets[1])
-                patch.undo()
-                with pytest.raises(LinkError, match=f"no image for view 1 .*'{NAME}', which is"):
-                    rig.expose(1)
 
 
 def test_a_refusal_by_a_stranger_refuses_nothing(scenario, targets, fake_command, foreign):

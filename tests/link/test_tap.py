@@ -175,7 +175,7 @@ def test_a_tap_that_comes_late_and_is_slow_hears_all(domain, tmp_path, monkeypat
         out = robots.publisher(CLOCK)
         for tick in range(5):
             out.publish(messages.clock_message(float(tick)))
-        tap = Tap(domain, members, hear)
+        tap = Tap(domain, members, hear, pytest.fail)
         assert robots.wait(out.get_subscription_count, HANG_S)
         assert out.wait_for_all_acked(Duration(seconds=HANG_S))
         tap._ending.set()  # as close does, which then waits

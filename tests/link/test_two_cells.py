@@ -20,12 +20,12 @@ from waiting import HANG_S
 from twinct.cli import run_command
 from twinct.core.errors import InputError
 from twinct.link.environment import ROS_ARGUMENTS, take_ros_arguments
-from twinct.link.made_types import message_type
 from twinct.link.messages import target_message
 from twinct.link.node import Diagnostics
 from twinct.link.participant import Station
 from twinct.link.robots_node import RobotsNode
 from twinct.link.stamps import Stamp
+from twinct.link.topics import TF
 from twinct.link.xray_node import XRayNode
 from twinct.robots.cell import LinkFrames
 from twinct.scan import SimulationBuilder
@@ -123,7 +123,7 @@ def test_each_cell_answers_its_own_targets(
 def test_frames_are_told_in_standard_messages(
     cells: dict[str, Cell], builder: SimulationBuilder, foreign: Any, domain: int
 ) -> None:
-    client, kind = foreign(domain), message_type("tf2_msgs/TFMessage")
+    client, kind = foreign(domain), TF.message_class
     moving = client.listen("/cell_a/tf", kind)
     standing = client.listen("/cell_a/tf_static", kind)
     out = client.publisher("/cell_a/scan/target", PoseArray)

@@ -19,8 +19,7 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import String
 from waiting import HANG_S
 
-from twinct.link.follow import ACTION
-from twinct.link.made_types import action_type
+from twinct.link.arm_types import follow_joint_trajectory
 from twinct.link.participant import Station
 
 NANO = 1_000_000_000
@@ -61,7 +60,7 @@ class StandIn:
         self.goals: list[Any] = []
         self.cancelled = Event()
         self._random, self._images = np.random.default_rng(seed), images
-        self._action = action_type(ACTION)
+        self._action = follow_joint_trajectory()
         self._station = Station(f"driver_{seed}", domain)
         node = self._station._node
         qos = QoSProfile(

@@ -106,6 +106,9 @@ def _drive(
         raise ScanExistsError(f"{out} exists already: choose another --out")
     require("robots", "record")
     require_ros()
+    from twinct.link.arm_types import follow_joint_trajectory
+
+    follow_joint_trajectory()  # before a plan takes its time
     loaded, program, gate = planned(scenario, set_, prefixes)
     from twinct.link.driving import Drive, DriveSettings, names_of
     from twinct.link.environment import ROS_ARGUMENTS

@@ -20,7 +20,6 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
         *("rclpy", "rclpy.node", "geometry_msgs.msg", "sensor_msgs.msg", "std_msgs.msg"),
         *("trajectory_msgs.msg", "std_srvs.srv"),
         *("diagnostic_msgs.msg", "rosgraph_msgs.msg", "builtin_interfaces.msg"),
-        *("mcap.exceptions", "mcap_ros2.writer"),
     ),
 }
 """Modules that are cheap to import. They are imported, since an installed module may be broken."""

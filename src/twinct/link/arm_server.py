@@ -13,8 +13,9 @@ import numpy as np
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Floats
-from twinct.link.follow import ACTION, CODES
-from twinct.link.made_types import action_type
+from twinct.link.arm_types import follow_joint_trajectory
+from twinct.link.follow import CODES
+from twinct.link.messages import ros_message
 from twinct.link.node import NO_STAMP, Diagnostics
 from twinct.link.participant import Station
 from twinct.link.stamps import Stamp
@@ -98,7 +99,7 @@ class ArmServer:
         self._arms, self._diagnostics, self._advance = arms, diagnostics, advance
         self._station = station
         self.busy = False
-        self._action = action_type(ACTION)
+        self._action = follow_joint_trajectory()
         self._server = station.action_server(self._action, NAME, self._execute, self._take)
 
     def _take(self, _: Any) -> bool:
@@ -185,13 +186,13 @@ class ArmServer:
 
     def _tell(self, handle: Any, state: Floats, off: Floats) -> None:
         desired = dict(zip(_ORDERS, state.tolist(), strict=True))
-        feedback = self._action.Feedback(
-            joint_names=list(self._arms.joint_names),
-            desired=desired,
-            actual={"positions": self._arms.joints.tolist()},
-            error={"positions": off.tolist()},
-        )
-        handle.publish_feedback(feedback)
+        feedback = {
+            "joint_names": list(self._arms.joint_names),
+            "desired": desired,
+            "actual": {"positions": self._arms.joints.tolist()},
+            "error": {"positions": off.tolist()},
+        }
+        handle.publish_feedback(ros_message(self._action.Feedback, feedback))
 
 
 _ORDERS = ("positions", "velocities", "accelerations")

@@ -13,9 +13,9 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 
 from twinct.core.errors import InputError
+from twinct.link.arm_types import follow_joint_trajectory
 from twinct.link.definitions import known
 from twinct.link.follow import (
-    ACTION,
     ControllerError,
     Course,
     check_limits,
@@ -24,7 +24,7 @@ from twinct.link.follow import (
     stamp_after,
     verdict,
 )
-from twinct.link.made_types import action_type
+from twinct.link.messages import ros_message
 from twinct.link.participant import Station
 from twinct.link.recording.drive_file import DriveFile
 from twinct.link.senders import Raw, Sender
@@ -121,7 +121,7 @@ class Drive:
         self._station, self._settings, self._file = station, settings, file
         self._gate = gate
         self._clock, self._now_ns = clock, now_ns
-        action = action_type(ACTION)
+        action = follow_joint_trajectory()
         self._parts = [
             _Part(course, station.action_client(action, course.action)) for course in courses
         ]
@@ -287,7 +287,8 @@ class Drive:
         alone = len(self._parts) == 1
         start = stamp_after(self._now_ns(), 0 if alone else self._settings.delay_s)
         for part in self._parts:
-            goal = self._action.Goal(**part.course.goal(Stamp(0, 0) if alone else start))
+            fields = part.course.goal(Stamp(0, 0) if alone else start)
+            goal = ros_message(self._action.Goal, fields)
             part.answer = part.client.send_goal_async(goal)
         self._start = start
         patience_s = self._settings.patience_s

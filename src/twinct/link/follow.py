@@ -17,8 +17,6 @@ from twinct.link.stamps import NANO, Stamp
 from twinct.robots.motion.gate import Gate, JointLimits
 from twinct.robots.programs import Program
 
-ACTION = "control_msgs/FollowJointTrajectory"
-
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 """Final states of a goal, of ``action_msgs/msg/GoalStatus``."""
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.geometry.wire import PosePairs
-from twinct.link.made_types import message_type
+from twinct.link.messages import ros_message
 from twinct.link.participant import Station
 from twinct.link.plain import transforms
 from twinct.link.stamps import Stamp
@@ -36,7 +36,7 @@ class Frames:
             links: kinematics of the room.
             joints: number of joints.
         """
-        self._links, self._kind = links, message_type("tf2_msgs/TFMessage")
+        self._links = links
         here, turned = links.at(np.zeros(joints)), links.at(np.full(joints, TURN_RAD))
         self._standing = {
             name for name, pose in here.items() if pose == turned[name] and name not in OF_INSTANTS
@@ -70,4 +70,4 @@ class Frames:
     def _message(
         self, stamp: Stamp, instant: PosePairs | None, links: dict[str, tuple[float, ...]]
     ) -> object:
-        return self._kind(**transforms(stamp, instant, links))
+        return ros_message(TF.message_class, transforms(stamp, instant, links))

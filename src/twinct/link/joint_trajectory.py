@@ -97,8 +97,8 @@ class PlanListener:
             station.listen(topic, lambda m, sender, topic=topic: self._hear(topic, m, sender))
 
     def _hear(self, topic: Topic, message: Any, sender: Sender) -> None:
-        if not self._members.sent(SCAN, sender):
-            self._diagnostics.stranger(topic, sender)
+        if not self._members.has(SCAN, sender.participant):
+            self._diagnostics.stranger(topic, self._members)
             return
         stamp = Stamp.of(message.header.stamp)
         got = self._got.setdefault(stamp, {})

@@ -9,6 +9,9 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from typing import Any, Generic, Protocol, TypeVar
 
+from diagnostic_msgs.msg import DiagnosticArray
+
+from twinct.link import messages
 from twinct.link.environment import ROS_ARGUMENTS
 from twinct.link.lifeline import Lifeline
 from twinct.link.messages import ERROR, OK, WARN, diagnostic_message
@@ -25,6 +28,14 @@ FOREVER_S = 1e9
 LISTENERS = 2
 """Number of subscriptions of a node on its input topic; see ``Station.listen_to_all``."""
 NO_STAMP = Stamp(0, 0)
+SPEAKER = "participant"
+"""Key of the participant that reports: all nodes publish on ``/diagnostics``."""
+
+
+def speaker_of(message: DiagnosticArray | None) -> str:
+    """Return the participant that a message of ``/diagnostics`` states; "" if it states none."""
+    pairs = [messages.diagnostic_values(s.values) for s in (message.status if message else ())]
+    return pairs[0].get(SPEAKER, "") if pairs else ""
 
 
 def say(text: str) -> None:
@@ -80,14 +91,14 @@ class Diagnostics:
 
     Attributes:
         tell: prints a line for the process that started the node.
-        strangers: report on each foreign sender, by topic and participant.
+        strangers: report on foreign senders, by topic, or by topic and participant.
     """
 
     def __init__(self, station: Station, tell: Callable[[str], None] = say) -> None:
         """Report for a node, and repeat each report to the process that started it."""
         self._station = station
         self.tell = tell
-        self.strangers: dict[tuple[str, str], str] = {}
+        self.strangers: dict[str, str] = {}
         self._publisher = station.publisher(DIAGNOSTICS)
         station.on_garbled(self.garbled)
 
@@ -105,24 +116,35 @@ class Diagnostics:
         self._say(NO_STAMP, WARN, text, {})
         self.tell(text)
 
-    def stranger(self, topic: Topic, sender: Sender) -> None:
-        """Report once that a sender on a topic does not belong to this scan and is ignored."""
-        self._unused(topic.name, sender, ", which is not part of this scan, publishes on")
+    def stranger(self, topic: Topic, members: Members) -> str:
+        """Report that a topic of this scan has a foreign publisher, and return the report.
+
+        Nobody can tell its messages from those of the scan, which therefore ends.
+        """
+        names = self._station.names_on(topic, lambda who: not members.has(topic.owner, who))
+        text = (
+            f"{names}, which is not part of this scan, publishes on {topic}: end it, or choose "
+            "another ROS_DOMAIN_ID"
+        )
+        if topic not in self.strangers:
+            self.strangers[topic] = text
+            self._say(NO_STAMP, ERROR, text, {"topic": topic})
+            self.tell(text)
+        return text
 
     def garbled(self, topic: str, sender: Sender) -> None:
         """Report once that a sender's data on a topic do not fit its message type."""
-        self._unused(topic, sender, " sends data that do not fit the message type of")
-
-    def _unused(self, topic: str, sender: Sender, does: str) -> None:
-        if (key := (topic, sender.participant)) in self.strangers:
+        if (key := f"{topic} {sender.participant}") in self.strangers:
             return
-        text = f"{self._station.name_of(topic, sender)}{does} {topic}: ignored"
+        who = self._station.names_on(topic, lambda who: who == sender.participant)
+        text = f"{who} sends data that do not fit the message type of {topic}: ignored"
         self.strangers[key] = text
-        self._say(NO_STAMP, WARN, text, {"topic": topic, "publisher": sender.publisher})
+        self._say(NO_STAMP, WARN, text, {"publisher": sender.publisher})
         self.tell(text)
 
     def _say(self, stamp: Stamp, level: bytes, text: str, values: dict[str, object]) -> None:
         name = self._station.name
+        values = {**values, SPEAKER: self._station.participant}
         self._publisher.publish(diagnostic_message(stamp, name, level, text, values))
 
 

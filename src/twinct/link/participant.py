@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -17,19 +18,27 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.executors import ExternalShutdownException, ShutdownException, TimeoutException
+from rclpy.executors import (
+    ExternalShutdownException,
+    ShutdownException,
+    SingleThreadedExecutor,
+    TimeoutException,
+)
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from std_msgs.msg import Empty
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import shortened
 from twinct.core.memory import LEAST_BYTES, require_of_ulimit
 from twinct.link.environment import middleware_settings, settle, sweep_shared_memory
-from twinct.link.senders import Sender, SenderExecutor, participant, participant_of
+from twinct.link.senders import Raw, Sender, participant
 from twinct.link.topics import Topic
 
 _LONGEST_SLEEP_S = 0.2
@@ -55,6 +64,59 @@ def _qos(depth: int, *, latched: bool) -> QoSProfile:
 def _relative(name: str) -> str:
     """Return a name that the node's namespace precedes; without one it stays what it is."""
     return name.removeprefix("/")
+
+
+def decoded(data: bytes, kind: Any) -> Any:
+    """Return the message of received bytes; None if they do not fit its type."""
+    try:
+        return deserialize_message(data, kind)
+    except rclpy_implementation.RMWError:
+        return None
+    except TypeError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # pressed during deserialisation
+            raise error.__cause__ from None
+        raise
+
+
+class _Writer:
+    """The only publisher of a topic, as the graph tells it."""
+
+    def __init__(self, node: Node, kind: str) -> None:
+        self._node, self._kind = node, kind
+        self._count, self._number, self._gid = 0, 0, ""
+
+    def gid(self, subscription: Subscription, number: int) -> str:
+        """Return its GID, in hexadecimal; "" if there are several publishers.
+
+        Args:
+            subscription: subscription to the topic.
+            number: number of the message that has come; it does not grow if the publisher is new.
+        """
+        count = subscription.get_publisher_count()
+        if count != self._count or number <= self._number:
+            infos = self._node.get_publishers_info_by_topic(subscription.topic_name)
+            meant = [i for i in infos if i.topic_type == self._kind and _suits(i, subscription)]
+            if meant:  # else its last messages came after it has left
+                self._gid = bytes(meant[0].endpoint_gid).hex() if len(meant) == 1 else ""
+            self._count = count if len(meant) == count else 0
+        self._number = number
+        return self._gid
+
+    def forget(self) -> None:
+        """Ask the graph again: a publisher has come or gone."""
+        self._count = 0
+
+
+def _suits(info: TopicEndpointInfo, subscription: Subscription) -> bool:
+    """Return True if a publisher offers what a subscription asks, so that it is heard."""
+    offered, asked = info.qos_profile, subscription.qos_profile
+    return (
+        asked.reliability == ReliabilityPolicy.BEST_EFFORT
+        or offered.reliability == ReliabilityPolicy.RELIABLE
+    ) and (
+        asked.durability == DurabilityPolicy.VOLATILE
+        or offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    )
 
 
 class Station:
@@ -117,11 +179,20 @@ class Station:
             read_only = ParameterDescriptor(read_only=True)
             self._node.declare_parameter(key, value, read_only, ignore_override=True)
         self.domain_id: int = self._context.get_domain_id()
-        self.participant = participant_of(next(iter(self._node.publishers)))
-        self._executor = SenderExecutor(context=self._context)
+        self.participant = self._own_participant()
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._actions: list[ActionClient | ActionServer] = []
+        self._tell_garbled: Callable[[str, Sender], None] | None = None
         self._closed, self._closing = False, Lock()
+
+    def _own_participant(self) -> str:
+        """Return the participant of this node: that of a publisher which nobody else can have."""
+        topic = f"twinct_{secrets.token_hex(8)}"
+        publisher = self._node.create_publisher(Empty, topic, 1)
+        (info,) = self._node.get_publishers_info_by_topic(topic)
+        self._node.destroy_publisher(publisher)
+        return participant(info.endpoint_gid)
 
     def publisher(self, topic: Topic, *, depth: int | None = None) -> Publisher:
         """Return a reliable publisher; late joiners get ``depth`` messages (default: topic's)."""
@@ -143,22 +214,39 @@ class Station:
     ) -> Subscription:
         """Subscribe to reliable publishers and, if latched, to their earlier messages.
 
-        The callback receives a message, or a ``Raw`` one with ``raw``, and its ``Sender``.
+        The callback receives a message, or a ``Raw`` one with ``raw``, and its ``Sender``. Data
+        that do not fit the type are reported (``on_garbled``): any participant of the domain can
+        send such data.
         ``report_mismatch`` reports incompatible publishers on the console; turn it off if another
         subscription covers them. ``as_published`` asks no more than what all present publishers of
         the topic offer: also best effort, or no earlier messages.
         """
-        hear: Any = callback  # rclpy takes two arguments too, but its annotation does not say so
+        kind = topic.message_class
+        writer = _Writer(self._node, topic.kind)
+
+        def take(data: Any, info: Any) -> None:
+            sent_ns, number = info["source_timestamp"], info["publication_sequence_number"]
+            sender = Sender(writer.gid(subscription, number), number, sent_ns)
+            message: Any = Raw(data, sent_ns, info["received_timestamp"])
+            if not raw:
+                message = decoded(data, kind)
+            if message is not None:
+                callback(message, sender)
+            elif self._tell_garbled is not None:
+                self._tell_garbled(subscription.topic_name, sender)
+
         events = SubscriptionEventCallbacks(
-            matched=lambda _: None,
+            matched=lambda _: writer.forget(),
             incompatible_qos=None if report_mismatch else lambda _: None,
         )
         qos = _qos(max(depth, topic.depth), latched=latched)
         if as_published:
             self._suit(qos, topic)
-        return self._node.create_subscription(
-            topic.message_class, _relative(topic), hear, qos, event_callbacks=events, raw=raw
+        hear: Any = take  # rclpy takes two arguments too, but its annotation does not say so
+        subscription = self._node.create_subscription(
+            kind, _relative(topic), hear, qos, event_callbacks=events, raw=True
         )
+        return subscription
 
     def _suit(self, qos: QoSProfile, topic: str) -> None:
         """Ask no more than all publishers of a topic offer."""
@@ -219,11 +307,12 @@ class Station:
         A transient-local subscription does not match the volatile publisher that a foreign node
         has by default, and a volatile subscription misses earlier messages. So there are both.
         """
-        seen: deque[Sender] = deque(maxlen=4 * depth)
+        seen: deque[tuple[int, int]] = deque(maxlen=4 * depth)
 
         def once(message: Any, sender: Sender) -> None:
-            if sender not in seen:
-                seen.append(sender)
+            # The publisher may be known to one subscription only, which has a single one.
+            if sender[1:] not in seen:
+                seen.append(sender[1:])
                 callback(message, sender)
 
         both = (True, False)
@@ -234,7 +323,7 @@ class Station:
 
     def on_garbled(self, tell: Callable[[str, Sender], None]) -> None:
         """Set the callback for data that do not fit a topic's type; it gets topic and sender."""
-        self._executor.on_garbled = tell
+        self._tell_garbled = tell
 
     def serve(self, service: str, kind: Any, callback: Callable[[Any, Any], Any]) -> None:
         """Answer requests, inside ``wait``: the callback gets a request and an empty response."""
@@ -244,14 +333,18 @@ class Station:
         """Call back at equal intervals of wall time, inside ``wait``; missed calls are dropped."""
         self._node.create_timer(seconds, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def name_of(self, topic: str, sender: Sender) -> str:
-        """Return the name of a sender's node, as text, if the node is already discovered."""
+    def names_on(self, topic: str, of: Callable[[str], bool]) -> str:
+        """Return the names of nodes that publish on a topic, as text, as far as discovered.
+
+        Args:
+            topic: name of the topic.
+            of: returns True for the participants that are meant.
+        """
         publishers = self._node.get_publishers_info_by_topic
-        for info in (*publishers(topic), *publishers(_relative(topic))):
-            known = info.node_name != "_NODE_NAME_UNKNOWN_"  # discovered before its node
-            if known and participant(info.endpoint_gid) == sender.participant:
-                return f"a node {info.node_name!r}"
-        return "an unknown node"
+        infos = [*publishers(topic), *publishers(_relative(topic))]
+        names = {info.node_name for info in infos if of(participant(info.endpoint_gid))}
+        names.discard("_NODE_NAME_UNKNOWN_")  # an endpoint is discovered before its node
+        return ", ".join(f"a node {name!r}" for name in sorted(names)) or "an unknown node"
 
     def wait(self, until: Callable[[], bool], timeout_s: float) -> bool:
         """Handle callbacks until a condition holds; return False on timeout."""

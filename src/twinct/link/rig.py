@@ -25,10 +25,11 @@ from twinct.core.files.private import temporary_folder
 from twinct.core.memory import SHORTAGE
 from twinct.geometry.wire import JointSample, PosePairs, Reached
 from twinct.link import environment, messages
+from twinct.link.arm_types import FRAMES, lack
 from twinct.link.environment import Domain
 from twinct.link.joint_trajectory import publish_plan
 from twinct.link.messages import ERROR, OK, MalformedError
-from twinct.link.node import LISTENERS, Diagnostics
+from twinct.link.node import LISTENERS, Diagnostics, speaker_of
 from twinct.link.participant import Station
 from twinct.link.processes import NodeProcess
 from twinct.link.robots_node import describe
@@ -179,12 +180,13 @@ class RosRig:
             self._start_nodes(scenario, exchange, domain, options, node_command)
             station = self._station = Station(SCAN, self.domain_id)
             stack.callback(station.close)
-            self._me = station.participant
-            self._members.enter(SCAN, self._me)
+            self._members.enter(SCAN, station.participant)
             self._members.knows(SCAN)  # while the folder exists
-            if hear is not None:
-                stack.callback(Tap(self.domain_id, self._members, hear).close)
             self._diagnostics = Diagnostics(station, log.warning)
+            if hear is not None:
+                stack.callback(Tap(self.domain_id, self._members, hear, self._foreign).close)
+            if scenario.cell.kind == "arms" and (lacking := lack(FRAMES)):
+                log.warning(lacking)
             if plan:
                 self._plan = publish_plan(station, self.epoch.at(0), plan)
             self._open(station, arms=scenario.cell.kind == "arms")
@@ -250,11 +252,11 @@ class RosRig:
         self._check()
 
     def _hear(self, station: Station, topic: Topic, read: Callable[[Any], Any]) -> Subscription:
-        """Subscribe to a topic, and store only messages from its owner."""
+        """Subscribe to a topic, and store its messages, which are all from its owner."""
 
         def keep(message: Any, sender: Sender) -> None:
-            if not self._members.sent(topic.owner, sender):
-                self._diagnostics.stranger(topic, sender)
+            if not self._members.has(topic.owner, sender.participant):
+                self._foreign(topic)
                 return
             of_state = topic == STATE
             stamp = messages.state_stamp(message) if of_state else Stamp.of(message.header.stamp)
@@ -266,6 +268,10 @@ class RosRig:
                 self._conflict = f"{topic.name}{view}: {error}"
 
         return station.listen(topic, keep)
+
+    def _foreign(self, topic: Topic) -> None:
+        """End the scan: a topic has a second publisher."""
+        self._conflict = self._diagnostics.stranger(topic, self._members)
 
     def _keep(self, topic: Topic, stamp: Stamp, what: Any) -> None:
         if topic == VIEWS:
@@ -291,19 +297,22 @@ class RosRig:
         messages.parts_of(poses, self._samples)
         return poses
 
-    def _on_diagnostics(self, message: DiagnosticArray, sender: Sender) -> None:
-        name = next((n for n in (ROBOTS, XRAY) if self._members.sent(n, sender)), "")
+    def _on_diagnostics(self, message: DiagnosticArray, _: Sender) -> None:
+        who = speaker_of(message)
+        name = next((n for n in (ROBOTS, XRAY) if self._members.has(n, who)), "")
         for status in message.status if name else ():
+            values = messages.diagnostic_values(status.values)
             if status.level == OK:
                 self._ready.add(name)
+            elif status.level == ERROR and "topic" in values:  # which has a foreign publisher
+                self._conflict = status.message
             elif status.level == ERROR and self._sent_target is not None:
                 view, stamp, target = self._sent_target
                 if stamp != Stamp.of(message.header.stamp):
                     continue
-                values = messages.diagnostic_values(status.values)
                 if name == XRAY:
                     self._conflict = status.message
-                elif (values.get("asked_by"), values.get("target")) == (self._me, describe(target)):
+                elif values.get("target") == describe(target):
                     arms = [arm for arm in values.get("arm", "").split(", ") if arm]
                     reason = values.get("reason", status.message)
                     self._refusal = TargetRefusedError(f"view {view}: {reason}", arms)

@@ -21,6 +21,7 @@ from twinct.core.errors import MotionError
 from twinct.geometry.wire import JointSample, PosePairs, Reached, targets_of
 from twinct.link import messages
 from twinct.link.arm_server import ArmServer
+from twinct.link.arm_types import ACTION, FRAMES, installed, lack
 from twinct.link.frames import Frames
 from twinct.link.joint_trajectory import PlanListener
 from twinct.link.messages import MalformedError
@@ -114,7 +115,7 @@ def spin_robots(
         planned: take the plan from ``/scan/plan``; else make it here.
         restore: ``.npy`` file with the simulator state to start from.
         specimen: file of the built specimen; None builds it.
-        members: members of that scan, which alone may request its next view.
+        members: members of that scan.
         lifeline: also end when stdin ends.
         build: builds a simulation in place of the real one.
 
@@ -211,6 +212,10 @@ class Turns:
         """Expect the next view."""
         self._next += 1
 
+    def last(self, stamp: Stamp) -> bool:
+        """Return True for the stamp of the view before the expected one."""
+        return self.view(stamp) == self._next - 1
+
 
 class RobotsNode:
     """Node that executes each target once, and returns the arms home on request."""
@@ -242,18 +247,22 @@ class RobotsNode:
             self._description = station.publisher(DESCRIPTION)
             self._description.publish(String(data=description))
         self._frames: Frames | None = None
-        if links is not None and isinstance(robots, PursuingSimulation):
-            self._frames = Frames(station, links, len(robots.joints))
-            self._instant = lambda: robots.instant
+        arms = robots if isinstance(robots, PursuingSimulation) else None
+        if links is not None and arms is not None and installed(FRAMES):
+            self._frames = Frames(station, links, len(arms.joints))
+            self._instant = lambda: arms.instant
         robots.on_joints = self._on_joints
         self._targets = station.listen_to_all(TARGET, self._on_target)
         station.serve(HOME, Trigger, self._on_home)
         self._arms: ArmServer | None = None
-        if turns is None and isinstance(robots, PursuingSimulation):
-            self._arms = ArmServer(station, diagnostics, robots, self._advance)
-            station.serve(EXPOSE, Trigger, partial(self._on_expose, robots))
-            still = np.zeros(len(robots.joints))
-            rest = JointSample(robots.time_s, robots.joint_names, robots.joints, still, still)
+        if turns is None and arms is not None:
+            if lacking := lack(FRAMES, ACTION):
+                diagnostics.tell(lacking)
+            if installed(ACTION):
+                self._arms = ArmServer(station, diagnostics, arms, self._advance)
+            station.serve(EXPOSE, Trigger, partial(self._on_expose, arms))
+            still = np.zeros(len(arms.joints))
+            rest = JointSample(arms.time_s, arms.joint_names, arms.joints, still, still)
             self._on_joints(rest)  # who joins learns where the arms stand before they move
 
     def connected(self) -> bool:
@@ -289,11 +298,11 @@ class RobotsNode:
             target = messages.target_of(message)
             answer = self._ledger.find(stamp, target)
             if answer is None:
-                self._admit(stamp, target, sender)
+                self._admit(stamp, target)
                 answer = self._execute(stamp, target)
-            elif isinstance(answer, Reached) and (self._turns is None or self._of_scan(sender)):
+            elif isinstance(answer, Reached) and (self._turns is None or self._turns.last(stamp)):
                 # The message may have been dropped from a full queue. A scan's queue holds all
-                # views for late joiners; strangers who repeat targets must not displace them.
+                # views for late joiners; the scan repeats only its last target.
                 self._tell_view(stamp, answer)
             if isinstance(answer, RefusedError):
                 raise answer
@@ -302,18 +311,11 @@ class RobotsNode:
         else:
             self._answer(answer)
 
-    def _of_scan(self, sender: Sender) -> bool:
-        return self._members is not None and self._members.sent(SCAN, sender)
-
-    def _admit(self, stamp: Stamp, target: PosePairs, sender: Sender) -> None:
+    def _admit(self, stamp: Stamp, target: PosePairs) -> None:
+        """Check that a target may be executed: in a scan its next one, whoever requests it."""
         self._check_free()
         if self._turns is not None:
             self._turns.check(stamp, target)
-        if self._members is not None and not self._of_scan(sender):
-            raise RefusedError(
-                "a scan is running, and only the scan may request its next view, not "
-                + self._station.name_of(TARGET.name, sender)
-            )
 
     def _check_free(self) -> None:
         if self._arms is not None and self._arms.busy:

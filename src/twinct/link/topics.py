@@ -17,12 +17,7 @@ SCAN, ROBOTS, XRAY = "twinct_scan", "twinct_robots", "twinct_xray"
 def message_class(kind: str) -> Any:
     """Return the class of a message type, such as ``sensor_msgs/msg/Image``."""
     package, name = kind.replace("/msg/", "/").split("/")
-    try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except ModuleNotFoundError:  # no wheel brings the package
-        from twinct.link.made_types import message_type
-
-        return message_type(f"{package}/{name}")
+    return getattr(import_module(f"{package}.msg"), name)
 
 
 class Topic(str):

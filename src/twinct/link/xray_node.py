@@ -223,9 +223,9 @@ class XRayNode:
         self._peers = count
 
     def _known(self, topic: Topic, sender: Sender) -> bool:
-        if self._members is None or self._members.sent(ROBOTS, sender):
+        if self._members is None or self._members.has(ROBOTS, sender.participant):
             return True
-        self._diagnostics.stranger(topic, sender)
+        self._diagnostics.stranger(topic, self._members)
         return False
 
     def _on_view(self, message: TimeReference, sender: Sender) -> None:
