@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from shell import Shell
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.core.settings import Section
 from twinct.recon.objectives import LessIsBetter, Mean, Objective
 from twinct.recon.objectives.registry import BUILT_IN
@@ -52,7 +52,7 @@ def of(monkeypatch: pytest.MonkeyPatch, folder: Path, *entries: str, name: str =
 
 def test_a_good_one_is_found_beside_the_built_in_ones(monkeypatch, tmp_path: Path) -> None:
     of(monkeypatch, tmp_path, "b = things:B")
-    found = offers(GROUP, Thing, {"a": Thing("a")})
+    found = Registry(GROUP, Thing, {"a": Thing("a")})
     assert dict(found) == {"a": Thing("a"), "b": Thing("b")}
     assert not found.broken
 
@@ -70,7 +70,7 @@ def test_a_broken_one_is_logged_with_its_distribution_and_left_out(
     monkeypatch, caplog, tmp_path: Path, entry: str, reason: str
 ) -> None:
     of(monkeypatch, tmp_path, entry, "d = things:B", "e = things:A")
-    found = offers(GROUP, Thing, {"a": Thing("a")})
+    found = Registry(GROUP, Thing, {"a": Thing("a")})
     assert set(found) == {"a"}
     assert f"'b' of things 1.0 cannot be used: {reason}" in found.broken["b"]
     assert found.broken["b"] in caplog.text
@@ -82,7 +82,7 @@ def test_names_that_are_taken_are_refused(monkeypatch, caplog, tmp_path: Path) -
     of(monkeypatch, tmp_path / "one", "a = things:A", "b = things:B")
     of(monkeypatch, tmp_path / "two", "b = others:B", name="others")
     built_in = Thing("a")
-    found = offers(GROUP, Thing, {"a": built_in})
+    found = Registry(GROUP, Thing, {"a": built_in})
     assert dict(found) == {"a": built_in} and found["a"] is built_in
     assert "several packages offer this name: others 1.0, things 1.0" in found.broken["b"]
     # Whoever names the built-in one gets it.
@@ -90,7 +90,7 @@ def test_names_that_are_taken_are_refused(monkeypatch, caplog, tmp_path: Path) -
     reason = "'a' of things 1.0 cannot be used: ValueError: this name is built"
     assert reason in caplog.text
     caplog.clear()
-    assert not offers(GROUP, Thing, {}, taken={"a"}) and reason in caplog.text
+    assert not Registry(GROUP, Thing, {}, taken={"a"}) and reason in caplog.text
 
 
 @pytest.fixture(scope="module")
@@ -212,7 +212,11 @@ def test_an_objective_that_does_not_fit_the_task_is_left_out(
     monkeypatch, name: str, settings: type, reason: str
 ) -> None:
     odd = Objective(name, settings, lambda own, views, patient: Mean([0.0]), "Odd.")
-    monkeypatch.setattr(task_section, "objectives", lambda: Offers({**BUILT_IN, name: odd}))
+    monkeypatch.setattr(
+        task_section,
+        "objectives",
+        lambda: Registry("twinct.none", Objective, {**BUILT_IN, name: odd}),
+    )
     usable, broken = task_section._usable()
     assert list(usable) == list(BUILT_IN)
     assert broken == {name: f"the objective {name!r} cannot be used: {reason}"}

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal, cast
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from twinct.core.arm_files import BUILT_IN, ArmFile
-from twinct.core.extensions import offers
+from twinct.core.extensions import Registry
 from twinct.core.foreign_text import quoted
 from twinct.core.settings import (
     Conflict,
@@ -36,7 +36,7 @@ from twinct.scenario.room_objects import (
     require_unique_names,
 )
 
-ARMS = offers("twinct.arms", ArmFile, BUILT_IN)
+ARMS = Registry("twinct.arms", ArmFile, BUILT_IN)
 """Arms by name, the built-in ones first."""
 
 

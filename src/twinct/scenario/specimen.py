@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 from pydantic import Field, model_validator
 
-from twinct.core.extensions import offers
+from twinct.core.extensions import Registry
 from twinct.core.foreign_text import quoted
 from twinct.core.part_kinds import PartKind
 from twinct.core.settings import (
@@ -164,7 +164,7 @@ _BUILT_IN = (
     CtVolume,
     GreyVolume,
 )
-PART_KINDS = offers("twinct.parts", PartKind, {}, taken={kind_of(shape) for shape in _BUILT_IN})
+PART_KINDS = Registry("twinct.parts", PartKind, {}, taken={kind_of(shape) for shape in _BUILT_IN})
 """Kinds of other packages, by name."""
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from twinct.core.error_terms import ErrorSettings, ErrorTerm, size
-from twinct.core.extensions import offers
+from twinct.core.extensions import Registry
 from twinct.core.settings import (
     Conflict,
     ConflictError,
@@ -289,7 +289,7 @@ class UncertaintySection(Section):
         }
 
 
-ERROR_TERMS = offers("twinct.errors", ErrorTerm, {}, taken=set(UncertaintySection.model_fields))
+ERROR_TERMS = Registry("twinct.errors", ErrorTerm, {}, taken=set(UncertaintySection.model_fields))
 """Error terms of other packages, by name."""
 
 

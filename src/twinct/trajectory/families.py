@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.core.settings import kind_of
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.arc import ARC
@@ -23,9 +23,9 @@ BUILT_IN = {family.name: family for family in _ALL}
 
 
 @cache
-def families() -> Offers[Family]:
+def families() -> Registry[Family]:
     """Return the families that a scenario can name; they are looked up once per process."""
-    return offers("twinct.trajectories", Family, BUILT_IN)
+    return Registry("twinct.trajectories", Family, BUILT_IN)
 
 
 def commanded_views(section: TrajectorySettings, panel: Panel) -> ScanGeometry:

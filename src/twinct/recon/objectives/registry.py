@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.recon.objectives.completeness import COMPLETENESS
 from twinct.recon.objectives.detectability import DETECTABILITY
 from twinct.recon.objectives.dose import DOSE
@@ -21,6 +21,6 @@ BUILT_IN: dict[str, Objective[Any]] = {
 
 
 @cache
-def objectives() -> Offers[Objective[Any]]:
+def objectives() -> Registry[Objective[Any]]:
     """Return the objectives that a task can name; they are looked up once per process."""
-    return offers("twinct.objectives", Objective, BUILT_IN)
+    return Registry("twinct.objectives", Objective, BUILT_IN)
