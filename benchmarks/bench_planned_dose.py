@@ -36,9 +36,9 @@ from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.trajectory import commanded_views, write_views
 from twinct.view_planning import Goal, Mean, search_views
-from twinct.view_planning.candidates import candidates_of, reachable, spread_evenly
-from twinct.view_planning.scout import scouted
-from twinct.view_planning.task_goals import goals_of
+from twinct.view_plans.candidates import candidates_of, reachable, spread_evenly
+from twinct.view_plans.scout import scouted
+from twinct.view_plans.task_goals import goals_of
 
 HEAD = Path(__file__).parents[1] / "scenarios" / "head.yaml"
 VIEWS, CANDIDATES, PHOTONS = 40, 400, 9e5

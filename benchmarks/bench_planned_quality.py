@@ -36,8 +36,8 @@ from twinct.runs import acquire_to_store, reconstruct
 from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.trajectory import write_views
-from twinct.view_planning.candidates import candidates_of, reachable, spread_evenly
-from twinct.view_planning.planner import plan_views
+from twinct.view_plans.candidates import candidates_of, reachable, spread_evenly
+from twinct.view_plans.planner import plan_views
 from twinct.workers import LocalPool
 from twinct.xray.build import effective_energy_kev
 

@@ -18,9 +18,9 @@ from shell import Shell
 
 from twinct.core.extensions import Registry
 from twinct.core.settings import Section
-from twinct.recon.objectives import LessIsBetter, Mean, Objective
-from twinct.recon.objectives.registry import BUILT_IN
-from twinct.scenario import task as task_section
+from twinct.view_planning import task as task_section
+from twinct.view_planning.objectives import LessIsBetter, Mean, Objective
+from twinct.view_planning.objectives.registry import BUILT_IN
 
 HERE = Path(__file__).parent
 GROUP = "twinct.tests"

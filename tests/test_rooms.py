@@ -207,6 +207,6 @@ def test_old_names_import_the_same_things_with_a_warning() -> None:
         "twinct.workers.Parcel is now twinct.workers.Artifact",
         "twinct.workers.Made is now twinct.workers.WithArtifacts",
         "twinct.report.StudyAxis is now twinct.report.study_page.StudyAxis",
-        "twinct.robots.motion.path_search twinct.view_planning.planner twinct.core.errors",
+        "twinct.robots.motion.path_search twinct.view_plans.planner twinct.core.errors",
         "True",
     ], result.stderr

@@ -11,9 +11,9 @@ from typing import Any, Literal
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from twinct.recon.sections.reconstruction import SECTIONS, own_keys
 from twinct.scenario import Reconstruction, Scenario
 from twinct.scenario.digests import STAGES, declared
-from twinct.scenario.reconstruction import SECTIONS, own_keys
 
 PAGE = Path(__file__).parents[1] / "docs" / "scenario.md"
 

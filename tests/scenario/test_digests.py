@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from twinct.core.arm_files import ArmFile
 from twinct.core.settings import FILE_KEYS, is_file
+from twinct.robots.arm_files import ArmFile
+from twinct.robots.sections.cell import ARMS
 from twinct.scenario import Scenario, Source, load_scenario, parse_scenario, stage_digests
-from twinct.scenario.cell import ARMS
 from twinct.scenario.digests import STAGES, declared, readers
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"

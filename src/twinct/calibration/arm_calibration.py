@@ -19,7 +19,6 @@ from twinct.calibration import (
     require_same_arms,
 )
 from twinct.calibration.scan_calibration import balls_of, refuse_own, store_geometries
-from twinct.core.error_terms import CONSTANT, Spread, ToolMotion
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry import Chain, Floats, ScanGeometry
@@ -31,6 +30,7 @@ from twinct.scan.encoder_model import encoders_of
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import Cell, Scenario, Uncertainty
 from twinct.uncertainty.drawn_tool import by_view
+from twinct.uncertainty.error_terms import CONSTANT, Spread, ToolMotion
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.terms.registry import terms_of
 from twinct.uncertainty.terms.windup import mean_compliance

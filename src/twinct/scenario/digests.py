@@ -22,10 +22,10 @@ from pydantic_core import to_jsonable_python
 from twinct.core.errors import ScenarioError
 from twinct.core.settings import FileOf, Section, is_file, read_by
 from twinct.recon.algorithms import BUILT_IN
-from twinct.scenario.cell import DEFAULT_KIND
-from twinct.scenario.detector import RandomBadPixels
+from twinct.robots.sections.cell import DEFAULT_KIND
 from twinct.scenario.scenario import Scenario, sections_in
-from twinct.scenario.uncertainty import Uncertainty
+from twinct.uncertainty.sections import Uncertainty
+from twinct.xray.sections.detector import RandomBadPixels
 
 StageName = Literal["surface", "plan", "executed", "images", "believed", "volume"]
 

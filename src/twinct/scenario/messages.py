@@ -13,15 +13,15 @@ from pydantic import BaseModel, ValidationError
 from twinct.core.errors import ScenarioError
 from twinct.core.foreign_text import quoted, shortened
 from twinct.core.settings import Conflict, ConflictError
-from twinct.scenario.evaluation import BROKEN_KINDS
+from twinct.evaluation.sections import BROKEN_KINDS
+from twinct.recon.sections.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
-from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
-from twinct.scenario.specimen import PART_KINDS
-from twinct.scenario.task import BROKEN_OBJECTIVES
-from twinct.scenario.uncertainty import BROKEN_TERMS
 from twinct.scenario.version_0_1 import advice
+from twinct.specimen.sections.specimen import PART_KINDS
 from twinct.trajectory.families import families
+from twinct.uncertainty.sections import BROKEN_TERMS
+from twinct.view_planning.task import BROKEN_OBJECTIVES
 
 _BROKEN: dict[Key, dict[str, str]] = {
     ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,

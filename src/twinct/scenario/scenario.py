@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Union, cast
 
 from pydantic import Field, model_validator
 
 from twinct.core.settings import Conflict, ConflictError, ReadBy, Section, is_file, setting
-from twinct.scenario.breathing import motion_conflicts
-from twinct.scenario.cell import AnyCell, Cell, GantryCell
-from twinct.scenario.detector import Detector
-from twinct.scenario.evaluation import Evaluation
-from twinct.scenario.motion import Motion
-from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
-from twinct.scenario.source import Source, TubeSpectrum
-from twinct.scenario.specimen import Specimen
-from twinct.scenario.task import ViewTask
-from twinct.scenario.uncertainty import Uncertainty
-from twinct.scenario.xray import Xray
+from twinct.evaluation.sections import Evaluation
+from twinct.recon.sections.known_motion import motion_conflicts
+from twinct.recon.sections.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
+from twinct.robots.sections.cell import AnyCell, Cell, GantryCell
+from twinct.robots.sections.motion import Motion
+from twinct.specimen.sections.specimen import Specimen
 from twinct.trajectory import TrajectorySettings
 from twinct.trajectory.families import families
+from twinct.uncertainty.sections import Uncertainty
+from twinct.view_planning.task import ViewTask
+from twinct.xray.sections.detector import Detector
+from twinct.xray.sections.engine import Xray
+from twinct.xray.sections.source import Source, TubeSpectrum
 
 if TYPE_CHECKING:
 
@@ -109,7 +109,7 @@ class Scenario(Section):
             *(self._arms_to_err(), self._time_of_a_frame()),
             *self._motion(),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
-            *(self.task.conflicts(self.specimen) if self.task else ()),
+            *(self.task.conflicts(self.specimen.names) if self.task else ()),
         )
         if conflicts := [conflict for conflict in contradictions if conflict is not None]:
             raise ConflictError(*conflicts)
@@ -228,6 +228,15 @@ class Scenario(Section):
         """Seed of the arms' errors, which are constant during a scan."""
         own = self.uncertainty.arms.seed
         return self.seed if own is None else own
+
+    def named_parts(self) -> list[tuple[str, str]]:
+        """Return the keys of the evaluation that name a part or a label, each with the name."""
+        references = self.evaluation.references() if self.evaluation else ()
+        return [(f"evaluation.{key}", name) for key, name, kind in references if kind == "part"]
+
+    def unknown_parts(self, parts: Sequence[str]) -> list[Conflict]:
+        """Return the conflicts of objectives that name a part which is not among some names."""
+        return self.task.unknown_parts(parts) if self.task else []
 
     def files(self) -> dict[str, Path]:
         """Return the files and folders that the scenario names in any section, by key."""

@@ -12,10 +12,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.specimen import sections
 from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
@@ -326,7 +326,7 @@ class BuiltSpecimen:
         return volume
 
 
-def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
+def build_specimen(section: sections.Specimen) -> BuiltSpecimen:
     """Build every part, then subtract from each the volume that later parts cover.
 
     Raises:
@@ -358,7 +358,7 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
     return specimen if section.motion is None else _in_motion(specimen, section)
 
 
-def _in_motion(specimen: BuiltSpecimen, section: scenario.Specimen) -> BuiltSpecimen:
+def _in_motion(specimen: BuiltSpecimen, section: sections.Specimen) -> BuiltSpecimen:
     from twinct.specimen.body_motion import body_motion, require_possible
 
     motion = body_motion(section)
@@ -368,10 +368,10 @@ def _in_motion(specimen: BuiltSpecimen, section: scenario.Specimen) -> BuiltSpec
     return replace(specimen, motion=motion)
 
 
-def _made(part: scenario.Part, substance: Material | None, key: str) -> AnyPart | None:
+def _made(part: sections.Part, substance: Material | None, key: str) -> AnyPart | None:
     """Return a part in the specimen's frame; None if its material is unknown."""
     pose = part.specimen_from_part
-    if isinstance(part.shape, scenario.GreyVolume):
+    if isinstance(part.shape, sections.GreyVolume):
         known = substance or BUILT_IN["bone"]  # the file's own problems are reported, too
         grey = grey_part(part.shape, part.label, known, pose, key)
         return None if substance is None else grey

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from twinct.core.draws import scan_rng
-from twinct.core.error_terms import (
+from twinct.core.errors import InputError
+from twinct.geometry import Chain, Floats
+from twinct.uncertainty.arm_model import shifted_tools
+from twinct.uncertainty.error_terms import (
     CONSTANT,
     ArmShift,
     ErrorTerm,
@@ -18,9 +21,6 @@ from twinct.core.error_terms import (
     ToolMotion,
     ViewDraws,
 )
-from twinct.core.errors import InputError
-from twinct.geometry import Chain, Floats
-from twinct.uncertainty.arm_model import shifted_tools
 
 
 class ConstantDraws:

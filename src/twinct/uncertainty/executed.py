@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.core.error_terms import SIDES, ToolMotion, ViewDraws
 from twinct.geometry import Chain, Floats, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.scenario import Uncertainty
 from twinct.uncertainty.correlation import view_normals
+from twinct.uncertainty.error_terms import SIDES, ToolMotion, ViewDraws
+from twinct.uncertainty.sections import Uncertainty
 
 
 class TrueCell:

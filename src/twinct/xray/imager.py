@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
-from twinct.core.signals import Inserts
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
-from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
+from twinct.specimen.signals import Inserts
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import effective_energy_kev, physical_panel
@@ -24,6 +23,7 @@ from twinct.xray.grey import GreyCaster
 from twinct.xray.inserts import Insertion
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 from twinct.xray.room_rays import RoomRays
+from twinct.xray.sections import Detector, Source
 
 if TYPE_CHECKING:
     from twinct.xray.moving_voxels import MovingVoxels

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct.core.arm_files import BUILT_IN
 from twinct.core.errors import MissingExtraError, ScenarioError
 from twinct.core.foreign_text import counted, quoted
 from twinct.geometry import Floats, Pose
+from twinct.robots.arm_files import BUILT_IN
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
-from twinct.scenario import Arm
-from twinct.scenario.cell import ARMS
+from twinct.robots.sections import Arm
+from twinct.robots.sections.cell import ARMS
 
 if TYPE_CHECKING:
     import mujoco

@@ -43,7 +43,7 @@ from twinct.robots.motion.refusals import (
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.motion.tour import moving_seconds, shortest_tour
 from twinct.robots.motion.view_configurations import Candidates, ViewConfigurations
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 if TYPE_CHECKING:
     import mujoco

@@ -26,7 +26,7 @@ from twinct.robots.cell import CellModel
 from twinct.robots.motion.kinematics import mujoco
 from twinct.robots.motion.refusals import weak_text
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

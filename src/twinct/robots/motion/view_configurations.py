@@ -18,7 +18,7 @@ from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.refusals import far_problems, gap_problems, sample_of, weak_problems
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength, load_s
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 if TYPE_CHECKING:
     import mujoco

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from twinct.core.error_terms import (
+from twinct.geometry import Chain, Floats
+from twinct.uncertainty.error_terms import (
     ArmShift,
     ErrorTerm,
     Place,
@@ -16,8 +17,7 @@ from twinct.core.error_terms import (
     Spread,
     ToolMotion,
 )
-from twinct.geometry import Chain, Floats
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.sections import ArmErrors
 
 
 def twist_sigmas(mm: float, deg: float) -> Floats:

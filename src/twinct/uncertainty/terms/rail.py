@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.core.error_terms import ErrorTerm, Spread, ToolMotion
 from twinct.geometry import MM_PER_M
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.error_terms import ErrorTerm, Spread, ToolMotion
+from twinct.uncertainty.sections import ArmErrors
 from twinct.uncertainty.terms.displacements import twist_sigmas
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from twinct.core.error_terms import ErrorTerm
-from twinct.scenario import Uncertainty
-from twinct.scenario.uncertainty import ERROR_TERMS
+from twinct.uncertainty.error_terms import ErrorTerm
+from twinct.uncertainty.sections import ERROR_TERMS, Uncertainty
 from twinct.uncertainty.terms.displacements import AGEING, BASE, JOINT_OFFSET, LINK, TOOL
 from twinct.uncertainty.terms.drift import DRIFT
 from twinct.uncertainty.terms.gear import GEAR
