@@ -42,7 +42,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> Any:
         def spreads(_: ViewErrors, motion: ToolMotion) -> Iterator[Spread]:
             yield spread
 
-        term = ErrorTerm("odd", ViewErrors, spreads, section="views")
+        term = ErrorTerm("odd", ViewErrors, spreads, (spread.place,), "views")
         monkeypatch.setattr(registry, "BUILT_IN", {"odd": term})
 
     return put

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     Field,
@@ -12,14 +12,27 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 
 from twinct.core.foreign_text import quoted
-from twinct.core.settings import Conflict, Length, NonNegative, Section, Vector, extended, setting
+from twinct.core.settings import (
+    Conflict,
+    Extensible,
+    Length,
+    NonNegative,
+    Section,
+    Vector,
+    require_usable,
+    setting,
+)
 from twinct.evaluation.figure_kind import FigureSettings
 from twinct.evaluation.figure_kinds import BUILT_IN, figure_kinds
 from twinct.evaluation.kinds.regions import REGIONS, NamedRegion
 from twinct.geometry import Pose
 from twinct.specimen.sections.specimen import Box, Cylinder, Specimen, Sphere
+
+_SETTINGS = "the settings of {name}"
+"""Subject of messages about kinds of figures that cannot be used."""
 
 
 class Shell(Section):
@@ -59,13 +72,24 @@ class Region(NamedRegion):
         return Pose.from_euler(self.position_mm, self.rotation_deg)
 
 
-class EvaluationSection(Section):
+class Evaluation(Extensible):
     """Measurements in the volume beyond the figures that every run has.
 
     They need no new volume: `twinct report DIR --set evaluation...` measures in an existing one.
     """
 
     regions: tuple[Region, ...] = setting((), REGIONS.description)
+
+    @classmethod
+    def extension_keys(cls) -> Mapping[str, tuple[Any, FieldInfo]]:
+        """Return a key for each kind of figures."""
+        known = figure_kinds()
+        known.keep(lambda kind: require_usable(kind.name, kind.settings, cls), _SETTINGS)
+        return {
+            name: (tuple[kind.settings, ...], setting((), kind.description))
+            for name, kind in known.items()
+            if name != REGIONS.name
+        }
 
     def entries(self, kind: str) -> tuple[FigureSettings, ...]:
         """Return the entries of a kind of figures."""
@@ -139,22 +163,6 @@ class EvaluationSection(Section):
         return {
             name: section for name, section in plain(self).items() if section or name in BUILT_IN
         }
-
-
-if TYPE_CHECKING:
-    BROKEN_KINDS: dict[str, str] = {}
-    Evaluation = EvaluationSection
-else:
-    Evaluation, _BROKEN = extended(
-        EvaluationSection,
-        "Evaluation",
-        {
-            name: lambda kind=kind: (tuple[kind.settings, ...], setting((), kind.description))
-            for name, kind in figure_kinds().items()
-            if name not in EvaluationSection.model_fields
-        },
-    )
-    BROKEN_KINDS = {**figure_kinds().broken, **_BROKEN}
 
 
 def _conflict(key: str, message: str) -> Conflict:

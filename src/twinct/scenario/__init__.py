@@ -49,7 +49,6 @@ from twinct.specimen.sections.grey_volume import (
 )
 from twinct.specimen.sections.room_objects import Capsule, GroupClearance, RoomObject, Zone
 from twinct.specimen.sections.specimen import (
-    PART_KINDS,
     BallHelix,
     Box,
     Brain,
@@ -63,6 +62,7 @@ from twinct.specimen.sections.specimen import (
     Skull,
     Specimen,
     Sphere,
+    part_kinds,
 )
 from twinct.specimen.signals import GaussianSignal, SphereSignal
 from twinct.uncertainty.sections import (
@@ -114,7 +114,7 @@ from twinct.xray.sections.source import (
 )
 
 __all__ = [
-    "PART_KINDS",
+    "part_kinds",
     "PRESETS",
     "AnyCell",
     "AnyTrajectory",

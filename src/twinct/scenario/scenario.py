@@ -5,37 +5,31 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Union, cast
+from typing import Annotated, Any, cast
 
 from pydantic import Field, model_validator
 
-from twinct.core.settings import Conflict, ConflictError, ReadBy, Section, is_file, setting
+from twinct.core.settings import (
+    Conflict,
+    ConflictError,
+    ReadBy,
+    Section,
+    is_file,
+    section_made_late,
+    setting,
+)
 from twinct.evaluation.sections import Evaluation
 from twinct.recon.sections.known_motion import motion_conflicts
-from twinct.recon.sections.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
+from twinct.recon.sections.reconstruction import AnyReconstruction, default_reconstruction
 from twinct.robots.sections.cell import AnyCell, Cell, GantryCell
 from twinct.robots.sections.motion import Motion
 from twinct.specimen.sections.specimen import Specimen
-from twinct.trajectory import TrajectorySettings
-from twinct.trajectory.families import families
+from twinct.trajectory.families import AnyTrajectory
 from twinct.uncertainty.sections import Uncertainty
 from twinct.view_planning.task import ViewTask
 from twinct.xray.sections.detector import Detector
 from twinct.xray.sections.engine import Xray
 from twinct.xray.sections.source import Source, TubeSpectrum
-
-if TYPE_CHECKING:
-
-    class AnyTrajectory(TrajectorySettings):
-        """Keys that all trajectories share."""
-
-        kind: str
-
-else:
-    AnyTrajectory = Annotated[
-        Union[tuple(family.settings for family in families().values())],  # noqa: UP007
-        Field(discriminator="kind"),
-    ]
 
 
 class Scenario(Section):
@@ -59,13 +53,11 @@ class Scenario(Section):
     specimen: Specimen = Field(description="Specimen to be imaged.")
     cell: AnyCell = setting(Cell(), "The room, with two arms or a gantry.")
     motion: Motion = setting(Motion(), "Motion of the arms; not used with a gantry.")
-    uncertainty: Uncertainty = setting(
-        Uncertainty(), "Differences between commanded, executed and believed poses."
+    uncertainty: Uncertainty = section_made_late(
+        Uncertainty, "Differences between commanded, executed and believed poses."
     )
-    reconstruction: AnyReconstruction = setting(
-        SECTIONS[DEFAULT_ALGORITHM].model_validate({}),
-        "Reconstruction of the volume.",
-        read_by="volume",
+    reconstruction: AnyReconstruction = section_made_late(
+        default_reconstruction, "Reconstruction of the volume.", read_by="volume"
     )
     evaluation: Evaluation | None = setting(
         None, "Measurements in the volume, in addition to the figures that every run has."
@@ -177,12 +169,7 @@ class Scenario(Section):
         )
 
     def _arms_to_err(self) -> Conflict | None:
-        results = {
-            "uncertainty.arms": any(self.uncertainty.arms.sizes),
-            "uncertainty.encoder_step_deg": self.uncertainty.encoder_step_deg > 0,
-            "uncertainty.calibration": self.uncertainty.calibration is not None,
-        }
-        keys = tuple(key for key, given in results.items() if given)
+        keys = tuple(f"uncertainty.{name}" for name in self.uncertainty.of_arms)
         if not isinstance(self.cell, GantryCell) or not keys:
             return None
         what = (

@@ -14,7 +14,7 @@ from twinct.core.foreign_text import quoted
 from twinct.specimen import sections
 from twinct.specimen.balls import true_centres
 from twinct.specimen.head import brain_surface, head_surface
-from twinct.specimen.sections import PART_KINDS, Shape
+from twinct.specimen.sections import Shape, part_kinds
 from twinct.specimen.shells import joined_shells
 from twinct.specimen.skull import skull_surface
 from twinct.specimen.surface import enclosed_volume, surface
@@ -47,7 +47,7 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
 
 def _of_another_package(shape: Shape, name: str) -> trimesh.Trimesh:
     where = f"part {quoted(name)} of kind {shape.kind}"
-    mesh = surface(*PART_KINDS[shape.kind].surface(shape))
+    mesh = surface(*part_kinds()[shape.kind].surface(shape))
     if not (mesh.is_watertight and enclosed_volume(mesh) > 0):
         raise SpecimenError(
             f"{where}: its surface is open or inside out; every edge must belong to two triangles, "

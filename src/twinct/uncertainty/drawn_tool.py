@@ -130,15 +130,20 @@ def keyed_spreads(
     """Yield the spreads of a term, each with the key of its draws.
 
     Raises:
-        InputError: a term of arms applies to a gantry.
+        InputError: a spread has a place that the term does not declare; or a term of arms applies
+            to a gantry.
     """
     places: Counter[str] = Counter()
     for spread in term.spreads(settings, motion):
-        if motion.chain is None and spread.place != "pose":
+        key = f"uncertainty.{term.section or term.name}"
+        if spread.place not in term.places:
+            declared = ", ".join(term.places)
             raise InputError(
-                f"uncertainty.{term.section or term.name}: this error belongs to arms, and a "
-                "gantry has none"
+                f"{key}: a spread of this error has the place {spread.place!r}, but the error "
+                f"declares only {declared}"
             )
+        if motion.chain is None and spread.place != "pose":
+            raise InputError(f"{key}: this error belongs to arms, and a gantry has none")
         places[spread.place] += 1
         again = "" if places[spread.place] == 1 else f" {places[spread.place]}"
         whose = "both" if spread.draws == "all" else motion.side

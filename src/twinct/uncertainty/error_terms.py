@@ -142,6 +142,7 @@ class ErrorTerm:
         settings: class of its keys.
         spreads: spreads of one side from settings and motion; they must yield the same places for
             all views.
+        places: all places that the spreads may have; a machine without arms has the ``pose`` alone.
         section: key below ``uncertainty`` that holds the settings; empty: the name.
         drawn: its own draws for an arm, where they are not linear in normal draws; None: draws of
             the spreads.
@@ -153,6 +154,7 @@ class ErrorTerm:
     name: str
     settings: type[ErrorSettings]
     spreads: Callable[[Any, ToolMotion], Iterable[Spread]]
+    places: tuple[Place, ...] = ("pose",)
     section: str = ""
     drawn: Callable[[Any, Any, ScanDraws], ArmShift] | None = None
     prior: Callable[[Any], dict[str, Array]] | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.geometry import Chain, Floats, Pose
+from twinct.geometry import Chain, Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.uncertainty.correlation import view_normals
 from twinct.uncertainty.error_terms import SIDES, ToolMotion, ViewDraws
@@ -45,6 +45,16 @@ class TrueCell:
             own = slice(first, first := first + len(chain or ()))
             tool = DrawnTool(terms_of(uncertainty), side, chain, arms_seed)
             self._tools.append((tool, chain, own))
+
+    def check(self, views: ScanGeometry) -> None:
+        """Check the errors of a gantry's views, before anything moves.
+
+        Raises:
+            InputError: an error belongs to arms, or deviates a part that it does not declare.
+        """
+        first = views[:1]
+        source, panel = first.source_poses()[0], first.detector_poses()[0]
+        self.at(PosePairs.at(source, panel, Pose.identity()), 0, 0.0)
 
     def at(
         self,

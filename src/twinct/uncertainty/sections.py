@@ -4,27 +4,29 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from functools import partial
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import Any, Literal, cast
 
 from pydantic import (
     SerializerFunctionWrapHandler,
     model_serializer,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 
 from twinct.core.extensions import Registry
 from twinct.core.settings import (
     Conflict,
     ConflictError,
+    Extensible,
     Finite,
     Length,
     NonNegative,
     Positive,
     Section,
     Vector,
-    extended,
+    require_usable,
     setting,
 )
 from twinct.uncertainty.error_terms import ErrorSettings, ErrorTerm, size
@@ -222,7 +224,7 @@ the mean orbit, as reported by Daly et al. (2008).
 """
 
 
-class UncertaintySection(Section):
+class Uncertainty(Extensible):
     """Differences between commanded, executed and believed poses."""
 
     preset: Literal["industrial", "collaborative", "c_arm", "c_arm_uncalibrated"] | None = setting(
@@ -261,8 +263,13 @@ class UncertaintySection(Section):
         read_by="believed",
     )
 
+    @classmethod
+    def extension_keys(cls) -> Mapping[str, tuple[Any, FieldInfo]]:
+        """Return a key for each error term of another package."""
+        return {name: _key(term) for name, term in error_terms().items()}
+
     @model_validator(mode="after")
-    def _preset_gives_way(self) -> UncertaintySection:
+    def _preset_gives_way(self) -> Uncertainty:
         for name, under in PRESETS[self.preset].items() if self.preset else ():
             if isinstance(under, Mapping):
                 section: Section = getattr(self, name)
@@ -279,31 +286,47 @@ class UncertaintySection(Section):
         sections = (getattr(self, name) for name in type(self).model_fields)
         return any(any(one.sizes) for one in sections if isinstance(one, ErrorSettings))
 
+    @property
+    def of_arms(self) -> tuple[str, ...]:
+        """Keys with an effect that only arms can have."""
+        given = {
+            "arms": any(self.arms.sizes),
+            "encoder_step_deg": self.encoder_step_deg > 0,
+            "calibration": self.calibration is not None,
+        }
+        for name, term in error_terms().items():
+            own: ErrorSettings | None = getattr(self, name)
+            given[name] = own is not None and any(own.sizes) and "pose" not in term.places
+        return tuple(name for name, has in given.items() if has)
+
     @model_serializer(mode="wrap")
     def _without_unused_extensions(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Leave out foreign errors that are not used: others can read the scenario."""
         return {
             name: value
             for name, value in plain(self).items()
-            if value is not None or name not in ERROR_TERMS
+            if value is not None or name not in error_terms()
         }
 
 
-ERROR_TERMS = Registry("twinct.errors", ErrorTerm, {}, taken=set(UncertaintySection.model_fields))
-"""Error terms of other packages, by name."""
+@cache
+def error_terms() -> Registry[ErrorTerm]:
+    """Return the error terms of other packages; they are looked up once per process."""
+    known = Registry("twinct.errors", ErrorTerm, {}, taken=_OWN)
+    known.keep(_fits, "the settings of {name}")
+    return known
 
 
-def _key(term: ErrorTerm) -> Any:
-    if term.section:
-        raise ValueError("an error term of another package has a section of its own")
+_OWN = frozenset(Uncertainty.model_fields)
+"""Keys that no error term of another package may take."""
+
+
+def _key(term: ErrorTerm) -> tuple[Any, FieldInfo]:
     description = f"{inspect.cleandoc(term.settings.__doc__ or term.name)} null: no such error."
     return term.settings | None, setting(None, description, read_by="executed")
 
 
-if TYPE_CHECKING:
-    BROKEN_TERMS: dict[str, str] = {}
-    Uncertainty = UncertaintySection
-else:
-    _KEYS = {name: partial(_key, term) for name, term in ERROR_TERMS.items()}
-    Uncertainty, _BROKEN = extended(UncertaintySection, "Uncertainty", _KEYS)
-    BROKEN_TERMS = {**ERROR_TERMS.broken, **_BROKEN}
+def _fits(term: ErrorTerm) -> None:
+    if term.section:
+        raise ValueError("an error term of another package has a section of its own")
+    require_usable(term.name, term.settings, Uncertainty)

@@ -5,19 +5,28 @@ Objectives, built in or from extensions, bring their own keys.
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache
 from typing import Any
 
-from pydantic import Field, create_model
+from pydantic import Field
+from pydantic.fields import FieldInfo
 
+from twinct.core.extensions import Registry
 from twinct.core.foreign_text import quoted
-from twinct.core.settings import Conflict, Finite, NonNegative, Section, Vector, setting
+from twinct.core.settings import (
+    Conflict,
+    Extensible,
+    Finite,
+    NonNegative,
+    Section,
+    Vector,
+    complete,
+    setting,
+)
 from twinct.view_planning.objectives import LessIsBetter, MoreIsBetter, Objective
 from twinct.view_planning.objectives.objective import ObjectiveSettings
 from twinct.view_planning.objectives.registry import objectives
-
-log = logging.getLogger(__name__)
 
 
 class TryingGoal(ObjectiveSettings):
@@ -51,8 +60,8 @@ class FamilySearch(Section):
     population: int = setting(8, "Number of paths in each generation.", ge=4, le=1000)
 
 
-class _Region(Section):
-    """Region, and the number of views."""
+class ViewTask(Extensible):
+    """Goals for which `twinct plan` chooses views; a run does not read them."""
 
     position_mm: Vector = setting(
         (0.0, 0.0, 0.0), "Centre of the region, a ball, in the specimen's frame."
@@ -67,44 +76,6 @@ class _Region(Section):
         le=20_000,
     )
     rounds: int = setting(2, "Rounds in which each view may be exchanged.", ge=0, le=20)
-
-
-_FURTHER = ("trying", "exposure", "family", "goals", "label", "conflicts")
-"""Names in ``ViewTask`` that no objective may take."""
-
-
-def _usable() -> tuple[dict[str, Objective[Any]], dict[str, str]]:
-    """Return the objectives with usable keys, and the problem of each one that is unusable."""
-    usable, broken = dict[str, Objective[Any]](), dict(objectives().broken)
-    for name, objective in objectives().items():
-        try:
-            if hasattr(Section, name) or name in (*_Region.model_fields, *_FURTHER):
-                raise ValueError("the section task has another key of this name")
-            if not issubclass(objective.settings, (MoreIsBetter, LessIsBetter)):
-                raise TypeError("its settings are neither MoreIsBetter nor LessIsBetter")
-            _with_keys({name: objective})
-            usable[name] = objective
-        except Exception as error:  # settings may come from any package
-            broken[name] = f"the objective {quoted(name)} cannot be used: {error}"
-            log.warning(broken[name])
-    return usable, broken
-
-
-def _with_keys(of: dict[str, Objective[Any]]) -> type[_Region]:
-    fields: dict[str, Any] = {
-        name: (one.settings | None, setting(None, one.description)) for name, one in of.items()
-    }
-    return create_model("_Objectives", __base__=_Region, **fields)
-
-
-OBJECTIVES, BROKEN_OBJECTIVES = _usable()
-
-_Objectives: Any = _with_keys(OBJECTIVES)
-
-
-class ViewTask(_Objectives):
-    """Goals for which `twinct plan` chooses views; a run does not read them."""
-
     trying: TryingGoal | None = setting(
         None,
         "Favour a small error in the region. Each path of a family is tried: its images, simulated "
@@ -117,10 +88,23 @@ class ViewTask(_Objectives):
         None, "Choose the views of the best path of a family; null: choose views freely."
     )
 
+    @classmethod
+    def extension_keys(cls) -> Mapping[str, tuple[Any, FieldInfo]]:
+        """Return a key for each objective."""
+        return {
+            name: (one.settings | None, setting(None, one.description))
+            for name, one in usable_objectives().items()
+        }
+
+    @classmethod
+    def own_last_keys(cls) -> Collection[str]:
+        """Return the keys behind the objectives."""
+        return _LAST
+
     @property
     def goals(self) -> dict[str, tuple[Objective[Any], Any]]:
         """Objectives of this task and their settings, by name."""
-        every = ((one, getattr(self, name)) for name, one in OBJECTIVES.items())
+        every = ((one, getattr(self, name)) for name, one in usable_objectives().items())
         return {one.name: (one, section) for one, section in every if section is not None}
 
     def label(self, name: str) -> str:
@@ -138,7 +122,7 @@ class ViewTask(_Objectives):
         contradictions: list[Conflict] = []
         if not (self.trying or any(one.more_is_better for one, _ in self.goals.values())):
             gains, costs = (
-                [name for name, one in OBJECTIVES.items() if one.more_is_better is more]
+                [name for name, one in usable_objectives().items() if one.more_is_better is more]
                 for more in (True, False)
             )
             contradictions.append(
@@ -190,6 +174,27 @@ class ViewTask(_Objectives):
                 message = f"{key}.key: {quoted(one.key)} is listed twice"
                 contradictions.append(Conflict(message, (f"{key}.key",)))
         return contradictions + self.unknown_parts(parts)
+
+
+_LAST = ("trying", "exposure", "family")
+_OWN = frozenset(ViewTask.model_fields)
+"""Keys that no objective may take."""
+
+
+@cache
+def usable_objectives() -> Registry[Objective[Any]]:
+    """Return the objectives whose keys can stand in a task."""
+    known = objectives()
+    known.keep(_fits, "the objective {name}")
+    return known
+
+
+def _fits(objective: Objective[Any]) -> None:
+    if objective.name in _OWN or hasattr(ViewTask, objective.name):
+        raise ValueError("the section task has another key of this name")
+    if not issubclass(objective.settings, (MoreIsBetter, LessIsBetter)):
+        raise TypeError("its settings are neither MoreIsBetter nor LessIsBetter")
+    complete(objective.settings)
 
 
 def _listed(names: list[str], word: str) -> str:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import logging
+from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Union, cast
+from typing import Annotated, Any, NamedTuple, Union, cast
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, create_model, model_validator
 
 from twinct.core.foreign_text import counted
-from twinct.core.settings import Length, Lengths, Section, Vector, facts, setting
+from twinct.core.settings import Length, Lengths, OneOf, Section, Vector, complete, facts, setting
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.algorithms import algorithms
 from twinct.recon.sections.beam_hardening import BeamHardening
 from twinct.recon.sections.known_motion import KnownMotion
 from twinct.recon.sections.metal import Metal
-
-log = logging.getLogger(__name__)
-
 
 DEFAULT_ALGORITHM = "sart"
 
@@ -251,19 +249,39 @@ def _with_settings(algorithm: Algorithm[Any]) -> type[Reconstruction]:
     return section
 
 
-def _sections() -> tuple[dict[str, type[Reconstruction]], dict[str, str]]:
-    """Return the section of each algorithm, and the problem of each algorithm that is unusable."""
-    sections, broken = dict[str, type[Reconstruction]](), dict(algorithms().broken)
-    for name, algorithm in algorithms().items():
-        try:
-            sections[name] = _with_settings(algorithm)
-        except Exception as error:  # settings may come from any package
-            broken[name] = f"the settings of {name!r} cannot be used: {error}"
-            log.warning(broken[name])
-    return sections, broken
+@cache
+def _made() -> Mapping[str, type[Reconstruction]]:
+    """Return the section of each algorithm; they are made once per process, at their first use."""
+    made: dict[str, type[Reconstruction]] = {}
+
+    def make(algorithm: Algorithm[Any]) -> None:
+        made[algorithm.name] = _with_settings(algorithm)
+        complete(made[algorithm.name])
+
+    algorithms().keep(make, "the settings of {name}")
+    return made
 
 
-SECTIONS, BROKEN_ALGORITHMS = _sections()
+class _Sections(Mapping[str, type[Reconstruction]]):
+    """Mapping whose classes are made at its first use."""
+
+    def __getitem__(self, name: str) -> type[Reconstruction]:
+        return _made()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_made())
+
+    def __len__(self) -> int:
+        return len(_made())
+
+
+SECTIONS: Mapping[str, type[Reconstruction]] = _Sections()
+"""Section of each algorithm, by name."""
+
+
+def default_reconstruction() -> Reconstruction:
+    """Return the reconstruction of a scenario that states none."""
+    return SECTIONS[DEFAULT_ALGORITHM].model_validate({})
 
 
 def _named(value: Any) -> str:
@@ -277,10 +295,11 @@ def _restored(data: dict[str, Any]) -> Reconstruction:
     return SECTIONS[_named(data)].model_validate(data)
 
 
-if TYPE_CHECKING:
-    AnyReconstruction = Reconstruction
-else:
-    AnyReconstruction = Annotated[
+def _any_section() -> Any:
+    return Annotated[
         Union[tuple(Annotated[section, Tag(name)] for name, section in SECTIONS.items())],  # noqa: UP007
         Discriminator(_named),
     ]
+
+
+AnyReconstruction = Annotated[Reconstruction, OneOf(_any_section)]

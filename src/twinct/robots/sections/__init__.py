@@ -1,7 +1,6 @@
 """The cell and the motion of its arms, as a scenario states them."""
 
 from twinct.robots.sections.cell import (
-    ARMS,
     DEFAULT_KIND,
     AnyCell,
     Arm,
@@ -12,11 +11,12 @@ from twinct.robots.sections.cell import (
     SourceArm,
     Table,
     Turntable,
+    known_arms,
 )
 from twinct.robots.sections.motion import InverseKinematics, Motion
 
 __all__ = [
-    "ARMS",
+    "known_arms",
     "AnyCell",
     "Arm",
     "Cell",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -36,14 +38,30 @@ from twinct.specimen.sections.room_objects import (
     require_unique_names,
 )
 
-ARMS = Registry("twinct.arms", ArmFile, BUILT_IN)
-"""Arms by name, the built-in ones first."""
+
+@cache
+def known_arms() -> Registry[ArmFile]:
+    """Return all arms by name; they are looked up once per process."""
+    return Registry("twinct.arms", ArmFile, BUILT_IN)
 
 
 def _offered_file(model: str | None) -> Path | None:
     """Return the file of an arm of another package."""
-    offered = None if model is None or model in BUILT_IN else ARMS.get(model)
+    offered = None if model is None or model in BUILT_IN else known_arms().get(model)
     return offered and offered.file
+
+
+def _models_in_words(names: Iterable[str]) -> str:
+    return f"Model of the arm: {', '.join(names)}, or menagerie:NAME."
+
+
+def _with_all_models(schema: dict[str, Any]) -> None:
+    """Add the arms of other packages to the key's schema."""
+    arms = known_arms()
+    if "description" in schema:
+        schema["description"] = _models_in_words(arms)
+    schema |= facts(source="manufacturers' data sheets: docs/arms.md")
+    schema["pattern"] = rf"^({'|'.join(map(re.escape, arms))}|menagerie:[A-Za-z0-9_]+)$"
 
 
 _OF_FILE = ("base", "flange", "link_density_kg_m3", "joint_torque_nm")
@@ -123,9 +141,8 @@ class Arm(Section):
 
     model: Annotated[str | None, ReadBy("plan"), FileOf(_offered_file)] = Field(
         default="ur10e",
-        description=f"Model of the arm: {', '.join(ARMS)}, or menagerie:NAME.",
-        json_schema_extra=facts(source="manufacturers' data sheets: docs/arms.md")
-        | {"pattern": rf"^({'|'.join(map(re.escape, ARMS))}|menagerie:[A-Za-z0-9_]+)$"},
+        description=_models_in_words(BUILT_IN),
+        json_schema_extra=_with_all_models,
     )
     file: Annotated[Path | None, ReadBy("plan")] = Field(
         default=None,
@@ -213,14 +230,15 @@ class Arm(Section):
         if model is None:
             return None
         menagerie, colon, name = model.partition(":")
-        if model in ARMS or (menagerie == "menagerie" and re.fullmatch(r"\w+", name)):
+        arms = known_arms()
+        if model in arms or (menagerie == "menagerie" and re.fullmatch(r"\w+", name)):
             return model
-        if model in ARMS.broken:
-            raise ValueError(ARMS.broken[model])
-        near = difflib.get_close_matches(model, ARMS, n=1)
+        if model in arms.broken:
+            raise ValueError(arms.broken[model])
+        near = difflib.get_close_matches(model, arms, n=1)
         hint = f"; did you mean {near[0]!r}?" if near and not colon else ""
         raise ValueError(
-            f"unknown arm {quoted(model)}{hint} (known: {', '.join(ARMS)}, and menagerie:NAME "
+            f"unknown arm {quoted(model)}{hint} (known: {', '.join(arms)}, and menagerie:NAME "
             "for an "
             "arm of MuJoCo Menagerie)"
         )

@@ -26,7 +26,6 @@ from twinct.specimen.sections.room_objects import (
 )
 from twinct.specimen.sections.specimen import (
     GREY,
-    PART_KINDS,
     BallHelix,
     Box,
     Brain,
@@ -41,6 +40,7 @@ from twinct.specimen.sections.specimen import (
     Skull,
     Specimen,
     Sphere,
+    part_kinds,
 )
 
 __all__ = [
@@ -70,7 +70,7 @@ __all__ = [
     "Mask",
     "MeshFile",
     "OpenNames",
-    "PART_KINDS",
+    "part_kinds",
     "Part",
     "Phase",
     "RoomObject",

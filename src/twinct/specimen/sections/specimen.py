@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, model_validator
 
@@ -16,10 +17,12 @@ from twinct.core.settings import (
     Length,
     Lengths,
     NonNegative,
+    OneOf,
     Positive,
     ReadBy,
     Section,
     Vector,
+    complete,
     kind_of,
     setting,
 )
@@ -164,8 +167,23 @@ _BUILT_IN = (
     CtVolume,
     GreyVolume,
 )
-PART_KINDS = Registry("twinct.parts", PartKind, {}, taken={kind_of(shape) for shape in _BUILT_IN})
-"""Kinds of other packages, by name."""
+
+
+@cache
+def part_kinds() -> Registry[PartKind]:
+    """Return the kinds of part that other packages offer; they are looked up once per process."""
+    built_in = {kind_of(shape) for shape in _BUILT_IN}
+    known = Registry("twinct.parts", PartKind, {}, taken=built_in)
+    known.keep(lambda kind: complete(kind.settings), "the settings of {name}")
+    return known
+
+
+def _shapes() -> Any:
+    return Annotated[
+        Union[(*_BUILT_IN, *(kind.settings for kind in part_kinds().values()))],  # noqa: UP007
+        Field(discriminator="kind"),
+    ]
+
 
 if TYPE_CHECKING:
     Shape = (
@@ -182,10 +200,7 @@ if TYPE_CHECKING:
         | GreyVolume
     )
 else:
-    Shape = Annotated[
-        Union[(*_BUILT_IN, *(kind.settings for kind in PART_KINDS.values()))],  # noqa: UP007
-        Field(discriminator="kind"),
-    ]
+    Shape = Annotated[Section, OneOf(_shapes)]
 
 
 GREY = (GreyVolume,)

@@ -44,4 +44,4 @@ def _prior(section: ArmErrors) -> dict[str, Floats]:
     return {"links": section.drift_mm * LENGTHS}
 
 
-DRIFT = ErrorTerm("drift", ArmErrors, _spreads, section="arms", drawn=_drawn, prior=_prior)
+DRIFT = ErrorTerm("drift", ArmErrors, _spreads, ("links",), "arms", _drawn, _prior)

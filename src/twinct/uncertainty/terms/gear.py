@@ -44,6 +44,4 @@ def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
     return lambda motion, _: Shift(joints=waves(own, section.gear_periods, motion.joints))
 
 
-GEAR = ErrorTerm(
-    "gear", ArmErrors, _spreads, section="arms", drawn=_drawn, prior=lambda section: {}
-)
+GEAR = ErrorTerm("gear", ArmErrors, _spreads, ("joints",), "arms", _drawn, prior=lambda section: {})

@@ -25,4 +25,4 @@ def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
         yield Spread("links", sigma)
 
 
-RAIL = ErrorTerm("rail", ArmErrors, _spreads, section="arms")
+RAIL = ErrorTerm("rail", ArmErrors, _spreads, ("links",), "arms")

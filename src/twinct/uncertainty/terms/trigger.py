@@ -29,4 +29,4 @@ def _drawn(section: ArmErrors, chain: object, draws: object) -> ArmShift:
     return shift
 
 
-TRIGGER = ErrorTerm("trigger", ArmErrors, _spreads, section="arms", drawn=_drawn)
+TRIGGER = ErrorTerm("trigger", ArmErrors, _spreads, ("joints",), "arms", _drawn)

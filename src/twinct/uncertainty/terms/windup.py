@@ -50,5 +50,5 @@ def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
 
 
 WINDUP = ErrorTerm(
-    "windup", ArmErrors, _spreads, section="arms", drawn=_drawn, prior=lambda section: {}
+    "windup", ArmErrors, _spreads, ("joints",), "arms", _drawn, prior=lambda section: {}
 )
