@@ -95,6 +95,12 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _sections_go_together(self) -> Scenario:
+        if conflicts := self.conflicts():
+            raise ConflictError(*conflicts)
+        return self
+
+    def conflicts(self) -> list[Conflict]:
+        """Return the conflicts between sections."""
         contradictions = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
@@ -103,9 +109,7 @@ class Scenario(Section):
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
             *(self.task.conflicts(self.specimen.names) if self.task else ()),
         )
-        if conflicts := [conflict for conflict in contradictions if conflict is not None]:
-            raise ConflictError(*conflicts)
-        return self
+        return [conflict for conflict in contradictions if conflict is not None]
 
     def _photon_number(self) -> Conflict | None:
         quantum = self.detector.noise is not None and self.detector.noise.kind == "quantum"
