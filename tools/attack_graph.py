@@ -32,7 +32,7 @@ from twinct.link.rig import NODE_COMMAND
 from twinct.link.stamps import Epoch
 from twinct.runs import acquire_to_store
 from twinct.scan import SimulationBuilder
-from twinct.scenario import load_scenario
+from twinct.scenario import load_scenario, stage_digests
 
 ROOT = Path(__file__).parents[1]
 KEYS = [
@@ -101,7 +101,7 @@ class Attacked:
             "seed": seed,
             "domain": self.domain.id,
             "scenario": json.loads(scenario.resolved()),
-            "epoch": str(Epoch.of(scenario)),
+            "epoch": str(Epoch.of(stage_digests(scenario)["images"])),
             "targets": [t.sevens[0] for t in SimulationBuilder(scenario).targets],
             "taken_s": taken_s.tolist(),
         }

@@ -54,6 +54,7 @@ from twinct.link.xray_node import XRayNode
 from twinct.robots.motion import MotionPlan
 from twinct.runs import import_scan
 from twinct.scan import ScanStore, SimulationBuilder
+from twinct.scenario import stage_digests
 
 KINDS = {topic.name: topic for topic in TOPICS}
 ANSWERS = (VIEWS, REACHED, JOINTS, STATE, IMAGE)
@@ -99,7 +100,7 @@ class _Recorded:
         self.store = ScanStore(path / "scan.zarr")
         self.scenario, self.plan = self.store.scenario, self.store.plan
         self.arms = bool(self.store.joint_names)
-        self.epoch = Epoch.of(self.scenario)
+        self.epoch = Epoch.of(stage_digests(self.scenario)["images"])
         self.targets = self.store.commanded.targets()
         self.robots = None if self.arms else SimulationBuilder(self.scenario)
         self.file = path / "scan.mcap"

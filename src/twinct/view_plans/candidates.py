@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.progress import Progress
-from twinct.geometry import Floats, ScanGeometry
+from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Cell, Scenario
+from twinct.scenario import AnyTrajectory, Cell
 from twinct.trajectory import OrbitSettings, UniformTrajectory, commanded_views
 from twinct.view_plans.search_work import spread
 from twinct.workers import Pool
@@ -24,40 +24,36 @@ if TYPE_CHECKING:
     from twinct.robots.reach import Holder
 
 
-def orbit_of(scenario: Scenario) -> OrbitSettings:
-    """Return the scenario's trajectory about an isocentre.
+def orbit_of(trajectory: AnyTrajectory) -> OrbitSettings:
+    """Return a trajectory about an isocentre.
 
     Raises:
         InputError: the trajectory has no isocentre.
     """
-    section = scenario.trajectory
-    if not isinstance(section, OrbitSettings):
+    if not isinstance(trajectory, OrbitSettings):
         raise InputError(
-            f"trajectory.kind: {section.kind}: candidates need an isocentre and distances; choose "
-            "a kind that has them, such as sinusoid"
+            f"trajectory.kind: {trajectory.kind}: candidates need an isocentre and distances; "
+            "choose a kind that has them, such as sinusoid"
         )
-    return section
+    return trajectory
 
 
-def candidates_of(scenario: Scenario) -> ScanGeometry:
-    """Return views all over the sphere, with SOD and SDD of the scenario's path."""
-    orbit, task = orbit_of(scenario), scenario.task
-    assert task is not None
+def candidates_of(orbit: OrbitSettings, views: int, panel: Panel) -> ScanGeometry:
+    """Return views all over the sphere, with SOD and SDD of an orbit."""
     section = UniformTrajectory(
         kind="uniform",
-        views=task.candidates,
+        views=views,
         isocentre_mm=orbit.isocentre_mm,
         sod_mm=float(orbit.sod_at(0.5)),
         sdd_mm=float(orbit.sdd_at(0.5)),
         latitude_range_deg=(-90.0, 90.0),
     )
-    return commanded_views(section, scenario.detector.panel)
+    return commanded_views(section, panel)
 
 
-def own_path(scenario: Scenario, views: int) -> ScanGeometry:
-    """Return the scenario's path with another number of views."""
-    section = orbit_of(scenario).model_copy(update={"views": views})
-    return commanded_views(section, scenario.detector.panel)
+def own_path(orbit: OrbitSettings, views: int, panel: Panel) -> ScanGeometry:
+    """Return an orbit with another number of views."""
+    return commanded_views(orbit.model_copy(update={"views": views}), panel)
 
 
 def reachable(

@@ -173,13 +173,13 @@ def _judged(builder: SimulationBuilder, piece: _Piece) -> list[tuple[float, str]
 def _section(
     builder: SimulationBuilder, task: ViewTask, parameters: Mapping[str, float]
 ) -> OrbitSettings:
-    orbit = orbit_of(builder.scenario)
+    orbit = orbit_of(builder.scenario.trajectory)
     keys: dict[str, Any] = orbit.model_dump() | {"views": task.views} | dict(parameters)
     return type(orbit).model_validate(keys)
 
 
 def _check(builder: SimulationBuilder, task: ViewTask, family: FamilySearch) -> None:
-    orbit = orbit_of(builder.scenario)
+    orbit = orbit_of(builder.scenario.trajectory)
     fields = type(orbit).model_fields
     numbers = [
         name

@@ -11,7 +11,7 @@ from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
 from twinct.robots.calibrated_arms import CalibratedArms
 from twinct.runs.propagating import nominal_scan
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Scenario
+from twinct.scenario import Uncertainty
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.propagation import draw, project
 from twinct.view_plans.task_goals import goals_of
@@ -64,7 +64,8 @@ def rejudged(
     assert task is not None
     scan, panel = nominal_scan(builder), scenario.detector.panel
     views = len(scan.time_s)
-    true, believed = _drawn_poses(scenario, scan, draws)
+    seeds = scenario.seed, scenario.arms_seed
+    true, believed = _drawn_poses(scenario.uncertainty, seeds, scan, draws)
     planned = _geometry(scan.poses[0], scan.poses[1], panel)
     executed = [_geometry(true[0, k], true[1, k], panel) for k in range(draws)]
     place = builder.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
@@ -89,14 +90,15 @@ def rejudged(
     return by_name, blur
 
 
-def _drawn_poses(scenario: Scenario, scan: NominalScan, draws: int) -> tuple[Floats, Floats]:
+def _drawn_poses(
+    uncertainty: Uncertainty, seeds: tuple[int, int], scan: NominalScan, draws: int
+) -> tuple[Floats, Floats]:
     """Return true and believed poses of both tools in each draw, as ``draw`` does."""
     tool_model = None
-    if file := scenario.uncertainty.calibration:
+    if file := uncertainty.calibration:
         source, detector = scan.chains
         tool_model = CalibratedArms.read(file, (source, detector)).tool
-    seeds = scenario.seed, scenario.arms_seed
-    parts = list(draw(scenario.uncertainty, scan, draws, *seeds, tool_model))
+    parts = list(draw(uncertainty, scan, draws, *seeds, tool_model))
     true, believed = (
         np.concatenate([getattr(one, name) for _, one in parts], axis=2)
         for name in ("true", "believed")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import write_json
-from twinct.scenario import Scenario, stage_digests
+from twinct.scenario import ViewTask
 from twinct.view_planning import Searched
 
 
@@ -27,14 +27,14 @@ class Journal:
         generations: worth of all paths of each generation, for a family of paths.
     """
 
-    def __init__(self, path: Path, scenario: Scenario, resume: bool) -> None:
-        """Read the existing journal, if any.
+    def __init__(self, path: Path, digest: str, resume: bool) -> None:
+        """Read the existing journal, if any, of the search with a digest.
 
         Raises:
             ScanExistsError: a journal exists and ``resume`` is false, or its scenario is another.
             InputError: the journal cannot be read.
         """
-        self._path, self._digest = path, _digest(scenario)
+        self._path, self._digest = path, digest
         self.within_reach: NDArray[np.intp] | None = None
         self.state = Searched()
         self.generations: list[list[float]] = []
@@ -97,7 +97,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: cannot be read: {error}; delete it to start again") from None
 
 
-def _digest(scenario: Scenario) -> str:
-    assert scenario.task is not None
-    parts = [stage_digests(scenario)["images"], scenario.task.model_dump(mode="json")]
+def search_digest(images: str, task: ViewTask) -> str:
+    """Return the digest of a search, from that of the stage of images and the task."""
+    parts = [images, task.model_dump(mode="json")]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

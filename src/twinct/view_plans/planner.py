@@ -18,7 +18,7 @@ from twinct.core.interruption import keeping
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Cell, Scenario, ViewTask, load_scenario, write_scenario
+from twinct.scenario import Cell, ViewTask, load_scenario, stage_digests, write_scenario
 from twinct.trajectory import OrbitSettings, write_views
 from twinct.view_planning import Goal, Searched, has_limit, search_views
 from twinct.view_plans import trial
@@ -30,7 +30,7 @@ from twinct.view_plans.candidates import (
     spread_evenly,
 )
 from twinct.view_plans.family_search import best_path, error_of
-from twinct.view_plans.journal import Journal
+from twinct.view_plans.journal import Journal, search_digest
 from twinct.view_plans.mas import share_exposure
 from twinct.view_plans.picture import draw_view_plan
 from twinct.view_plans.scout import Scouted, scouted
@@ -118,10 +118,12 @@ def plan_views(
             seen = scouted(scenario, scout, progress)
             overrides = [*overrides, *seen.overrides]
             scenario = load_scenario(source, overrides)
-        journal = Journal(out / SEARCH, scenario, resume)
+        digest = search_digest(stage_digests(scenario)["images"], task)
+        journal = Journal(out / SEARCH, digest, resume)
         stack.enter_context(keeping(lambda: f"{out} keeps {journal.in_words}"))
         builder = SimulationBuilder(scenario)
-        all_views = candidates_of(scenario)
+        orbit, panel = orbit_of(scenario.trajectory), scenario.detector.panel
+        all_views = candidates_of(orbit, task.candidates, panel)
         if journal.within_reach is None:
             journal.write_candidates(reachable(builder, all_views, progress, pool))
         assert journal.within_reach is not None
@@ -133,11 +135,11 @@ def plan_views(
                 "use more task.candidates or motion.detector_roll: free; twinct place finds a "
                 "better place for the arms"
             )
-        own = own_path(scenario, task.views)
+        own = own_path(orbit, task.views, panel)
         choose = _chosen if task.family is None else partial(_tuned, pool=pool)
         choice = choose(builder, task, within, own, journal, progress)
         write_views(out / VIEWS, choice.views, choice.mas)
-        scan_s, clearance = _driven(source, overrides, scenario, out, choice.section)
+        scan_s, clearance = _driven(builder, source, overrides, out, choice.section)
         figures, chosen = choice.figures, choice.views
         errors = None
         if try_views:
@@ -147,7 +149,7 @@ def plan_views(
             chosen, figures, len(all_views), len(within), scan_s, clearance, seen, errors
         )
         write_json(out / RESULT, _plan_data(plan, choice))
-        centre = np.asarray(orbit_of(scenario).isocentre_mm)
+        centre = np.asarray(orbit.isocentre_mm)
         draw_view_plan(
             out / PICTURE,
             scenario.name,
@@ -260,9 +262,9 @@ def _figures(
 
 
 def _driven(
+    builder: SimulationBuilder,
     source: Path,
     overrides: Sequence[str],
-    scenario: Scenario,
     out: Path,
     section: OrbitSettings | None,
 ) -> tuple[float | None, float | None]:
@@ -272,12 +274,12 @@ def _driven(
     if section is not None:
         trajectory = section.model_dump(mode="json")
     changes: dict[str, Any] = {"trajectory": trajectory}
-    if not isinstance(scenario.cell, Cell):
+    if not isinstance(builder.scenario.cell, Cell):
         write_scenario(out / SCENARIO, source, overrides, changes)
         return None, None
     from twinct.robots.motion import save_plan
 
-    free = SimulationBuilder(scenario).roll_free[1]
+    free = builder.roll_free[1]
     changes["motion.detector_roll"] = "free" if free else "fixed"
     changes["motion.order"] = "shortest" if section is None else "given"
     write_scenario(out / SCENARIO, source, overrides, changes)
