@@ -23,6 +23,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry import Chain, Floats, Panel, ScanGeometry
 from twinct.observers import Observers, audience_of
+from twinct.robots.cell import nominal_chains
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
 from twinct.scan import NamedGeometry, Scan
@@ -112,8 +113,6 @@ def chains_of_scan(cell: AnyCell, panel: Panel) -> tuple[Chain, Chain]:
     """
     if not isinstance(cell, Cell):
         raise InputError(f"cell.kind: {cell.kind}: a scan without joints has no arms to calibrate")
-    from twinct.robots.cell import nominal_chains
-
     return nominal_chains(cell, panel)
 
 

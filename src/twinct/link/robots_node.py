@@ -50,6 +50,7 @@ from twinct.link.topics import (
     VIEWS,
 )
 from twinct.robots.motion import MotionPlan, PursuingSimulation
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.trajectory import TrajectorySettings, commanded_views
 from twinct.version import __version__
@@ -133,8 +134,6 @@ def spin_robots(
         if build is not None:
             robots = build(scenario)
         else:
-            from twinct.scan import SimulationBuilder  # only here: it imports the whole simulation
-
             builder = SimulationBuilder.with_specimen(scenario, specimen)
             robots = builder.robots(planned=planned)
             if scenario.cell.kind != "gantry":

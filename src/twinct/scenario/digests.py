@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from twinct.core.errors import ScenarioError
+from twinct.core.files.arm_xml import read_arm_xml
 from twinct.core.settings import (
     FileOf,
     Section,
@@ -244,8 +245,6 @@ def content_digest(path: Path, key: str) -> str:
 def _of_arm(path: Path) -> tuple[Path, ...]:
     """Return an arm's file and all files that it includes or names; only itself if invalid."""
     try:
-        from twinct.core.files.arm_xml import read_arm_xml
-
         return read_arm_xml(path, str(path)).files
     except ScenarioError:  # reported when the arm is built
         return (path,) if path.is_file() else ()

@@ -16,6 +16,10 @@ from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.specimen import sections
+from twinct.specimen.body_motion import body_motion, require_possible
+from twinct.specimen.breathing import Breath
+from twinct.specimen.colours import SKIN, colour_of
+from twinct.specimen.convex_parts import convex_parts
 from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
@@ -270,8 +274,6 @@ class BuiltSpecimen:
         """
         if not self.greys:
             return (self.hull,)
-        from twinct.specimen.convex_parts import convex_parts
-
         convex: list[trimesh.Trimesh] = []
         for part in self.greys:
             for points in convex_parts(part.mesh):
@@ -283,8 +285,6 @@ class BuiltSpecimen:
 
     def _breathing(self, points: Floats) -> Iterator[Floats]:
         """Yield points of the moving part in deep breaths."""
-        from twinct.specimen.breathing import Breath
-
         assert self.motion is not None
         depth = float(np.exp(2 * self.motion.rhythm.irregularity))
         for phase in (0.25, 0.5, 0.75):
@@ -301,8 +301,6 @@ class BuiltSpecimen:
     @property
     def colour(self) -> Rgb:
         """Colour of the largest part in pictures of the room."""
-        from twinct.specimen.colours import SKIN, colour_of
-
         largest = self.largest_part
         return SKIN if isinstance(largest, GreyPart) else colour_of(largest.material)
 
@@ -359,8 +357,6 @@ def build_specimen(section: sections.Specimen) -> BuiltSpecimen:
 
 
 def _in_motion(specimen: BuiltSpecimen, section: sections.Specimen) -> BuiltSpecimen:
-    from twinct.specimen.body_motion import body_motion, require_possible
-
     motion = body_motion(section)
     require_possible(motion, specimen.greys)
     for part in specimen.solids:

@@ -17,6 +17,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
 from twinct.geometry import Pose, VolumeGrid
 from twinct.specimen import sections
+from twinct.specimen.body_motion import body_motion
 from twinct.specimen.build import AnyPart, BuiltPart, BuiltSpecimen
 from twinct.specimen.grey import GreyField
 from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
@@ -59,8 +60,6 @@ def load_built(section: sections.Specimen, path: Path) -> BuiltSpecimen:
     parts = [_part(part, arrays, str(i), where) for i, part in enumerate(section.parts)]
     motion = None
     if section.motion is not None:
-        from twinct.specimen.body_motion import body_motion
-
         motion = body_motion(section)
     specimen = BuiltSpecimen(tuple(parts), section.world_from_specimen, section.reference, motion)
     if any(name.startswith(f"{_HULL}.") for name in arrays):

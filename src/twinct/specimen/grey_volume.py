@@ -19,6 +19,7 @@ from twinct.specimen.grey import GreyField
 from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
 from twinct.specimen.hounsfield import TissueLine, line_of, values_line
 from twinct.specimen.materials import Material
+from twinct.specimen.phantom import phantom_ct
 from twinct.specimen.surface import isosurface, simplified, surface
 from twinct.specimen.volumes import read_ct
 from twinct.specimen.voxel_labels import read_labels, read_mask
@@ -100,8 +101,6 @@ def _read(
 ) -> tuple[CtImage, tuple[str, ...], NDArray[np.uint16] | None]:
     """Return a file's CT volume or the phantom, with names and labels, if any."""
     if shape.phantom:
-        from twinct.specimen.phantom import phantom_ct  # its kernels load numba
-
         return phantom_ct(shape.phantom, shape.seed, shape.voxel_mm)
     assert shape.path is not None
     line = shape.hu or values_line(shape.calibration)

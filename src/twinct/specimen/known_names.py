@@ -11,6 +11,7 @@ from twinct.core.files.nifti import open_nifti
 from twinct.core.foreign_text import quoted
 from twinct.core.settings import Conflict
 from twinct.specimen import sections
+from twinct.specimen.phantom import phantom
 from twinct.specimen.sections.specimen import OpenNames
 from twinct.specimen.voxel_labels import header_names, mask_files
 
@@ -81,8 +82,6 @@ def known_names(section: sections.Specimen) -> KnownNames:
         if not isinstance(shape, sections.GreyVolume):
             continue
         if shape.phantom:
-            from twinct.specimen.phantom import phantom
-
             names_so_far += phantom(shape.phantom, shape.seed).names[1:]
         elif shape.labels:
             names = _of_files(shape.labels, f"part {part.label!r}: labels {shape.labels.path}")

@@ -16,6 +16,10 @@ from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import no_file
 from twinct.specimen import sections
 from twinct.specimen.ct_image import CtImage
+from twinct.specimen.ct_metaimage import read_ct_metaimage
+from twinct.specimen.ct_nifti import read_ct_nifti
+from twinct.specimen.dicom_series import read_dicom_series
+from twinct.specimen.invesalius import read_invesalius
 from twinct.specimen.surface import isosurface, simplified, surface
 
 if TYPE_CHECKING:
@@ -76,12 +80,6 @@ def read_ct(
         SpecimenError: the file does not exist, is damaged, has another format, is not one volume,
             or its values are no HU. The message starts with ``where``.
     """
-    # Each reader is loaded when a specimen needs it.
-    from twinct.specimen.ct_metaimage import read_ct_metaimage
-    from twinct.specimen.ct_nifti import read_ct_nifti
-    from twinct.specimen.dicom_series import read_dicom_series
-    from twinct.specimen.invesalius import read_invesalius
-
     name = path.name.lower()
     if why := no_file(path, folder=True):
         raise SpecimenError(f"{where} {why}")

@@ -7,8 +7,11 @@ import numpy as np
 from twinct.geometry import Chain, Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.uncertainty.correlation import view_normals
+from twinct.uncertainty.drawn_tool import DrawnTool
 from twinct.uncertainty.error_terms import SIDES, ToolMotion, ViewDraws
+from twinct.uncertainty.patient import world_from_moved
 from twinct.uncertainty.sections import Uncertainty
+from twinct.uncertainty.terms.registry import terms_of
 
 
 class TrueCell:
@@ -35,10 +38,6 @@ class TrueCell:
         """
         self._seed, self._arms_seed = seed, arms_seed
         self._patient = uncertainty.patient if any(uncertainty.patient.sizes) else None
-        # Imported here because few scenarios have errors of executed poses.
-        from twinct.uncertainty.drawn_tool import DrawnTool
-        from twinct.uncertainty.terms.registry import terms_of
-
         self._tools: list[tuple[DrawnTool, Chain | None, slice]] = []
         first = 0
         for side, chain in zip(SIDES, chains or (None, None), strict=True):
@@ -89,8 +88,6 @@ class TrueCell:
             poses[k] = at
         (stands,) = nominal.object
         if self._patient is not None:
-            from twinct.uncertainty.patient import world_from_moved
-
             moved = world_from_moved(self._patient, self._arms_seed, time_s)
             stands = (moved @ stands).as_sent()
         return PosePairs((poses[0],), (poses[1],), (stands,))

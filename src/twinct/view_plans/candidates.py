@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.progress import Progress
 from twinct.geometry import Floats, Panel, ScanGeometry
+from twinct.robots.motion import moving_seconds, speeds_of
+from twinct.robots.reach import Holder, Poses
 from twinct.scan import SimulationBuilder
 from twinct.scenario import AnyTrajectory, Cell
 from twinct.trajectory import OrbitSettings, UniformTrajectory, commanded_views
@@ -91,8 +93,6 @@ def seconds_between(builder: SimulationBuilder, geometry: ScanGeometry) -> Float
 
     NaN from and to views that one of the arms cannot reach.
     """
-    from twinct.robots.motion import moving_seconds, speeds_of
-
     _, of_arms = _holding(builder, geometry)
     held = np.intersect1d(of_arms[0].pose, of_arms[1].pose)
     joints = [[of.joints[of.pose == view] for view in held] for of in of_arms]
@@ -106,8 +106,6 @@ def _holding(
     builder: SimulationBuilder, geometry: ScanGeometry
 ) -> tuple[Holder, tuple[Configurations, Configurations]]:
     """Return the solver of joint configurations, and the configurations of each arm alone."""
-    from twinct.robots.reach import Holder, Poses
-
     holder = Holder(builder.cell, builder.scenario.motion, roll_free=builder.roll_free)
     poses = Poses.of(geometry.source_poses(), geometry.detector_poses())
     return holder, (holder.alone(poses.source, 0), holder.alone(poses.detector, 1))

@@ -14,6 +14,7 @@ from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 from twinct.recon.shadow import Body
 from twinct.recon.volume import Volume
+from twinct.robots.motion import shortest_tour
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
 from twinct.specimen import AnyPart, GreyPart, Material, material
@@ -165,6 +166,4 @@ class Patient:
 
     def short_tour(self, seconds: Floats) -> list[int]:
         """See ``PatientModel``."""
-        from twinct.robots.motion import shortest_tour
-
         return shortest_tour(seconds)

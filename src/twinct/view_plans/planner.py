@@ -17,6 +17,7 @@ from twinct.core.files.writing import check_folder, storage_errors, write_json
 from twinct.core.interruption import keeping
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry
+from twinct.robots.motion import save_plan
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, ViewTask, load_scenario, stage_digests, write_scenario
 from twinct.trajectory import OrbitSettings, write_views
@@ -277,8 +278,6 @@ def _driven(
     if not isinstance(builder.scenario.cell, Cell):
         write_scenario(out / SCENARIO, source, overrides, changes)
         return None, None
-    from twinct.robots.motion import save_plan
-
     free = builder.roll_free[1]
     changes["motion.detector_roll"] = "free" if free else "fixed"
     changes["motion.order"] = "shortest" if section is None else "given"

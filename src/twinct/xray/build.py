@@ -22,6 +22,7 @@ from twinct.xray.response import PhotonResponse
 from twinct.xray.spectrum import PhotonSpectrum, attenuation
 from twinct.xray.spot import gaussian_spot, image_spot, square_spot, unit_square
 from twinct.xray.spread import PointSpreadFunction
+from twinct.xray.tube import tube_spectrum
 
 SCINTILLATORS = {
     "CsI": Composition(formula="CsI", density_g_cm3=4.51),
@@ -44,8 +45,6 @@ def build_spectrum(source: sections.Source) -> PhotonSpectrum:
     if section is None:
         return PhotonSpectrum.monochromatic(source.energy_kev, photons)
     if isinstance(section, sections.TubeSpectrum):
-        from twinct.xray.tube import tube_spectrum
-
         with _named("source.spectrum"):
             spectrum = tube_spectrum(section.kvp, section.anode_angle_deg, target=section.target)
     else:

@@ -21,6 +21,7 @@ from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.grey import GreyCaster
 from twinct.xray.inserts import Insertion
+from twinct.xray.moving_voxels import MovingVoxels
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 from twinct.xray.room_rays import RoomRays
 from twinct.xray.sections import Detector, Source
@@ -110,8 +111,6 @@ class Imager(SceneOwner):
     def _moving_of(self, specimen: BuiltSpecimen) -> MovingVoxels | None:
         if specimen.motion is None:
             return None
-        from twinct.xray.moving_voxels import MovingVoxels
-
         casters = self._casters if self._paths is None else self._paths.casters
         greys = zip(specimen.greys, casters, strict=True)
         caster = next(caster for part, (caster, _) in greys if part.name == specimen.motion.part)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from twinct.geometry import ScanGeometry
 from twinct.xray import sections
+from twinct.xray.build import build_spread
+from twinct.xray.chain import Chain
 
 
 @dataclass(frozen=True)
@@ -28,9 +30,6 @@ def free_photons(
     source: sections.Source, detector: sections.Detector, commanded: ScanGeometry
 ) -> FreePhotons | None:
     """Return the photons behind a scenario's noise; None if it states none."""
-    from twinct.xray.build import build_spread
-    from twinct.xray.chain import Chain
-
     noise = detector.noise
     if noise is None:
         return None

@@ -18,6 +18,7 @@ from twinct.link.plain import transforms
 from twinct.link.recording.bag import Bag
 from twinct.link.stamps import Stamp
 from twinct.link.topics import IMAGE, KINDS, TF
+from twinct.robots.motion import save_plan
 from twinct.scan import NamedGeometry, Rig, RigFactory, SimulationBuilder
 from twinct.scenario import stage_digests
 from twinct.version import __version__
@@ -91,8 +92,6 @@ class Recorder(ABC):
             commanded = NamedGeometry("commanded", builder.commanded_poses, {})
             bag.attach(COMMANDED, commanded.write(folder).read_bytes())
             if plan := builder.followed:
-                from twinct.robots.motion import save_plan
-
                 save_plan(plan, folder / PLAN)
                 bag.attach(PLAN, (folder / PLAN).read_bytes())
 

@@ -29,6 +29,7 @@ from twinct.core.settings import (
     setting,
 )
 from twinct.robots.arm_files import BUILT_IN, ArmFile
+from twinct.robots.sections.operating_room import operating_room
 from twinct.specimen.sections.room_objects import (
     LEAST_HEIGHT_MM,
     GroupClearance,
@@ -355,8 +356,6 @@ class Cell(Section):
         own = keyed(self.objects)
         if self.room == "plain":
             return own
-        from twinct.robots.sections.operating_room import operating_room  # few scenarios need it
-
         table = self.table
         furniture = operating_room(
             self.floor_z_mm, table.top_z_mm, table.size_mm, table=table.present
