@@ -69,7 +69,7 @@ def left_out(views):
     """Every second ball is fitted; where are the others seen?"""
     for name, noisy in (("no noise", False), ("1e4 photons, blur 1 px", True)):
         scenario, scan = scan_of(views, 0, noisy=noisy, blurred=noisy)
-        truth = phantom_of(scenario)
+        truth = phantom_of(scenario.specimen)
         executed = scan.executed.geometry(scenario.detector.panel)
         far, before = [], []
         for view in range(views):
@@ -110,7 +110,7 @@ def poses(views, phantoms):
     errors, distances = [], []
     for phantom in range(phantoms):
         scenario, scan = scan_of(views, phantom, tolerance_mm=TOLERANCE_MM, noisy=True)
-        nominal = phantom_of(scenario)
+        nominal = phantom_of(scenario.specimen)
         executed = scan.executed.geometry(scenario.detector.panel)
         for view in range(views):
             believed = believed_of(executed[view], np.random.default_rng([1, phantom, view]))
@@ -154,7 +154,7 @@ def volumes(views, voxels):
     believed = ScanGeometry.joined(
         [believed_of(view, np.random.default_rng([2, i])) for i, view in enumerate(executed)]
     )
-    found = calibrated(scan.transmission, believed, phantom_of(scenario))
+    found = calibrated(scan.transmission, believed, phantom_of(scenario.specimen))
     for view, problem in found.problems.items():
         print(f"view {view}: {problem}", flush=True)
 

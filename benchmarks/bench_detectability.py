@@ -27,7 +27,6 @@ from scipy.stats import spearmanr
 
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector
-from twinct.recon.objectives.detectability import difference_spectrum
 from twinct.trajectory import (
     ArcTrajectory,
     CircleTrajectory,
@@ -37,6 +36,7 @@ from twinct.trajectory import (
     commanded_views,
 )
 from twinct.view_planning import Task, detectability_of
+from twinct.view_planning.objectives.detectability import difference_spectrum
 
 SIZE, VOXEL, PHOTONS, BETA = 64, 2.0, 1e4, 3e4
 PANEL = Panel(60, 80, 4.0, 4.0)

@@ -174,7 +174,7 @@ def main() -> None:
         rendered(asked.views[0], rails)
         return
     scenario = load_scenario(SCENARIO, rails)
-    builder, phantom = SimulationBuilder(scenario), phantom_of(scenario)
+    builder, phantom = SimulationBuilder(scenario), phantom_of(scenario.specimen)
     chains, panel = chains_of(builder.cell), scenario.detector.panel
     section = Uncertainty.model_validate({"preset": asked.preset})
     quiet = section.model_copy(update={"views": ViewErrors()})

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from twinct.core.signals import Inserts, SphereSignal, contrast_at
 from twinct.evaluation import Measurement, Repeated, Voxels, ball
 from twinct.evaluation.kinds.tasks import TASKS, USUAL_SCANS, Task
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector
 from twinct.recon.fdk import fdk
+from twinct.specimen.signals import Inserts, SphereSignal, contrast_at
 from twinct.trajectory import CircleTrajectory, commanded_views
 from twinct.xray.inserts import Insertion
 

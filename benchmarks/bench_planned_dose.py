@@ -36,9 +36,9 @@ from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.trajectory import commanded_views, write_views
 from twinct.view_planning import Goal, Mean, search_views
-from twinct.view_planning.candidates import candidates_of, reachable, spread_evenly
-from twinct.view_planning.scout import scouted
-from twinct.view_planning.task_goals import goals_of
+from twinct.view_plans.candidates import candidates_of, orbit_of, reachable, spread_evenly
+from twinct.view_plans.scout import scouted
+from twinct.view_plans.task_goals import goals_of
 
 HEAD = Path(__file__).parents[1] / "scenarios" / "head.yaml"
 VIEWS, CANDIDATES, PHOTONS = 40, 400, 9e5
@@ -155,7 +155,12 @@ def main() -> None:
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     truth = with_part(load_scenario(HEAD, KEYS), LENSES[0])
-    everywhere, kept = candidates_of(truth), options.out / "reachable.json"
+    orbit, task = orbit_of(truth.trajectory), truth.task
+    assert task is not None
+    everywhere, kept = (
+        candidates_of(orbit, task.candidates, truth.detector.panel),
+        options.out / "reachable.json",
+    )
     if not kept.exists():
         kept.write_text(
             json.dumps(reachable(SimulationBuilder(truth), everywhere, SILENT).tolist())

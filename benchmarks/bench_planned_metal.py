@@ -39,7 +39,7 @@ from twinct.runs import acquire_to_store, reconstruct
 from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.view_planning import best_parameters
-from twinct.view_planning.planner import plan_views
+from twinct.view_plans.planner import plan_views
 from twinct.xray.build import effective_energy_kev
 
 VIEWS, ITERATIONS = 120, 4

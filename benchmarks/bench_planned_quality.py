@@ -36,8 +36,8 @@ from twinct.runs import acquire_to_store, reconstruct
 from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
 from twinct.trajectory import write_views
-from twinct.view_planning.candidates import candidates_of, reachable, spread_evenly
-from twinct.view_planning.planner import plan_views
+from twinct.view_plans.candidates import candidates_of, orbit_of, reachable, spread_evenly
+from twinct.view_plans.planner import plan_views
 from twinct.workers import LocalPool
 from twinct.xray.build import effective_energy_kev
 
@@ -103,7 +103,12 @@ class Bench:
     def _candidates(self) -> None:
         told = head(PLANNED_FOR, TUNED_ON, ARMS).model_dump(mode="json")
         scenario = parse_scenario(told | {"task": TASK})
-        everywhere, kept = candidates_of(scenario), self.folder / "reachable.json"
+        orbit, task = orbit_of(scenario.trajectory), scenario.task
+        assert task is not None
+        everywhere, kept = (
+            candidates_of(orbit, task.candidates, scenario.detector.panel),
+            self.folder / "reachable.json",
+        )
         if not kept.exists():
             kept.write_text(
                 json.dumps(reachable(SimulationBuilder(scenario), everywhere, SILENT).tolist())

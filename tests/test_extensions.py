@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 from shell import Shell
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.core.settings import Section
-from twinct.recon.objectives import LessIsBetter, Mean, Objective
-from twinct.recon.objectives.registry import BUILT_IN
-from twinct.scenario import task as task_section
+from twinct.view_planning import task as task_section
+from twinct.view_planning.objectives import LessIsBetter, Mean, Objective
+from twinct.view_planning.objectives.registry import BUILT_IN
 
 HERE = Path(__file__).parent
 GROUP = "twinct.tests"
@@ -52,7 +52,7 @@ def of(monkeypatch: pytest.MonkeyPatch, folder: Path, *entries: str, name: str =
 
 def test_a_good_one_is_found_beside_the_built_in_ones(monkeypatch, tmp_path: Path) -> None:
     of(monkeypatch, tmp_path, "b = things:B")
-    found = offers(GROUP, Thing, {"a": Thing("a")})
+    found = Registry(GROUP, Thing, {"a": Thing("a")})
     assert dict(found) == {"a": Thing("a"), "b": Thing("b")}
     assert not found.broken
 
@@ -70,7 +70,7 @@ def test_a_broken_one_is_logged_with_its_distribution_and_left_out(
     monkeypatch, caplog, tmp_path: Path, entry: str, reason: str
 ) -> None:
     of(monkeypatch, tmp_path, entry, "d = things:B", "e = things:A")
-    found = offers(GROUP, Thing, {"a": Thing("a")})
+    found = Registry(GROUP, Thing, {"a": Thing("a")})
     assert set(found) == {"a"}
     assert f"'b' of things 1.0 cannot be used: {reason}" in found.broken["b"]
     assert found.broken["b"] in caplog.text
@@ -82,7 +82,7 @@ def test_names_that_are_taken_are_refused(monkeypatch, caplog, tmp_path: Path) -
     of(monkeypatch, tmp_path / "one", "a = things:A", "b = things:B")
     of(monkeypatch, tmp_path / "two", "b = others:B", name="others")
     built_in = Thing("a")
-    found = offers(GROUP, Thing, {"a": built_in})
+    found = Registry(GROUP, Thing, {"a": built_in})
     assert dict(found) == {"a": built_in} and found["a"] is built_in
     assert "several packages offer this name: others 1.0, things 1.0" in found.broken["b"]
     # Whoever names the built-in one gets it.
@@ -90,7 +90,7 @@ def test_names_that_are_taken_are_refused(monkeypatch, caplog, tmp_path: Path) -
     reason = "'a' of things 1.0 cannot be used: ValueError: this name is built"
     assert reason in caplog.text
     caplog.clear()
-    assert not offers(GROUP, Thing, {}, taken={"a"}) and reason in caplog.text
+    assert not Registry(GROUP, Thing, {}, taken={"a"}) and reason in caplog.text
 
 
 @pytest.fixture(scope="module")
@@ -212,10 +212,14 @@ def test_an_objective_that_does_not_fit_the_task_is_left_out(
     monkeypatch, name: str, settings: type, reason: str
 ) -> None:
     odd = Objective(name, settings, lambda own, views, patient: Mean([0.0]), "Odd.")
-    monkeypatch.setattr(task_section, "objectives", lambda: Offers({**BUILT_IN, name: odd}))
-    usable, broken = task_section._usable()
+    monkeypatch.setattr(
+        task_section,
+        "objectives",
+        lambda: Registry("twinct.none", Objective, {**BUILT_IN, name: odd}),
+    )
+    usable = task_section.usable_objectives.__wrapped__()
     assert list(usable) == list(BUILT_IN)
-    assert broken == {name: f"the objective {name!r} cannot be used: {reason}"}
+    assert usable.broken == {name: f"the objective {name!r} cannot be used: {reason}"}
 
 
 @pytest.mark.parametrize(
@@ -431,3 +435,130 @@ def test_a_foreign_arm_is_checked_and_moved(twinct: Shell, tmp_path: Path) -> No
     assert done.returncode == 0, done.stderr
     assert json.loads((out / "metrics.json").read_text())["clearance_mm"]["min"] > 12
     assert "model: six" in (out / "scenario.yaml").read_text()
+
+
+LATE = """
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from twinct.core.errors import InputError, TrajectoryError
+from twinct.evaluation import Figure, FigureKind, FigureSettings
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings
+from twinct.robots.arm_files import ArmFile
+from twinct.specimen.part_kinds import PartKind, PartSettings
+from twinct.trajectory import Family, OrbitSettings
+from twinct.uncertainty.error_terms import ErrorSettings, ErrorTerm, Spread, size
+from twinct.xray.engine import EngineChoice
+
+
+class Path1(OrbitSettings):
+    kind: Literal["late_path"]
+
+
+def refused(*given):
+    raise TrajectoryError("late path: no such views")
+
+
+class Solver(AlgorithmSettings):
+    algorithm: Literal["late_solver"] = "late_solver"
+
+
+def unfit(*given):
+    raise InputError("reconstruction: late solver does not fit")
+
+
+class Body(PartSettings):
+    kind: Literal["late_body"]
+
+
+class Count(FigureSettings):
+    region: str
+
+
+class Slack(ErrorSettings):
+    mm: float = size("Slack of the tool.")
+
+
+def slack(settings, motion):
+    yield Spread("tool", np.full(6, settings.mm))
+
+
+PATH = Family(Path1, refused)
+SOLVER = Algorithm(Solver, unfit, volumes=1, check=unfit)
+BODY = PartKind(Body, lambda section: ([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]]))
+COUNT = FigureKind(
+    "late_count",
+    Count,
+    "Counts.",
+    (Figure("n", "number", "1", 1, 0, ""),),
+    lambda at, one: {},
+    check=lambda places, one: {"region": "cannot be counted"},
+    names={"region": "region"},
+)
+SLACK = ErrorTerm("late_slack", Slack, slack, ("tool",))
+HIDDEN = ErrorTerm("late_hidden", Slack, slack)
+ENGINE = EngineChoice("late_engine", object(), modules=("no_such_module",))
+ARM = ArmFile("late_arm", Path("/nowhere/arm.xml"))
+"""
+
+LATE_POINTS = """\
+[twinct.trajectories]
+late_path = late:PATH
+[twinct.algorithms]
+late_solver = late:SOLVER
+[twinct.parts]
+late_body = late:BODY
+[twinct.figures]
+late_count = late:COUNT
+[twinct.errors]
+late_slack = late:SLACK
+late_hidden = late:HIDDEN
+[twinct.xray_engines]
+late_engine = late:ENGINE
+[twinct.arms]
+late_arm = late:ARM
+"""
+
+REFUSED_LATE = {
+    "trajectory={kind: late_path, views: 3}": "late path: no such views",
+    "reconstruction.algorithm=late_solver": "late solver does not fit",
+    "specimen.parts.0.shape={kind: late_body}": "its surface is open",
+    "evaluation={regions: [{name: a, shape: {kind: sphere, radius_mm: 9}}], "
+    "late_count: [{region: a}]}": "cannot be counted",
+    "uncertainty.late_slack={mm: 1}": "uncertainty.late_slack: a gantry has no arms",
+    "uncertainty.late_hidden={mm: 1}": "has the place 'tool', but the error declares only pose",
+    "xray.engine=late_engine": "no_such_module",
+    "cell={kind: arms, source_arm: {model: late_arm}}": "model: late_arm does not exist",
+}
+
+
+@pytest.fixture(scope="module")
+def late(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shell]:
+    """Commands of a process that finds extensions of every kind, all of which refuse their use."""
+    target = tmp_path_factory.mktemp("late")
+    distribution(target, "late", "1.0", LATE_POINTS, LATE)
+    with Shell(tmp_path_factory.mktemp("streams"), target) as shell:
+        yield shell
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+@pytest.mark.parametrize("change", REFUSED_LATE)
+def test_check_and_run_agree_on_each_kind_of_extension(
+    late: Shell, tmp_path: Path, change: str
+) -> None:
+    file, out = tmp_path / "late.yaml", tmp_path / "out"
+    file.write_text(
+        f"extends: {HERE}/same_bytes/small.yaml\n"
+        "trajectory: {views: 3}\n"
+        "cell: {kind: gantry}\n"
+        "xray: {engine: mesh}\n"
+    )
+    for command in (["check", file], ["run", file, "--out", out, "--link", "local"]):
+        refused = late(*command, "--set", change)
+        assert refused.returncode == 2, refused.stdout + refused.stderr
+        assert REFUSED_LATE[change] in " ".join(refused.stderr.split())
+    assert not out.exists()

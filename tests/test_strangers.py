@@ -28,7 +28,7 @@ SOURCES = Path(twinct.__file__).parent
 
 TO_OWN_WORKERS = {
     *("workers/call.py", "workers/local.py", "workers/worker.py"),
-    "view_planning/search_work.py",
+    "view_plans/search_work.py",
 }
 """These send pickles through pipes to processes that they start themselves."""
 

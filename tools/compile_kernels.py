@@ -74,8 +74,8 @@ def _reconstruct(engine: str) -> None:
     """Call every kernel of an engine through the algorithms that use it."""
     from twinct.geometry import Panel, Pose, VolumeGrid
     from twinct.recon import Projector, fdk, fista_tv, sart
-    from twinct.recon.deformation import Deformation
     from twinct.recon.moving import MovingProjector
+    from twinct.specimen.deformation import Deformation
     from twinct.trajectory import CircleTrajectory, commanded_views
 
     circle = CircleTrajectory(kind="circle", views=4, sod_mm=200, sdd_mm=400)
@@ -124,9 +124,9 @@ def _voxelise() -> None:
 
 def _move() -> None:
     from twinct.geometry import Pose, VolumeGrid
-    from twinct.recon.deformation import Deformation
     from twinct.recon.moving import map_of
     from twinct.specimen import _moved_voxels
+    from twinct.specimen.deformation import Deformation
 
     still, grid = Deformation(np.zeros_like, Pose.identity()), VolumeGrid((4, 5, 6), 10.0)
     places = map_of(still, grid, "to_reference", 2)

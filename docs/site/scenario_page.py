@@ -9,9 +9,10 @@ from typing import Any, Literal
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from twinct.core.settings import annotation_of, facts_of, models_in
+from twinct.recon.sections.reconstruction import SECTIONS, own_keys
 from twinct.scenario import Reconstruction, Scenario
 from twinct.scenario.digests import STAGES, declared
-from twinct.scenario.reconstruction import SECTIONS, own_keys
 
 UNITS = {
     "mm": "mm",
@@ -98,10 +99,10 @@ def _write(
         own = own_keys(model)
     for name in own:
         info = model.model_fields[name]
-        models = _models(info.annotation)
+        models = models_in(annotation_of(info))
         inner += [(Reconstruction, name)] * (name == "reconstruction")
         inner += [(m, f"{_title(title)}{name}{_kind(m)}") for m in models]
-        facts: Any = info.json_schema_extra or {}
+        facts = facts_of(info)
         rows.append(
             f"| `{name}` | {_value(name, info)} | {_unit(name, facts)} "
             f"| {_default(info)} | {_meaning(name, info)} | {facts.get('x-source', '')} |"
@@ -116,7 +117,7 @@ def _write(
 def _value(name: str, info: Any) -> str:
     if info is Reconstruction.model_fields.get(name) and name == "algorithm":
         return " or ".join(f"`{name}`" for name in SECTIONS)
-    return _type(info.annotation, info.metadata)
+    return _type(annotation_of(info), info.metadata)
 
 
 def _unit(name: str, facts: dict[str, Any]) -> str:
@@ -139,12 +140,6 @@ def _kind(model: type[BaseModel]) -> str:
         if info := model.model_fields.get(tag):
             return f" ({tag}: {typing.get_args(info.annotation)[0]})"
     return ""
-
-
-def _models(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [m for arg in typing.get_args(annotation) for m in _models(arg)]
 
 
 def _type(annotation: Any, metadata: list[Any]) -> str:

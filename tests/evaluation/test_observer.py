@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from twinct.core.signals import SphereSignal, contrast_at
 from twinct.evaluation.contrast import contrast
 from twinct.evaluation.observer import detectability
+from twinct.specimen.signals import SphereSignal, contrast_at
 
 SIGMA, HEIGHT = 0.2, 0.5
 

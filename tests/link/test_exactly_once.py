@@ -23,6 +23,7 @@ from twinct.link.robots_node import Turns
 from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import IMAGE
 from twinct.scan import SimulationBuilder
+from twinct.scenario import stage_digests
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
 
@@ -113,7 +114,7 @@ class TestLedger:
 
 
 def test_turns_let_only_the_next_view_of_the_scan_pass(scenario, targets):
-    epoch = Epoch.of(scenario)
+    epoch = Epoch.of(stage_digests(scenario)["images"])
     turns = Turns(epoch, targets, first=1)
     for view, target, reason in [
         (0, targets[0], "view 1 comes next, not view 0"),

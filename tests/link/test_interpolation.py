@@ -16,7 +16,7 @@ from twinct.link.topics import CLOCK, DESCRIPTION, JOINTS, REACHED, TARGET, TF, 
 from twinct.robots.cell import LinkFrames, build_cell, cell_urdf
 from twinct.robots.motion import PursuingSimulation, Shutter, plan_motion
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Cell, Detector, Motion
+from twinct.scenario import Cell, Detector, Motion, stage_digests
 
 pytestmark = pytest.mark.ros
 
@@ -52,7 +52,7 @@ def cell():
 def test_interpolated_joints_give_the_executed_poses(
     client, cell, short, said, figure, motion, shutter
 ):
-    epoch, targets = Epoch.of(short), SimulationBuilder(short).targets
+    epoch, targets = Epoch.of(stage_digests(short)["images"]), SimulationBuilder(short).targets
     robots = PursuingSimulation(cell, motion, plan_motion(cell, motion, targets), shutter)
     turns, urdf = Turns(epoch, targets, 0), cell_urdf(cell, Pose.identity())
     RobotsNode(said, said.diagnostics, robots, turns, None, urdf, LinkFrames(cell))

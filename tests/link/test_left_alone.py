@@ -12,7 +12,7 @@ from twinct.geometry import Panel
 from twinct.link.node import Diagnostics
 from twinct.link.stamps import Epoch
 from twinct.link.xray_node import XRayNode
-from twinct.scenario import Scenario
+from twinct.scenario import Scenario, stage_digests
 
 
 class Heard:
@@ -54,7 +54,7 @@ class Station:
 @pytest.mark.parametrize("in_a_scan", [False, True])
 def test_the_end_of_the_robots_node_is_told_once(scenario: Scenario, in_a_scan: bool) -> None:
     station, told = Station(), list[str]()
-    epoch = Epoch.of(scenario) if in_a_scan else None
+    epoch = Epoch.of(stage_digests(scenario)["images"]) if in_a_scan else None
     diagnostics = Diagnostics(station, told.append)  # type: ignore[arg-type]
     node = XRayNode(station, diagnostics, None, Panel(4, 4, 1, 1), epoch)  # type: ignore[arg-type]
     for count in (0, 1, 1, 0, 0, 1, 0):

@@ -12,6 +12,7 @@ from twinct.geometry.wire import PosePairs, Reached
 from twinct.link import messages
 from twinct.link.messages import MalformedError
 from twinct.link.stamps import Epoch, Stamp
+from twinct.scenario import stage_digests
 
 STAMP = Stamp(1_700_000_123, 7)
 REPROJECTION_PX = 1e-8
@@ -210,10 +211,12 @@ def test_a_reached_pose_that_is_none_is_named(reached):
 
 
 def test_epoch_follows_from_the_scenario_and_names_views(scenario):
-    epoch = Epoch.of(scenario)
-    assert Epoch.parse(str(epoch)) == epoch == Epoch.of(scenario)
+    epoch = Epoch.of(stage_digests(scenario)["images"])
+    assert Epoch.parse(str(epoch)) == epoch == Epoch.of(stage_digests(scenario)["images"])
     source = scenario.source.model_copy(update={"energy_kev": 71.0})
-    assert epoch != Epoch.of(scenario.model_copy(update={"source": source}))
+    assert epoch != Epoch.of(
+        stage_digests(scenario.model_copy(update={"source": source}))["images"]
+    )
     assert [epoch.view(epoch.at(view)) for view in (0, 7, 99_999)] == [0, 7, 99_999]
     assert epoch.view(Stamp(epoch.stamp.sec - 1, epoch.stamp.nanosec)) is None
     assert epoch.view(Stamp(epoch.stamp.sec, epoch.stamp.nanosec ^ 1)) is None

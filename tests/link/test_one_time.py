@@ -27,7 +27,7 @@ from twinct.link.topics import (
 )
 from twinct.link.xray_node import XRayNode
 from twinct.robots.gantry import Gantry
-from twinct.scenario import GantryCell, Source
+from twinct.scenario import GantryCell, Source, stage_digests
 
 pytestmark = pytest.mark.ros
 
@@ -59,7 +59,7 @@ def driven(scenario, targets, said):
     """A robots node of a scan of so many views, after each was asked for twice."""
 
     def drive(robots, views=4, gone_home=False):
-        epoch = Epoch.of(scenario)
+        epoch = Epoch.of(stage_digests(scenario)["images"])
         turns = None if gone_home else Turns(epoch, targets, 0)
         RobotsNode(said, said.diagnostics, robots, turns)
         for view in [*range(views), *range(views)]:
@@ -140,7 +140,7 @@ def poses_at(stamp, target):
 
 @pytest.mark.parametrize("poses_first", [True, False])
 def test_an_image_is_of_the_view_that_was_reached_then(xray, scenario, targets, poses_first, said):
-    epoch, taken = Epoch.of(scenario), Stamp(3, 7)
+    epoch, taken = Epoch.of(stage_digests(scenario)["images"]), Stamp(3, 7)
     imager = xray(epoch)
     both = [
         (REACHED, poses_at(taken, targets[5])),
@@ -155,7 +155,7 @@ def test_an_image_is_of_the_view_that_was_reached_then(xray, scenario, targets, 
 
 
 def test_a_view_of_another_scan_is_refused(xray, scenario, targets, said):
-    epoch = Epoch.of(scenario)
+    epoch = Epoch.of(stage_digests(scenario)["images"])
     xray(epoch)
     said.hears[VIEWS](messages.view_message(Stamp(3, 7), Stamp(5, 5), 0), SOMEBODY)
     said.hears[REACHED](poses_at(Stamp(3, 7), targets[0]), SOMEBODY)

@@ -8,8 +8,8 @@ import pytest
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector, fast, fdk, fista_tv, sart
-from twinct.recon.deformation import Deformation, inverse, require_no_fold
 from twinct.recon.moving import MovingProjector, moving_bytes
+from twinct.specimen.deformation import Deformation, inverse, require_no_fold
 from twinct.trajectory import CircleTrajectory, commanded_views
 
 PANEL = Panel(20, 24, 6.0, 6.0)

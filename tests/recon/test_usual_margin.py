@@ -6,9 +6,9 @@ import pytest
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector
-from twinct.recon.deformation import Deformation
 from twinct.recon.moving import MovingProjector
 from twinct.recon.usual_margin import usual_margin
+from twinct.specimen.deformation import Deformation
 
 FACTOR = 4
 """Factor of the largest voxels."""

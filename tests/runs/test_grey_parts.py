@@ -25,7 +25,7 @@ from twinct.scenario import Scenario
 from twinct.specimen.cut_rays import cut_share
 from twinct.specimen.materials import BUILT_IN
 from twinct.trajectory import CircleTrajectory, commanded_views
-from twinct.view_planning.patient import Patient
+from twinct.view_plans.patient import Patient
 
 KEV = 71.6
 Maker = Callable[..., Scenario]

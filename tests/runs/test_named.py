@@ -15,7 +15,6 @@ from scipy import ndimage
 
 from twinct import run
 from twinct.core.errors import InputError
-from twinct.core.signals import AnySignal, contrast_at
 from twinct.evaluation import Repeated, figure_kinds
 from twinct.geometry import Pose, VolumeGrid
 from twinct.runs import Run, reconstruct_run, rewrite_report
@@ -24,6 +23,7 @@ from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
 from twinct.specimen import build_specimen
+from twinct.specimen.signals import AnySignal, contrast_at
 from twinct.study.trial_figures import figure_names, flat_figures
 
 Tiny = Callable[..., Scenario]

@@ -13,7 +13,6 @@ import pytest
 
 from twinct import run
 from twinct.core.errors import InputError
-from twinct.core.signals import Inserts, SphereSignal
 from twinct.geometry.wire import PosePairs
 from twinct.report.figure_words import with_companions
 from twinct.runs import reconstruct, rewrite_report, simulate
@@ -22,6 +21,7 @@ from twinct.runs.predicted_and_measured import planned_detectability
 from twinct.runs.repeats import Repeats
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
+from twinct.specimen.signals import Inserts, SphereSignal
 from twinct.trajectory import commanded_views
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"

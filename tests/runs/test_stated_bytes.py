@@ -24,10 +24,11 @@ from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.known_components import implant_bytes
 from twinct.recon.memory import SPARE_BYTES, peak_bytes
 from twinct.recon.metal import metal_bytes
-from twinct.recon.moving import COARSEST_MM, MAP_VOXELS, moving_bytes
+from twinct.recon.moving import moving_bytes
 from twinct.runs.needs import PROCESS_BYTES, REPORT_BYTES
 from twinct.runs.volumes import memory_needed
 from twinct.scenario import Scenario, parse_scenario
+from twinct.specimen.displacement_map import COARSEST_MM, MAP_VOXELS
 from twinct.trajectory import commanded_views
 
 ROWS, COLUMNS, VIEWS = 17, 23, 3

@@ -14,9 +14,9 @@ from twinct.recon.volume import Volume
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.trajectory import CircleTrajectory, commanded_mas, commanded_views
-from twinct.view_planning import family_search, planner
-from twinct.view_planning.patient import Patient
-from twinct.view_planning.planner import plan_views
+from twinct.view_plans import family_search, planner
+from twinct.view_plans.patient import Patient
+from twinct.view_plans.planner import plan_views
 from twinct.workers import LocalPool
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"

@@ -17,8 +17,8 @@ from twinct.robots.cell import nominal_chains
 from twinct.runs.propagating import nominal_scan
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
-from twinct.view_planning.goals_with_errors import _blur_mm, rejudged
-from twinct.view_planning.planner import plan_views
+from twinct.view_plans.goals_with_errors import _blur_mm, rejudged
+from twinct.view_plans.planner import plan_views
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 SCENARIO = f"""\

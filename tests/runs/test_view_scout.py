@@ -14,8 +14,8 @@ from twinct.geometry import Pose
 from twinct.runs import acquire_to_store
 from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import load_scenario, parse_scenario
-from twinct.view_planning.planner import plan_views
-from twinct.view_planning.scout import scouted
+from twinct.view_plans.planner import plan_views
+from twinct.view_plans.scout import scouted
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import typing
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from pydantic import BaseModel
 
-from twinct.core.arm_files import ArmFile
-from twinct.core.settings import FILE_KEYS, is_file
+from twinct.core.settings import FILE_KEYS, annotation_of, is_file, models_in
+from twinct.robots.arm_files import ArmFile
+from twinct.robots.sections.cell import known_arms
 from twinct.scenario import Scenario, Source, load_scenario, parse_scenario, stage_digests
-from twinct.scenario.cell import ARMS
 from twinct.scenario.digests import STAGES, declared, readers
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
@@ -180,17 +178,11 @@ def test_a_store_outlives_the_files_of_its_scenario(tmp_path: Path) -> None:
 def keys(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
     """Every key that holds a value, dotted, of all sections that could stand there."""
     for name, info in model.model_fields.items():
-        inner = models(info.annotation)
+        inner = models_in(annotation_of(info))
         for section in inner:
             yield from keys(section, f"{prefix}{name}.")
         if not inner:
             yield f"{prefix}{name}"
-
-
-def models(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [model for arg in typing.get_args(annotation) for model in models(arg)]
 
 
 COUNT_FOR_NONE = (
@@ -216,7 +208,7 @@ def test_keys_of_files_have_the_names_by_which_paths_are_made_absolute() -> None
         for name, info in model.model_fields.items():
             if is_file(info):
                 yield name
-            for section in models(info.annotation):
+            for section in models_in(annotation_of(info)):
                 yield from names(section)
 
     assert set(names(Scenario)) == set(FILE_KEYS)
@@ -226,7 +218,7 @@ def test_the_file_of_an_arm_of_another_package_counts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "arm.xml"
-    monkeypatch.setitem(ARMS, "mine", ArmFile("mine", file))
+    monkeypatch.setitem(known_arms(), "mine", ArmFile("mine", file))
     file.write_text("1")
     one = digests("cell.source_arm.model=mine")
     file.write_text("2")

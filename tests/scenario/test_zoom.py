@@ -7,8 +7,8 @@ import pytest
 from pydantic import ValidationError
 
 from twinct.core.errors import InputError
+from twinct.recon.sections.reconstruction import Grid, Reconstruction
 from twinct.scenario import parse_scenario
-from twinct.scenario.reconstruction import Grid, Reconstruction
 
 TURNED = {
     "voxels": [40, 30, 20],

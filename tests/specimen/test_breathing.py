@@ -9,7 +9,6 @@ import pytest
 
 from twinct.core.errors import InputError
 from twinct.geometry import Pose, VolumeGrid
-from twinct.recon.deformation import Deformation
 from twinct.specimen.breathing import (
     Breath,
     Chest,
@@ -18,6 +17,7 @@ from twinct.specimen.breathing import (
     gated,
     require_smooth,
 )
+from twinct.specimen.deformation import Deformation
 
 BOUNDS = np.array([[-165.0, -115.0, -235.0], [165.0, 115.0, 235.0]])
 STATES = [Breath(phase) for phase in np.linspace(0, 1, 9)[:-1]]

@@ -41,7 +41,7 @@ def an_arm(folder: Path) -> Path:
 def test_an_arm_travels_with_what_it_includes_and_names(tmp_path: Path) -> None:
     arm, pool = an_arm(tmp_path / "here"), Offers()
     scenario = load_scenario(DEMO, [f"cell.source_arm={{model: null, file: {arm}}}"])
-    found = Inputs(tmp_path / "inputs").offered(scenario, pool)  # pyright: ignore[reportArgumentType]
+    found = Inputs(tmp_path / "inputs").offered(scenario.files(), pool)  # pyright: ignore[reportArgumentType]
     ((key, (name, inner)),) = found.items()
     assert key == "cell.source_arm.file"
     there = tmp_path / "there"
@@ -57,11 +57,11 @@ def test_a_content_is_offered_once_and_under_another_name_when_it_changes(tmp_pa
     views.write_text("0,0,300,0,0,-300\n")
     inputs = Inputs(tmp_path / "inputs")
     scenario = load_scenario(DEMO, keys)
-    first = inputs.offered(scenario, pool)  # pyright: ignore[reportArgumentType]
-    again = inputs.offered(scenario, pool)  # pyright: ignore[reportArgumentType]
+    first = inputs.offered(scenario.files(), pool)  # pyright: ignore[reportArgumentType]
+    again = inputs.offered(scenario.files(), pool)  # pyright: ignore[reportArgumentType]
     assert first == again
     name, inner = first["trajectory.path"]
     assert (pool[name], inner, name.endswith("-views.csv")) == (views, "", True)
     views.write_text("0,0,300,0,0,-301\n")
-    other = Inputs(tmp_path / "inputs").offered(scenario, Offers())  # pyright: ignore[reportArgumentType]
+    other = Inputs(tmp_path / "inputs").offered(scenario.files(), Offers())  # pyright: ignore[reportArgumentType]
     assert other["trajectory.path"][0] != name

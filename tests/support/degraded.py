@@ -10,13 +10,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from twinct.core.signals import contrast_at
 from twinct.evaluation import Repeated
 from twinct.recon.volume import Volume
 from twinct.report import plain
 from twinct.runs import Truth, judge, truth_of
 from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import load_scenario
+from twinct.specimen.signals import contrast_at
 from twinct.trajectory import commanded_views
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"

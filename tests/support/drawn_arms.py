@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinct.core.error_terms import ToolMotion
 from twinct.geometry import Chain, Floats
 from twinct.scenario import Uncertainty
 from twinct.uncertainty.drawn_tool import ConstantDraws, DrawnTool
+from twinct.uncertainty.error_terms import ToolMotion
 from twinct.uncertainty.terms.gear import amplitudes
 from twinct.uncertainty.terms.registry import terms_of
 from twinct.uncertainty.terms.windup import compliances

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from twinct.calibration.arm_calibration import arm_prior, view_covariance
-from twinct.core.error_terms import ErrorSettings, ErrorTerm, Spread, ToolMotion, size
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose
 from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, chains_of
 from twinct.scenario import Uncertainty, ViewErrors
 from twinct.uncertainty import TrueCell
+from twinct.uncertainty.error_terms import ErrorSettings, ErrorTerm, Spread, ToolMotion, size
 from twinct.uncertainty.propagation import NominalScan, draw, first_order
 from twinct.uncertainty.terms import registry
 
@@ -42,7 +42,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> Any:
         def spreads(_: ViewErrors, motion: ToolMotion) -> Iterator[Spread]:
             yield spread
 
-        term = ErrorTerm("odd", ViewErrors, spreads, section="views")
+        term = ErrorTerm("odd", ViewErrors, spreads, (spread.place,), "views")
         monkeypatch.setattr(registry, "BUILT_IN", {"odd": term})
 
     return put

@@ -7,10 +7,10 @@ import pytest
 from pydantic import TypeAdapter
 
 from twinct.geometry import Panel, ScanGeometry
-from twinct.recon.objectives.visibility import sees
 from twinct.scenario import AnyTrajectory
 from twinct.trajectory import commanded_views, panel_axes
 from twinct.view_planning import crossed_planes, local_completeness
+from twinct.view_planning.objectives.visibility import sees
 
 PANEL = Panel(400, 400, 1.0, 1.0)
 

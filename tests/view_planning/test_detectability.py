@@ -11,7 +11,6 @@ from scipy.sparse.linalg import LinearOperator, cg
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector
-from twinct.recon.objectives.detectability import difference_spectrum
 from twinct.trajectory import (
     ArcTrajectory,
     CircleTrajectory,
@@ -19,6 +18,7 @@ from twinct.trajectory import (
     commanded_views,
 )
 from twinct.view_planning import Detectability, Task, detectability_of
+from twinct.view_planning.objectives.detectability import difference_spectrum
 
 SHAPE = (6, 7, 8)
 

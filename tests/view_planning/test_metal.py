@@ -8,10 +8,10 @@ import trimesh
 
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
-from twinct.recon.objectives.metal_paths import lengths_in_metal, metal_lengths
 from twinct.recon.shadow import Body
 from twinct.trajectory import panel_axes
 from twinct.view_planning import metal_paths, spectral_shift, starved_share
+from twinct.view_planning.objectives.metal_paths import lengths_in_metal, metal_lengths
 
 FACETS = 0.01
 """A cylinder of 64 sides is this much thinner at most, as a share."""

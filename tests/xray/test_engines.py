@@ -10,7 +10,7 @@ import trimesh
 from xray_scenes import random_pose, random_view, specimen
 
 from twinct.core.errors import InputError, TwinctError
-from twinct.core.extensions import Offers
+from twinct.core.extensions import Registry
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.runs import require_extras
 from twinct.scenario import Detector, Source, Specimen, Xray, load_scenario
@@ -114,7 +114,7 @@ class Idle:
 
 
 def offering(monkeypatch: pytest.MonkeyPatch, choice: EngineChoice) -> None:
-    known = Offers({"gvxr": GVXR, choice.name: choice})
+    known = Registry("twinct.none", EngineChoice, {"gvxr": GVXR, choice.name: choice})
     known.broken["dark"] = "'dark' of night 1.0 cannot be used"
     monkeypatch.setattr(engines, "engines", lambda: known)
 

@@ -7,10 +7,10 @@ from xray_scenes import box, sphere
 
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.scenario import Detector, GaussianSpot, RoomObject, Source
-from twinct.scenario.room_objects import keyed
 from twinct.specimen import BuiltPart, BuiltSpecimen, GreyField, GreyPart
 from twinct.specimen.materials import material
 from twinct.specimen.room_bodies import beam_bodies
+from twinct.specimen.sections.room_objects import keyed
 from twinct.xray import Imager
 
 PANEL = Panel(24, 32, 6.0, 6.0)

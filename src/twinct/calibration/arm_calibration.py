@@ -19,18 +19,19 @@ from twinct.calibration import (
     require_same_arms,
 )
 from twinct.calibration.scan_calibration import balls_of, refuse_own, store_geometries
-from twinct.core.error_terms import CONSTANT, Spread, ToolMotion
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
-from twinct.geometry import Chain, Floats, ScanGeometry
+from twinct.geometry import Chain, Floats, Panel, ScanGeometry
 from twinct.observers import Observers, audience_of
+from twinct.robots.cell import nominal_chains
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
 from twinct.scan import NamedGeometry, Scan
 from twinct.scan.encoder_model import encoders_of
 from twinct.scan.named_geometries import poses_digest
-from twinct.scenario import Cell, Scenario, Uncertainty
+from twinct.scenario import AnyCell, Cell, Uncertainty
 from twinct.uncertainty.drawn_tool import by_view
+from twinct.uncertainty.error_terms import CONSTANT, Spread, ToolMotion
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.terms.registry import terms_of
 from twinct.uncertainty.terms.windup import mean_compliance
@@ -104,19 +105,15 @@ def motions_of(scan: Scan, chains: tuple[Chain, Chain]) -> tuple[ToolMotion, Too
     return nominal.motion(0), nominal.motion(1)
 
 
-def chains_of_scan(scenario: Scenario) -> tuple[Chain, Chain]:
-    """Return the nominal kinematic chains of a scenario's arms, source first.
+def chains_of_scan(cell: AnyCell, panel: Panel) -> tuple[Chain, Chain]:
+    """Return the nominal kinematic chains of a scan's arms, source first.
 
     Raises:
         InputError: the scenario has no arms.
     """
-    if not isinstance(scenario.cell, Cell):
-        raise InputError(
-            f"cell.kind: {scenario.cell.kind}: a scan without joints has no arms to calibrate"
-        )
-    from twinct.robots.cell import nominal_chains
-
-    return nominal_chains(scenario.cell, scenario.detector.panel)
+    if not isinstance(cell, Cell):
+        raise InputError(f"cell.kind: {cell.kind}: a scan without joints has no arms to calibrate")
+    return nominal_chains(cell, panel)
 
 
 def calibrate_kinematics(
@@ -144,7 +141,7 @@ def calibrate_kinematics(
     folders = [Folder(Path(folder)) for folder in (path, *others)]
     scans = [load_scan(folder.path) for folder in folders]
     scan, scenario = scans[0], scans[0].scenario
-    chains = chains_of_scan(scenario)
+    chains = chains_of_scan(scenario.cell, scenario.detector.panel)
     motions = motions_of(scan, chains)
     priors = [arm_prior(scenario.uncertainty, motion) for motion in motions]
     for folder, other in zip(folders[1:], scans[1:], strict=True):
@@ -183,7 +180,8 @@ def apply_kinematics(
     refuse_own(name)
     folder = Folder(Path(path))
     scan = load_scan(folder.path)
-    calibrated = CalibratedArms.read(Path(arms), chains_of_scan(scan.scenario))
+    chains = chains_of_scan(scan.scenario.cell, scan.scenario.detector.panel)
+    calibrated = CalibratedArms.read(Path(arms), chains)
     with audience_of(observers), sole_owner(folder.lock):
         _add(calibrated, name, [(folder, scan)])
     return calibrated

@@ -37,7 +37,7 @@ from twinct.runs.reconstruction import load_scan
 from twinct.scan import OWN, NamedGeometry, Scan, checked_name
 from twinct.scan.integrals import line_integrals
 from twinct.scan.named_geometries import poses_digest
-from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Scenario
+from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Specimen
 from twinct.specimen.balls import nominal_centres
 
 Start = Literal["believed", "epipolar"]
@@ -81,13 +81,12 @@ class OnlineCalibrated:
     after: Aligned
 
 
-def phantom_of(scenario: Scenario) -> BallPhantom:
-    """Return the ball phantom of a scenario, at its nominal dimensions, in the world frame.
+def phantom_of(specimen: Specimen) -> BallPhantom:
+    """Return the ball phantom of a specimen, at its nominal dimensions, in the world frame.
 
     Raises:
         CalibrationError: the specimen has no ``ball_helix``.
     """
-    specimen = scenario.specimen
     for part in specimen.parts:
         if isinstance(part.shape, BallHelix):
             shape = part.shape
@@ -148,7 +147,7 @@ def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
     return calibrated(
         scan.transmission,
         scan.believed.geometry(scan.scenario.detector.panel),
-        phantom_of(scan.scenario),
+        phantom_of(scan.scenario.specimen),
         blur_px=_blur_px(scan, audience),
         progress=audience,
     )

@@ -24,6 +24,7 @@ from twinct.core.interruption import (
 )
 from twinct.core.memory import available_bytes, lacks_memory, load_blas_if_limited
 from twinct.core.threads import limit_threads
+from twinct.link.environment import take_ros_arguments
 from twinct.version import __version__
 
 EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2
@@ -115,8 +116,6 @@ def _code_of(arguments: list[str]) -> int:
         limit_threads()  # before the libraries that it limits are loaded
         load_blas_if_limited()
         if arguments[:1] in (["node"], ["drive"]):
-            from twinct.link.environment import take_ros_arguments
-
             arguments = take_ros_arguments(arguments)
         from twinct.cli.commands import app, check_names, overview
 

@@ -13,6 +13,9 @@ from rich.console import Console
 
 from twinct.cli.arguments import Flag
 from twinct.cli.optional import mark_optional
+from twinct.cli.progress import on_terminal
+from twinct.core.errors import InputError, MemoryShortageError
+from twinct.core.interruption import keeping
 
 if TYPE_CHECKING:
     from twinct.ctsimu.scenario import CtsimuScenario
@@ -51,10 +54,7 @@ def render(
         seed: Seed of the noise, 0 or more.
         resume: Resume an interrupted rendering.
     """
-    from twinct.cli.progress import on_terminal
-    from twinct.core.errors import MemoryShortageError
     from twinct.core.files.writing import check_folder
-    from twinct.core.interruption import keeping
     from twinct.ctsimu import Options, load_ctsimu, render
 
     _check_options(samples, spot_points, seed)
@@ -96,7 +96,6 @@ def export(
         geometry: Geometry for the reconstruction: believed, executed, commanded, or one made by
             twinct geometry.
     """
-    from twinct.core.errors import InputError
     from twinct.core.files.writing import check_folder
     from twinct.ctsimu.export import export_scan
     from twinct.scan import ScanStore, SimulationBuilder, named_geometries
@@ -133,7 +132,6 @@ def qualify(
     from rich.table import Table
 
     from twinct.core.files.writing import check_folder
-    from twinct.core.interruption import keeping
     from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify
 
     check_folder(out)
@@ -160,8 +158,6 @@ def _kept(scenario: CtsimuScenario, out: Path) -> str:
 
 
 def _check_options(samples: int, spot_points: int, seed: int) -> None:
-    from twinct.core.errors import InputError
-
     wrong = []
     for name, value, least, most in (
         ("samples", samples, 1, MOST_SAMPLES),

@@ -14,7 +14,9 @@ from twinct.cli.arguments import Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import say_result
 from twinct.core.errors import InputError, MissingExtraError
-from twinct.core.extras import WAY_OUT
+from twinct.core.extras import WAY_OUT, require
+from twinct.core.threads import limit_threads
+from twinct.link import require_ros
 
 NAME = "demo"
 _TRY_GVXR = """
@@ -44,7 +46,6 @@ def demo(
         out: Folder for the results.
     """
     from twinct import runs
-    from twinct.core.threads import limit_threads
     from twinct.scenario import load_scenario, named_places
 
     limit_threads(threads)
@@ -66,8 +67,6 @@ def demo(
 
 def _arms() -> Sequence[str]:
     """Return the override that replaces arms whose libraries are missing; none if they work."""
-    from twinct.core.extras import require
-
     try:
         require("robots")
     except InputError as error:
@@ -79,8 +78,6 @@ def _arms() -> Sequence[str]:
 
 def _engine(set_: Overrides) -> Sequence[str]:
     """Return the override that replaces gVXR where it is missing or cannot draw."""
-    from twinct.core.extras import require
-
     if any(override.strip().startswith("xray") for override in set_):
         return ()
     try:
@@ -101,8 +98,6 @@ def _engine(set_: Overrides) -> Sequence[str]:
 
 def _link() -> Literal["ros2", "local"]:
     """Return the link that works here."""
-    from twinct.link import require_ros
-
     try:
         require_ros()
     except InputError as error:

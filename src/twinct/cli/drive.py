@@ -10,6 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from twinct.cli.arguments import Overrides, ScenarioFile
+from twinct.cli.progress import on_terminal
+from twinct.core.errors import InputError, ScanExistsError
+from twinct.core.extras import require
+from twinct.link import require_ros
+from twinct.link.environment import ROS_ARGUMENTS
 
 if TYPE_CHECKING:
     from twinct.robots.motion import Gate
@@ -73,8 +78,6 @@ def _actions(
     Raises:
         InputError: others are named, or the speed is out of range.
     """
-    from twinct.core.errors import InputError
-
     if not 0 < speed <= 1:
         raise InputError(f"--speed {speed:g}: must be above 0 and at most 1")
     if both and not source and not detector:
@@ -95,10 +98,7 @@ def _drive(
 ) -> None:
     """Plan, send, and say what was recorded; ``choices`` are the fields of ``DriveSettings``."""
     from twinct.cli.progress import say
-    from twinct.core.errors import InputError, ScanExistsError
-    from twinct.core.extras import require
     from twinct.core.files.writing import storage_errors
-    from twinct.link import require_ros
 
     if out.suffix.lower() != ".mcap":
         raise InputError(f"--out {out}: a recording is an MCAP file; its name must end in .mcap")
@@ -111,7 +111,6 @@ def _drive(
     follow_joint_trajectory()  # before a plan takes its time
     loaded, program, gate = planned(scenario, set_, prefixes)
     from twinct.link.driving import Drive, DriveSettings, names_of
-    from twinct.link.environment import ROS_ARGUMENTS
     from twinct.link.follow import courses
     from twinct.link.participant import Station
     from twinct.link.recording.drive_file import DriveFile
@@ -150,9 +149,6 @@ def planned(
     Raises:
         InputError: the scenario has no arms, or no plan.
     """
-    from twinct.cli.progress import on_terminal
-    from twinct.core.errors import InputError
-    from twinct.core.extras import require
     from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
 

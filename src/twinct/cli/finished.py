@@ -16,7 +16,10 @@ from twinct.cli.arguments import Flag, Json, Overrides, Threads
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import percent, say_result
-from twinct.core.foreign_text import counted
+from twinct.core.errors import InputError
+from twinct.core.extras import require
+from twinct.core.foreign_text import counted, quoted
+from twinct.core.threads import limit_threads
 from twinct.link.recording.arms_recording import ArmsRecording
 
 
@@ -52,7 +55,6 @@ def import_(
             flips, transposed images, exchanged axes, sign and unit of offsets), rank them, and show
             them in DIR/tried.png.
     """
-    from twinct.core.errors import InputError
     from twinct.measured import is_measured
 
     if any(map(is_measured, files)):
@@ -77,7 +79,6 @@ def import_(
 
 def _import_driven(files: tuple[Path, ...], out: Path, arms: ArmsRecording) -> bool:
     """Import recordings of real arms; return False if they are none."""
-    from twinct.core.extras import require
     from twinct.measured import import_driven, is_driven
 
     require("record")
@@ -191,8 +192,6 @@ def export(
 
 def _refuse_volumes(to: str, values: str | None, water: float | None, air: float | None) -> None:
     """Raise if arguments of a volume are given, but no volume."""
-    from twinct.core.errors import InputError
-    from twinct.core.foreign_text import quoted
     from twinct.exchange import formats
     from twinct.recon.volume_formats import volume_formats
 
@@ -219,7 +218,6 @@ def _export_volume(
     air: float | None,
     out: Path | None,
 ) -> None:
-    from twinct.core.errors import InputError
     from twinct.runs import Water, export_volume
 
     if geometry is not None or values in _SCAN_VALUES:
@@ -267,7 +265,6 @@ def report(
 
 def _report_measured(folder: Path, set_: tuple[str, ...]) -> dict[str, Any]:
     """Judge all volumes of a measured scan again, and return the answer for scripts."""
-    from twinct.core.errors import InputError
     from twinct.measured import report_measured
 
     if set_:
@@ -379,8 +376,6 @@ def reconstruct(
         as_: Name of the result, below DIR/reconstructions; by default, it follows the algorithm.
         halves: For a measured scan: also reconstruct the even and the odd views, for the noise.
     """
-    from twinct.core.errors import InputError
-    from twinct.core.threads import limit_threads
     from twinct.measured import is_measured_scan
     from twinct.runs import reconstruct_run
     from twinct.scenario import named_places
@@ -427,7 +422,6 @@ def geometry(
         as_: Name of the new geometry; without it, existing geometries are listed.
         set_: Keys of uncertainty, such as --set uncertainty.seed=3.
     """
-    from twinct.core.errors import InputError
     from twinct.evaluation import pose_errors
     from twinct.runs import derive_geometry, load_scan
     from twinct.scan import OWN

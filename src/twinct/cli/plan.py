@@ -31,7 +31,7 @@ def plan_command(
     threads: int | None,
 ) -> None:
     """Plan, and print the quality of the views."""
-    from twinct.view_planning.planner import SCENARIO, plan_views
+    from twinct.view_plans.planner import SCENARIO, plan_views
 
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be at least 1")

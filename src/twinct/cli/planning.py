@@ -9,6 +9,7 @@ import tyro
 
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
+from twinct.core.extras import require
 from twinct.core.foreign_text import counted
 
 
@@ -152,7 +153,6 @@ def motion(
     """
     from twinct.cli.drive import planned
     from twinct.cli.progress import say
-    from twinct.core.extras import require
 
     require("robots")
     from twinct.robots.programs import check_absent, language_named, write_program

@@ -9,6 +9,7 @@ import tyro
 
 from twinct.cli.arguments import Overrides, Threads
 from twinct.cli.progress import on_terminal, say
+from twinct.core.threads import limit_threads
 
 
 def predict(
@@ -37,7 +38,6 @@ def predict(
         as_: Name of the result, below DIR/predictions; by default, volume or the mesh's name.
         set_: Keys of source, detector, specimen, reconstruction or xray, for the prediction only.
     """
-    from twinct.core.threads import limit_threads
     from twinct.measured.prediction import predict
     from twinct.scan.named_geometries import named_geometries
     from twinct.scenario import named_places

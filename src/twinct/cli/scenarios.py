@@ -18,6 +18,9 @@ from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say, warnings_into
 from twinct.cli.time_limit import limited
+from twinct.core.errors import InputError
+from twinct.core.extras import require
+from twinct.core.threads import limit_threads
 
 if TYPE_CHECKING:
     from twinct.scan import SimulationBuilder
@@ -49,8 +52,6 @@ def check(
         all_cures: Try all changes that may help, even if that takes longer than planning.
         time_limit: Longest time that the check may take; then it ends with the problems found.
     """
-    from twinct.core.threads import limit_threads
-
     limit_threads(threads)
     with answering(as_json) as answer, limited(time_limit, "--time-limit"):
         answer |= {"scenario": str(scenario), "can_be_run": False, "warnings": []}
@@ -144,7 +145,6 @@ def _planned(builder: SimulationBuilder) -> None:
 
 def _check_plan_file(scenario: Scenario, path: Path) -> None:
     """Check that a scenario has a plan, and that a path can become its file."""
-    from twinct.core.errors import InputError
     from twinct.core.files.writing import check_plan_file
 
     if scenario.cell.kind != "arms" or scenario.motion.scheme == "reactive":
@@ -176,8 +176,6 @@ def render(
         height: Height of the picture in pixels.
     """
     from twinct.cli.reach import draw_anyway
-    from twinct.core.errors import InputError
-    from twinct.core.extras import require
     from twinct.core.files.writing import check_picture, storage_errors
     from twinct.robots.cell import check_drawing, check_picture_size
     from twinct.scan import SimulationBuilder
@@ -255,7 +253,6 @@ def urdf(
         moveit: Write the arms (arms.urdf, arms.srdf, joint_limits.yaml) and the room with its
             forbidden zones (room.scene) for MoveIt instead. We have not tried them in MoveIt yet.
     """
-    from twinct.core.extras import require
     from twinct.core.files.writing import check_folder, storage_errors, write_text
     from twinct.scan import SimulationBuilder
     from twinct.scenario import load_scenario, named_places
@@ -285,7 +282,6 @@ def init(
     Args:
         from_: Built-in scenario to copy, such as circle_gantry, head or patient_spine.
     """
-    from twinct.core.errors import InputError
     from twinct.core.files.writing import storage_errors, write_text
     from twinct.scenario.commented import commented_scenario
 

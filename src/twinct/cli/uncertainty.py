@@ -93,7 +93,7 @@ def _of_poses(propagation: Propagation, title: str) -> list[dict[str, Any]]:
 
 def _of_the_task(builder: SimulationBuilder, draws: int, progress: Progress) -> dict[str, Any]:
     """Print, and return, the effects of the errors on the task of the views."""
-    from twinct.view_planning.goals_with_errors import rejudged
+    from twinct.view_plans.goals_with_errors import rejudged
 
     task = builder.scenario.task
     assert task is not None

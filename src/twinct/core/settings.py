@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-import logging
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, JsonValue, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    JsonValue,
+)
 from pydantic.fields import FieldInfo
+from pydantic_core import CoreSchema
 
 from twinct.core.foreign_text import quoted
-
-log = logging.getLogger(__name__)
 
 
 def _sane(least: float, most: float) -> AfterValidator:
@@ -50,6 +55,16 @@ def facts(*, unit: str = "", source: str = "") -> dict[str, JsonValue]:
     return {f"x-{name}": text for name, text in (("unit", unit), ("source", source)) if text}
 
 
+def facts_of(info: FieldInfo) -> dict[str, Any]:
+    """Return the facts on a key."""
+    extra = info.json_schema_extra or {}
+    if not callable(extra):
+        return dict(extra)
+    schema: dict[str, Any] = {"description": info.description or ""}
+    extra(schema)
+    return {name: value for name, value in schema.items() if name.startswith("x-")}
+
+
 class ReadBy:
     """Mark on a key: the stages of a run that read it, and all keys below it."""
 
@@ -69,6 +84,26 @@ class FileOf:
 def read_by(info: FieldInfo) -> frozenset[str]:
     """Return the stages that a key itself declares as its readers."""
     return frozenset[str]().union(*(m.stages for m in info.metadata if isinstance(m, ReadBy)))
+
+
+def default_of(info: FieldInfo) -> Any:
+    """Return the default of a key, also of one that is made at its first use."""
+    return info.get_default(call_default_factory=True, validated_data={})
+
+
+def section_made_late(
+    make: Callable[[], BaseModel], description: str, *, read_by: str | tuple[str, ...] = ()
+) -> Any:
+    """Return the field of a section whose default is made at its first use."""
+
+    def extra(schema: dict[str, Any]) -> None:
+        text = schema.pop("description")
+        schema["default"] = make().model_dump(mode="json")
+        schema["description"] = text
+
+    field: FieldInfo = Field(default_factory=make, description=description, json_schema_extra=extra)
+    field.metadata.append(ReadBy(*((read_by,) if isinstance(read_by, str) else read_by)))
+    return field
 
 
 def setting(
@@ -128,7 +163,7 @@ def _names_a_path(annotation: Any) -> bool:
 class Section(BaseModel):
     """Frozen settings; unknown keys and numbers that are not finite are errors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 def kind_of(settings: type[Section]) -> str:
@@ -136,24 +171,79 @@ def kind_of(settings: type[Section]) -> str:
     return str(typing.get_args(settings.model_fields["kind"].annotation)[0])
 
 
-def extended(
-    base: type[Section], name: str, keys: Mapping[str, Callable[[], Any]]
-) -> tuple[Any, dict[str, str]]:
-    """Return a section with the keys of extensions, and the problem of each unusable key.
+class OneOf:
+    """Mark on a key: its section is one of several classes, which are looked up at the first use.
 
-    Args:
-        base: the section without them, of the module that will have the new class.
-        name: name of the new class in this module.
-        keys: pydantic's definition of each key, made when it is added: any package may raise there.
+    Extensions offer such classes. No package is imported together with the module of the key.
     """
-    section, broken = base, dict[str, str]()
-    about: Any = {"__module__": base.__module__, "__doc__": base.__doc__}
-    for key, define in keys.items():
-        try:
-            if hasattr(base, key):
-                raise ValueError("this name is reserved")
-            section = create_model(name, __base__=section, **{key: define()}, **about)
-        except Exception as error:  # settings may come from any package
-            broken[key] = f"the settings of {quoted(key)} cannot be used: {error}"
-            log.warning(broken[key])
-    return create_model(name, __base__=section, **about), broken
+
+    def __init__(self, union: Callable[[], Any]) -> None:
+        """Store the function that returns the union of the classes, with its discriminator."""
+        self.union = union
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Let pydantic validate the union."""
+        return handler.generate_schema(self.union())
+
+
+def annotation_of(info: FieldInfo) -> Any:
+    """Return the type of a key; a union of classes where it is marked by ``OneOf``."""
+    marks = (mark for mark in info.metadata if isinstance(mark, OneOf))
+    return next((mark.union() for mark in marks), info.annotation)
+
+
+def models_in(annotation: Any) -> list[type[BaseModel]]:
+    """Return the sections that values of a type can be."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        complete(annotation)
+        return [annotation]
+    args = typing.get_args(annotation)
+    if marks := [mark for mark in args if isinstance(mark, OneOf)]:
+        return models_in(marks[0].union())
+    return [model for arg in args for model in models_in(arg)]
+
+
+def complete(model: type[BaseModel]) -> None:
+    """Add the keys of extensions to a section, if it is not in use yet."""
+    model.model_rebuild()
+
+
+class Extensible(Section):
+    """Section with a key for each extension of some kind; they are added at its first use."""
+
+    @classmethod
+    def extension_keys(cls) -> Mapping[str, tuple[Any, FieldInfo]]:
+        """Return type and field of the keys that are added."""
+        raise NotImplementedError
+
+    @classmethod
+    def own_last_keys(cls) -> Collection[str]:
+        """Return own keys that stand after those of extensions."""
+        return ()
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Add the keys."""
+        fields = cls.__pydantic_fields__
+        for name, (annotation, info) in cls.extension_keys().items():
+            fields[name] = FieldInfo.from_annotated_attribute(annotation, info)
+        for name in cls.own_last_keys():
+            fields[name] = fields.pop(name)
+        return handler(source)
+
+    def __setstate__(self, state: dict[Any, Any]) -> None:
+        """Restore a pickled section, whose keys may not have been added in this process."""
+        complete(type(self))
+        super().__setstate__(state)
+
+
+def require_usable(name: str, settings: type[Section], section: type[Section]) -> None:
+    """Check that an extension's keys can stand in a section, under its name.
+
+    Raises:
+        ValueError: the name is reserved.
+        PydanticUserError: the keys cannot be validated.
+    """
+    if hasattr(section, name):
+        raise ValueError("this name is reserved")
+    complete(settings)

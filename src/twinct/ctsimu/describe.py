@@ -14,7 +14,7 @@ from twinct.core.files.writing import write_text
 from twinct.ctsimu.camera import MM2_AT_1M_PER_SR
 from twinct.ctsimu.writing import Json, as_material, quantity
 from twinct.geometry import Floats
-from twinct.scenario import Scenario
+from twinct.scenario import Detector, Source
 from twinct.specimen import Material, material
 from twinct.xray.build import SCINTILLATORS, build_spectrum, physical_panel
 
@@ -31,14 +31,13 @@ class Description:
     materials: list[Json]
 
 
-def refuse_unsaid(scenario: Scenario, *, uneven_mas: bool = False) -> None:
+def refuse_unsaid(source: Source, detector: Detector, *, uneven_mas: bool = False) -> None:
     """Raise an ``InputError`` that names every key without a CTSimU equivalent.
 
     ``uneven_mas``: views have individual mAs.
     """
     # ``photons_per_mm2_mas`` of a monochromatic source and photon counting at one energy have no
     # equivalent either; but without quantum noise they change no transmission.
-    source, detector = scenario.source, scenario.detector
     spot, counting = source.focal_spot, isinstance(detector.response, sections.CountingResponse)
     table = {
         "source.focal_spot": spot is not None and not isinstance(spot, sections.GaussianSpot),
@@ -57,21 +56,22 @@ def refuse_unsaid(scenario: Scenario, *, uneven_mas: bool = False) -> None:
         raise InputError([*problems, "--ideal exports an ideal source and detector instead"])
 
 
-def render_options(scenario: Scenario) -> str:
+def render_options(source: Source, detector: Detector) -> str:
     """Return ``twinct ctsimu render`` options for the scan's sampling, which the format lacks."""
-    spot = scenario.source.focal_spot
+    spot = source.focal_spot
     if spot is None:
-        return f"--samples {scenario.detector.pixel_samples}"
+        return f"--samples {detector.pixel_samples}"
     return f"--spot-points {spot.samples}"
 
 
-def describe(scenario: Scenario, folder: Path, name: str, ideal: bool) -> Description:
+def describe(
+    source: Source, detector: Detector, folder: Path, name: str, ideal: bool
+) -> Description:
     """Describe source and detector, and write their curves to files in the folder.
 
     ``name`` is the prefix of the files. Call ``refuse_unsaid`` first, unless ``ideal`` replaces the
     scenario's source and detector with a monochromatic point and an ideal panel.
     """
-    source, detector = scenario.source, scenario.detector
     panel = physical_panel(detector)
     seen: Json = {
         "type": "ideal",

@@ -79,12 +79,12 @@ def export_scan(
         )
     known = scan.poses(geometry)
     name = "".join(c if c.isalnum() or c in "-_" else "_" for c in scan.scenario.name)
-    options = "" if ideal else render_options(scan.scenario)
+    options = "" if ideal else render_options(scan.scenario.source, scan.scenario.detector)
     files = Exported(folder / f"{name}.json", folder / f"{name}_openCT.json", options)
     if files.scenario.exists():  # written last
         raise ScanExistsError(f"{folder} already holds {files.scenario.name}: choose another --out")
     if not ideal:
-        refuse_unsaid(scan.scenario, uneven_mas=scan.mas is not None)
+        refuse_unsaid(scan.scenario.source, scan.scenario.detector, uneven_mas=scan.mas is not None)
     make_folder(folder)
     with storage_errors(folder):
         scenario = _scenario(scan, known, specimen, folder, name, ideal)
@@ -116,7 +116,7 @@ def _scenario(
         substance = _listed(as_material(part.material), substances)
         samples.append(sample(part.name, file, substance, _moving(poses, poses, "rt")))
     views = len(scan)
-    description = describe(scan.scenario, folder, name, ideal)
+    description = describe(scan.scenario.source, scan.scenario.detector, folder, name, ideal)
     for substance in description.materials:  # the scintillator's, if any
         description.detector["scintillator"]["material_id"] = _listed(substance, substances)
     still = _moving([Pose.identity()], [Pose.identity()])

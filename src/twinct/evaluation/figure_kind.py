@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from twinct.core.settings import Section
-from twinct.core.signals import GaussianSignal, SphereSignal
 from twinct.evaluation.figure import Figure, has_signal, null_without_signal
 from twinct.evaluation.region_voxels import Voxels
 from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.specimen.signals import GaussianSignal, SphereSignal
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$")]
 """Part of a figure's dotted name."""

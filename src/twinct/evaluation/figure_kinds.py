@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.evaluation.figure_kind import FigureKind
 from twinct.evaluation.kinds.contrasts import CONTRASTS
 from twinct.evaluation.kinds.mtf import MTF
@@ -20,6 +20,6 @@ BUILT_IN: dict[str, FigureKind[Any]] = {
 
 
 @cache
-def figure_kinds() -> Offers[FigureKind[Any]]:
+def figure_kinds() -> Registry[FigureKind[Any]]:
     """Return the kinds that a scenario can request; they are looked up once per process."""
-    return offers("twinct.figures", FigureKind, BUILT_IN)
+    return Registry("twinct.figures", FigureKind, BUILT_IN)

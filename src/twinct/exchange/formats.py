@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.exchange.astra import ASTRA
 from twinct.exchange.cil import CIL
 from twinct.exchange.format import Format
@@ -20,9 +20,9 @@ BUILT_IN = {form.name: form for form in (RTK, ASTRA, LEAP, CIL, TIGRE, OPENCT)}
 
 
 @cache
-def formats() -> Offers[Format]:
+def formats() -> Registry[Format]:
     """Return the formats that ``twinct export`` can write; they are looked up once per process."""
-    return offers("twinct.exports", Format, BUILT_IN)
+    return Registry("twinct.exports", Format, BUILT_IN)
 
 
 def format_named(name: FormatName) -> Format:

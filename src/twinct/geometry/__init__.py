@@ -13,12 +13,13 @@ and x as near to u as possible. Only ``to_*`` and ``from_*`` may reorder axes or
 from twinct.geometry.arrays import UNIT_TOLERANCE, Floats, lock
 from twinct.geometry.chain import Chain, Misfit, exp_matrices
 from twinct.geometry.directions import fibonacci_directions
-from twinct.geometry.grid import VolumeGrid
+from twinct.geometry.grid import VolumeGrid, part_of
 from twinct.geometry.panel import Panel
 from twinct.geometry.pose import MM_PER_M, Pose
 from twinct.geometry.scan import ScanGeometry
 
 __all__ = [
+    "part_of",
     "MM_PER_M",
     "UNIT_TOLERANCE",
     "Chain",

@@ -116,3 +116,12 @@ class VolumeGrid:
 
 def _joined(between: str, values: Iterable[float]) -> str:
     return between.join(f"{value + 0.0:.7g}" for value in values)  # no -0
+
+
+def part_of(grid: VolumeGrid, box: tuple[slice, slice, slice]) -> VolumeGrid:
+    """Return the voxels of a box as a separate grid."""
+    low, high = (np.array([getattr(s, end) for s in box[::-1]]) for end in ("start", "stop"))
+    middle = grid.first_voxel_mm + ((low + high - 1) / 2) * grid.voxel
+    pose = grid.world_from_grid
+    shape = [s.stop - s.start for s in box]
+    return VolumeGrid(shape, grid.voxel, Pose(pose.apply(middle), pose.quat))

@@ -49,7 +49,7 @@ from twinct.link.topics import (
     XRAY,
     Topic,
 )
-from twinct.scenario import Scenario
+from twinct.scenario import Scenario, stage_digests
 from twinct.specimen.built_file import save_built
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ class RosRig:
         """
         environment.require_ros()
         environment.settle(os.environ)
-        self.epoch = Epoch.of(scenario)
+        self.epoch = Epoch.of(stage_digests(scenario)["images"])
         self._answer_s = answer_s
         self._samples = scenario.source.motion_samples
         self._shape = scenario.detector.panel.shape
@@ -177,7 +177,7 @@ class RosRig:
                 save_built(specimen, exchange / "specimen.npz")
                 both += ["--specimen", str(exchange / "specimen.npz")]
             options = {"robots": [*both, *start], "xray": both}
-            self._start_nodes(scenario, exchange, domain, options, node_command)
+            self._start_nodes(scenario.resolved(), exchange, domain, options, node_command)
             station = self._station = Station(SCAN, self.domain_id)
             stack.callback(station.close)
             self._members.enter(SCAN, station.participant)
@@ -195,14 +195,14 @@ class RosRig:
 
     def _start_nodes(
         self,
-        scenario: Scenario,
+        scenario: str,
         folder: Path,
         domain: Domain,
         options: Mapping[str, Sequence[str]],
         command: Sequence[str],
     ) -> None:
         file = folder / "scenario.json"
-        file.write_text(scenario.resolved(), encoding="utf-8")
+        file.write_text(scenario, encoding="utf-8")
         scan = ["--epoch", str(self.epoch), "--members", str(folder)]
         common = [str(file), *scan]
         variables = environment.without_system_ros(os.environ) | {"ROS_DOMAIN_ID": str(domain.id)}

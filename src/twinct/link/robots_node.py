@@ -18,6 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from twinct.core.errors import MotionError
+from twinct.geometry import Panel
 from twinct.geometry.wire import JointSample, PosePairs, Reached, targets_of
 from twinct.link import messages
 from twinct.link.arm_server import ArmServer
@@ -50,8 +51,9 @@ from twinct.link.topics import (
     VIEWS,
 )
 from twinct.robots.motion import MotionPlan, PursuingSimulation
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
-from twinct.trajectory import commanded_views
+from twinct.trajectory import TrajectorySettings, commanded_views
 from twinct.version import __version__
 
 if TYPE_CHECKING:
@@ -122,7 +124,8 @@ def spin_robots(
     Returns:
         Exit code: 0.
     """
-    turns = None if epoch is None else _turns(scenario, epoch, first_view)
+    trajectory, panel = scenario.trajectory, scenario.detector.panel
+    turns = None if epoch is None else _turns(trajectory, panel, epoch, first_view)
     state = np.load(restore) if restore is not None else None
     description: str | None = None
     links: LinkFrames | None = None
@@ -132,8 +135,6 @@ def spin_robots(
         if build is not None:
             robots = build(scenario)
         else:
-            from twinct.scan import SimulationBuilder  # only here: it imports the whole simulation
-
             builder = SimulationBuilder.with_specimen(scenario, specimen)
             robots = builder.robots(planned=planned)
             if scenario.cell.kind != "gantry":
@@ -165,9 +166,8 @@ def spin_robots(
     return run_node(ROBOTS, build_simulation, open_node, **common)
 
 
-def _turns(scenario: Scenario, epoch: str, first_view: int) -> Turns:
-    geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
-    targets = targets_of(geometry)
+def _turns(trajectory: TrajectorySettings, panel: Panel, epoch: str, first_view: int) -> Turns:
+    targets = targets_of(commanded_views(trajectory, panel))
     return Turns(Epoch.parse(epoch), targets, first_view)
 
 

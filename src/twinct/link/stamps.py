@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from twinct.core.foreign_text import quoted, whole_number
-from twinct.scenario import Scenario, stage_digests
 
 NANO = 1_000_000_000
 
@@ -61,9 +60,8 @@ class Epoch:
     """Stamp of view 0."""
 
     @classmethod
-    def of(cls, scenario: Scenario) -> Epoch:
-        """Return the epoch of a scenario's scan."""
-        digest = stage_digests(scenario)["images"]
+    def of(cls, digest: str) -> Epoch:
+        """Return the epoch of a scan, from the digest of its images."""
         sec, nanosec = (int(part, 16) % NANO for part in (digest[:15], digest[15:30]))
         return cls(Stamp(NANO + sec, nanosec))
 

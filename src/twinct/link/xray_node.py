@@ -33,6 +33,7 @@ from twinct.link.topics import (
     XRAY,
     Topic,
 )
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.version import __version__
 
@@ -96,8 +97,6 @@ def spin_xray(
     def build_simulation() -> XRay:
         if build is not None:
             return build(scenario)
-        from twinct.scan import SimulationBuilder  # only here: it imports the whole simulation
-
         builder = SimulationBuilder.with_specimen(scenario, specimen)
         if members is not None and builder.plan_chooses:
             return _AsPlanned(builder)

@@ -296,7 +296,7 @@ def _tried(
 
 
 def _grid(geometry: ScanGeometry) -> VolumeGrid:
-    from twinct.scenario.reconstruction import Grid
+    from twinct.recon.sections.reconstruction import Grid
 
     return Grid.model_validate(grid_of(geometry)).volume_grid
 

@@ -17,9 +17,9 @@ from twinct.measured.matrices import Matrices, Poses
 from twinct.measured.nikon import Nikon
 from twinct.measured.toolkits import Astra, Cil, Ctsimu, Leap, OpenCt, Rtk, Tigre
 from twinct.measured.views import ImageFacts, Views
+from twinct.recon.sections.reconstruction import Grid
 from twinct.scenario.messages import refusal
 from twinct.scenario.reading import Draft, read_yaml
-from twinct.scenario.reconstruction import Grid
 
 Axis = Literal["view", "row", "column"]
 Range = tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=1)]]

@@ -1,8 +1,6 @@
 """Numba kernels: volumes of a moved body, by trilinear interpolation, and the exact adjoint.
 
-A map holds displacements on a coarse lattice: node (c, b, a) belongs to voxel (c, b, a) * step,
-and has the shift (x, y, z) in voxels of the place that is read. Places beyond the grid take the
-value of its border.
+Maps are those of ``specimen.displacement_map``.
 """
 
 # numba cannot be typed: compiled functions take any numeric type.
@@ -12,31 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
-
-
-@njit(**OPTIONS)
-def place(shifts, step, k, j, i, nz, ny, nx):
-    """Return the place that voxel (k, j, i) reads, in voxels (z, y, x), within the grid."""
-    c, b, a = k / step, j / step, i / step
-    c0 = min(int(c), shifts.shape[0] - 2)
-    b0 = min(int(b), shifts.shape[1] - 2)
-    a0 = min(int(a), shifts.shape[2] - 2)
-    c, b, a = c - c0, b - b0, a - a0
-    x, y, z = 0.0, 0.0, 0.0
-    for dc in range(2):
-        wc = c if dc else 1.0 - c
-        for db in range(2):
-            wb = wc * (b if db else 1.0 - b)
-            for da in range(2):
-                w = wb * (a if da else 1.0 - a)
-                x += w * shifts[c0 + dc, b0 + db, a0 + da, 0]
-                y += w * shifts[c0 + dc, b0 + db, a0 + da, 1]
-                z += w * shifts[c0 + dc, b0 + db, a0 + da, 2]
-    x = min(max(i + x, 0.0), nx - 1.0)
-    y = min(max(j + y, 0.0), ny - 1.0)
-    z = min(max(k + z, 0.0), nz - 1.0)
-    return z, y, x
+from twinct.specimen._moved_voxels import OPTIONS, place
 
 
 @njit(parallel=True, **OPTIONS)

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from twinct.recon.blocks import EDGE, EVERYWHERE
+from twinct.recon.slabs import lower_in_slabs
 
 OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
 """Options of all kernels, without fast mathematics: sums keep their order."""
@@ -44,8 +45,6 @@ def bring(held, out):
 
 def lower(x, inverse, radius, step, floor, steps):
     """Lower the total variation of ``x``, see ``engine``."""
-    from twinct.recon.slabs import lower_in_slabs
-
     lower_in_slabs(sys.modules[__name__], x, inverse, radius, step, floor, steps)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.recon.algorithm import Algorithm
 from twinct.recon.cgls import CGLS
 from twinct.recon.fast import FAST
@@ -24,6 +24,6 @@ BUILT_IN: dict[str, Algorithm[Any]] = {
 
 
 @cache
-def algorithms() -> Offers[Algorithm[Any]]:
+def algorithms() -> Registry[Algorithm[Any]]:
     """Return the algorithms that a scenario can name; they are looked up once per process."""
-    return offers("twinct.algorithms", Algorithm, BUILT_IN)
+    return Registry("twinct.algorithms", Algorithm, BUILT_IN)

@@ -17,10 +17,12 @@ from typing import Any, Literal, NamedTuple, Protocol, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.card import device
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.geometry import Floats
+from twinct.recon._warp import WarpKernels
 from twinct.recon.blocks import EVERYWHERE, Blocks
 
 log = logging.getLogger(__name__)
@@ -227,14 +229,10 @@ def _best() -> Kernels:
 
 def _imported(name: str) -> Kernels:
     if name == "cuda":
-        from twinct.core.card import device
-
         return _cuda(str(device()))
     return cast(Kernels, import_module(f"twinct.recon._{name}"))
 
 
 @cache
 def _cuda(device: str) -> Kernels:
-    from twinct.recon._warp import WarpKernels
-
     return WarpKernels(device)

@@ -40,17 +40,32 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.recon.air import noise_in_air
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask
 from twinct.recon.denoise import SHARE, lower_variation, noise
 from twinct.recon.engine import Singles
+from twinct.recon.further_passes import (
+    ENOUGH_VIEWS,
+    FOR_THICK,
+    MOST_FURTHER,
+    SLOW_PASSES,
+    SLOW_RELAXATION,
+    SMALL,
+    FurtherPasses,
+    suit_slow_passes,
+)
 from twinct.recon.levels import SMALLEST, Level, with_margin
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.projector import LOWEST, Projector
+from twinct.recon.regularisation import deviation_and_range, strength_for
 from twinct.recon.resolution import interpolated
 from twinct.recon.shared_keys import Stop, StopName
 from twinct.recon.steps import Callback, Listener
+from twinct.recon.thin_parts import are_thin
+from twinct.recon.usual_margin import is_in_air, usual_margin
+from twinct.recon.usual_passes import MOST_COARSE, MOST_PASSES, usual_passes, views_per_voxel
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -201,11 +216,6 @@ def fast(
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
-    # Only here: scenarios need the settings alone.
-    from twinct.recon.further_passes import MOST_FURTHER, suit_slow_passes
-    from twinct.recon.usual_margin import is_in_air, usual_margin
-    from twinct.recon.usual_passes import MOST_COARSE, usual_passes, views_per_voxel
-
     checks = Checks(A.range_shape)
     p, pixels = checks.projections(line_integrals, mask)
     known = checks.photons(photons)
@@ -323,9 +333,6 @@ class _Steps:
 
     def further_passes(self, A: Projector) -> FurtherPasses | None:
         """Return the monitor that asks for further passes at full resolution, if any may follow."""
-        from twinct.recon.further_passes import ENOUGH_VIEWS, FOR_THICK, SMALL, FurtherPasses
-        from twinct.recon.usual_passes import MOST_PASSES, views_per_voxel
-
         few = views_per_voxel(A) < ENOUGH_VIEWS
         small = max(A.domain_shape) < SMALL and self.passes + FOR_THICK <= MOST_PASSES
         if not self.further or not (few or small):
@@ -335,8 +342,6 @@ class _Steps:
 
     def slowly(self) -> _Steps:
         """Return the steps with which thin parts are reconstructed again."""
-        from twinct.recon.further_passes import SLOW_PASSES, SLOW_RELAXATION
-
         slow = {"passes": SLOW_PASSES, "relaxation": SLOW_RELAXATION, "slow": True}
         return replace(self, **slow, margin=0.0, may_repeat=False)
 
@@ -362,9 +367,6 @@ def _for_noise(
     lowers: bool,
 ) -> _Steps:
     """Return the steps for the noise of the line integrals, if it is known."""
-    from twinct.recon.air import noise_in_air  # only here: scenarios need the settings alone
-    from twinct.recon.regularisation import deviation_and_range, strength_for
-
     if (seen := noise_in_air(p, pixels, photons)) is None:
         return steps
     deviation, most = deviation_and_range(p, seen, pixels)
@@ -389,9 +391,6 @@ def _from_coarse_to_fine(
 
     The volume is without the rest that the level leaves as it is.
     """
-    # Only here: scenarios need the settings alone.
-    from twinct.recon.thin_parts import are_thin
-
     factors = deque(_factors(A.domain_shape, A.range_shape[1:], steps.levels))
     listener = Listener(callback, len(A) * sum(map(steps.number, factors)))
     done, before = 0, None

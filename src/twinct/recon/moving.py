@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from importlib import import_module
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,37 +21,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.recon.engine import Singles, requested_engine
 from twinct.recon.projector import LOWEST, Projector, readable, writable
-
-MAP_VOXELS = 8
-"""Voxels between the nodes of a map."""
-COARSEST_MM = 10.0
-"""Largest distance of the nodes: displacements of breathing are smooth over a few cm."""
-
-Direction = Literal["to_reference", "from_reference"]
-
-
-class Deforming(Protocol):
-    """A body in one view, of which a volume holds the reference state."""
-
-    def from_reference(self, points: Floats) -> Floats:
-        """Return the place of material that was at points (n, 3) of the world, mm."""
-        ...
-
-    def to_reference(self, points: Floats) -> Floats:
-        """Return the points of the world where the material at ``points`` (n, 3) was, mm."""
-        ...
-
-
-class Map(NamedTuple):
-    """Shifts of the places that voxels read, (z, y, x, 3), in voxels; voxels between the nodes."""
-
-    shifts: Singles
-    step: int
-
-    @property
-    def layers(self) -> int:
-        """Thickness of slabs of which every second one writes apart from the others."""
-        return 2 * math.ceil(float(np.abs(self.shifts[..., 2]).max())) + 4
+from twinct.specimen.displacement_map import Deforming, Map, map_of, step_of
 
 
 class Moved:
@@ -90,27 +60,6 @@ def _kernels() -> Any:
     return import_module("twinct.recon._moving")
 
 
-def map_of(
-    deformation: Deforming, grid: VolumeGrid, direction: Direction, step: int | None = None
-) -> Map:
-    """Return the map of a deformation on a grid; ``step``: voxels between its nodes."""
-    step = step or _step(grid)
-    counts = [max(2, -(-(n - 1) // step) + 1) for n in grid.shape]
-    nodes = np.indices(counts).reshape(3, -1)[::-1].T
-    index = (step * nodes).astype(np.float64)
-    affine = grid.affine
-    points = index @ affine[:3, :3].T + affine[:3, 3]
-    places: Floats = getattr(deformation, direction)(points)
-    back = np.linalg.inv(affine[:3, :3]).astype(np.float64)
-    shifts = ((places - points) @ back.T).astype(np.float32)
-    return Map(shifts.reshape(*counts, 3), step)
-
-
-def _step(grid: VolumeGrid) -> int:
-    """Return the number of voxels between the nodes of a map."""
-    return max(1, min(MAP_VOXELS, int(COARSEST_MM / grid.voxel.max())))
-
-
 def refuse_card() -> None:
     """Raise InputError: the engine cuda does not compensate motion."""
     raise InputError("the engine cuda does not compensate motion; use vector (unset TWINCT_ENGINE)")
@@ -119,7 +68,7 @@ def refuse_card() -> None:
 def moving_bytes(grid: VolumeGrid, views: int) -> int:
     """Return the bytes that a moving projector holds: two volumes, and both maps of each view."""
     voxels = math.prod(grid.shape)
-    return int(4 * MovingProjector.own_volumes * voxels + 24 * views * voxels / _step(grid) ** 3)
+    return int(4 * MovingProjector.own_volumes * voxels + 24 * views * voxels / step_of(grid) ** 3)
 
 
 class MovingProjector(Projector):

@@ -17,15 +17,18 @@ from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.core.settings import NonNegative, Section, Vector, setting
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
+from twinct.recon.air import known_noise
 from twinct.recon.algorithm import Algorithm, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.fista import KnownBefore, Regularised, Variation, minimised
+from twinct.recon.left_out import judged_by_left_out_views
 from twinct.recon.levels import density
 from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.registration import covered, means_at, moved, registered
+from twinct.recon.regularisation import strength_of_noise
 from twinct.recon.shared_keys import Iterations
 from twinct.recon.steps import Callback
 from twinct.recon.volume import Volume
@@ -221,8 +224,6 @@ def prior_tv(
     floor = np.float32(0.0 if nonnegative else LOWEST)
     term = partial(Variation, strength=radius, steps=tv_steps, floor=floor)
     if share is None and radius > 0:
-        from twinct.recon.left_out import judged_by_left_out_views  # only here: it takes time
-
         extras["left_out"] = judged = judged_by_left_out_views(
             A, p, before, term, iterations=iterations, weights=given, huber=huber, mask=pixels
         )
@@ -258,9 +259,6 @@ def _strength(
     A: Projector, p: NDArray[Any], photons: NDArray[np.float64] | None, mask: Mask | None
 ) -> tuple[float, str | None]:
     """Return the strength that the noise requires, and its source; 0 and None if it is unknown."""
-    from twinct.recon.air import known_noise  # only here: scenarios need the settings alone
-    from twinct.recon.regularisation import strength_of_noise
-
     if (seen := known_noise(p, mask, photons)) is None:
         log.warning(
             "no regularisation: the number of photons is not stated, and the projections show no "

@@ -27,6 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image, start_volume
 from twinct.recon.engine import Singles
+from twinct.recon.error_estimate import error_estimate
+from twinct.recon.fast import FAST, Fast
 from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
 from twinct.recon.projector import LOWEST, Projector
@@ -133,8 +135,6 @@ def _estimate(
     photons: NDArray[np.float64] | None,
     preparing: Callback | None,
 ) -> Estimate:
-    from twinct.recon.error_estimate import error_estimate  # only here: few modules at the start
-
     return error_estimate(A, p, pixels, photons, preparing)
 
 
@@ -146,8 +146,6 @@ def _more(stop: StopName | None) -> tuple[float, float]:
 def _prepares(own: Sart, views: int) -> int:
     if not own.stop:
         return 0
-    from twinct.recon.fast import FAST, Fast  # only here, as in ``_estimate``
-
     return FAST.updates(Fast(), views)
 
 

@@ -15,9 +15,16 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.extras import optional
+from twinct.core.files.nifti import read_nifti
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.recon.volume_formats import (
+    VolumeFacts,
+    format_of_name,
+    volume_format_named,
+    volume_formats,
+)
 
 if TYPE_CHECKING:
     from twinct.recon.volume_formats import VolumeFacts
@@ -255,13 +262,6 @@ class Volume(NDArrayOperatorsMixin):
             ScanExistsError: the folder exists.
             StorageError: the path cannot be written.
         """
-        from twinct.recon.volume_formats import (
-            VolumeFacts,
-            format_of_name,
-            volume_format_named,
-            volume_formats,
-        )
-
         path = Path(path)
         form = volume_format_named(to) if to else format_of_name(path, volume_formats().values())
         facts = facts or VolumeFacts()
@@ -281,8 +281,6 @@ class Volume(NDArrayOperatorsMixin):
         Raises:
             InputError: the file is not readable as NIfTI, or has no voxel grid.
         """
-        from twinct.core.files.nifti import read_nifti
-
         voxels, image = read_nifti(Path(path), f"{path}: the NIfTI volume")
         try:
             note = bytes(image.header["descrip"].tobytes()).rstrip(b"\0").decode(errors="replace")

@@ -9,7 +9,7 @@ import numpy as np
 from twinct import scenario as sections
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.scenario import Detector, Scenario, Source
-from twinct.scenario.composition import Composition
+from twinct.specimen.sections.composition import Composition
 from twinct.xray.build import build_spectrum, effective_energy_kev
 
 

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from twinct.core.error_terms import SIDES, Shift
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import read_text
 from twinct.core.files.writing import storage_errors, write_text
@@ -18,6 +17,7 @@ from twinct.core.foreign_text import quoted, shortened
 from twinct.geometry import Chain, Floats, Pose
 from twinct.geometry.wire import PosePairs
 from twinct.uncertainty.arm_model import shifted_tools
+from twinct.uncertainty.error_terms import SIDES, Shift
 from twinct.uncertainty.terms.gear import waves
 from twinct.uncertainty.terms.windup import deflections
 

@@ -11,8 +11,9 @@ import numpy as np
 from twinct.core.errors import MotionError
 from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import JointSample, PosePairs, Reached
-from twinct.scenario import GantryCell, Source
+from twinct.robots.sections import GantryCell
 from twinct.uncertainty import TrueCell
+from twinct.xray.sections import Source
 
 STATE = 15
 """Length of a state: simulated time, and the two poses of the last target."""

@@ -145,7 +145,7 @@ def _views(views: tuple[int, ...]) -> str:
 
 
 def check_physics(builder: SimulationBuilder) -> None:
-    """Check that source, detector and corrections can be built, before any other work.
+    """Check that source, detector, corrections and errors can be built, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
@@ -157,7 +157,14 @@ def check_physics(builder: SimulationBuilder) -> None:
     _check_all(
         lambda: check_parts(scenario.source, scenario.detector, builder.commanded, scenario.seed),
         lambda: check_corrections(scenario),
+        lambda: _check_errors(builder),
     )
+
+
+def _check_errors(builder: SimulationBuilder) -> None:
+    """Check the errors of a gantry; those of arms are drawn in the rehearsal of their motion."""
+    if builder.scenario.cell.kind == "gantry" and builder.true_cell is not None:
+        builder.true_cell.check(builder.commanded)
 
 
 def check_corrections(scenario: Scenario) -> None:

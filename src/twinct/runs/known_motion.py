@@ -19,9 +19,9 @@ from twinct.scenario import KnownMotion, Scenario
 from twinct.specimen import BuiltSpecimen
 
 if TYPE_CHECKING:
-    from twinct.recon.deformation import Between, Deformation
     from twinct.specimen.body_motion import BodyMotion
     from twinct.specimen.breathing import Breath
+    from twinct.specimen.deformation import Between, Deformation
 
 MOVING_MM = 2.0
 """Way in a usual breath from which a voxel counts as moving."""
@@ -139,8 +139,8 @@ def deformations(
     motion: BodyMotion, known: KnownMotion, times_s: Floats, world_from_specimen: Pose
 ) -> list[Deformation | Between]:
     """Return the believed deformation of the body in each view, from the volume's state."""
-    from twinct.recon.deformation import Between
     from twinct.specimen.breathing import Breath
+    from twinct.specimen.deformation import Between
 
     believed = motion.scaled(known.amplitude_rel)
     state = Breath(known.phase)

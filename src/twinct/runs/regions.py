@@ -20,11 +20,10 @@ from twinct.evaluation import (
     cuboid,
     cylinder,
     figure_kinds,
-    part_of,
     shell,
     whole,
 )
-from twinct.geometry import Pose, VolumeGrid
+from twinct.geometry import Pose, VolumeGrid, part_of
 from twinct.scenario import Evaluation, Scenario
 from twinct.specimen import BuiltSpecimen, GreyPart
 from twinct.specimen.voxels import volume_fractions

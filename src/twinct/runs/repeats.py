@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.core.signals import GaussianSignal, Inserts, SphereSignal
 from twinct.evaluation import Again, Repeated
 from twinct.geometry import Floats
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience
 from twinct.runs.volumes import reconstruct
 from twinct.scan import Scan, SimulationBuilder
+from twinct.specimen.signals import GaussianSignal, Inserts, SphereSignal
 
 Volume = NDArray[np.float32]
 

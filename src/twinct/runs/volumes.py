@@ -36,12 +36,11 @@ from twinct.runs.metal_reduction import doubts, metal_replaced
 from twinct.runs.truth import held_bytes
 from twinct.scan import Scan
 from twinct.scenario import (
-    SECTIONS,
     KnownImplants,
     Nmar,
     Reconstruction,
     Scenario,
-    parse_scenario,
+    reconstructed_by,
     stage_digests,
 )
 
@@ -94,7 +93,7 @@ def reconstruct(
     function = algorithm if callable(algorithm) else None
     name = _BARE if function else cast("str | None", algorithm)
     if name is not None or settings:
-        scan = replace(scan, scenario=_otherwise(scan.scenario, name, settings))
+        scan = replace(scan, scenario=reconstructed_by(scan.scenario, name, settings))
     solver = algorithms()[scan.scenario.reconstruction.algorithm]
     if function:
         solver = Algorithm(_Bare, partial(_solved_by, function), volumes=1, masks=False)
@@ -121,15 +120,6 @@ def _solved_by(function: Function, problem: Problem, settings: AlgorithmSettings
             f"numbers of shape {grid.shape} (z, y, x)"
         )
     return Volume(x, grid)
-
-
-def _otherwise(scenario: Scenario, name: str | None, settings: dict[str, Any]) -> Scenario:
-    data = scenario.model_dump(mode="json")
-    section = data["reconstruction"]
-    if name is not None:
-        keys = SECTIONS[name].model_fields if name in SECTIONS else section
-        section = {key: section[key] for key in keys if key in section} | {"algorithm": name}
-    return parse_scenario(data | {"reconstruction": section | settings})
 
 
 def _reconstruct(

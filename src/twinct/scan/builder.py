@@ -78,7 +78,8 @@ class SimulationBuilder:
             )
         from twinct.specimen.known_names import require_known_names
 
-        require_known_names(self.scenario)
+        whole = self.scenario
+        require_known_names(whole.specimen, whole.named_parts(), whole.unknown_parts)
         section = self.scenario.specimen
         names = [part.label for part in section.parts]
         digest = json.dumps([specimen_digest(self.scenario), names])

@@ -1,16 +1,15 @@
 """The scenario: one YAML file that describes a whole simulation."""
 
-from twinct.core.signals import GaussianSignal, SphereSignal
-from twinct.recon.objectives.completeness import CompletenessGoal
-from twinct.recon.objectives.detectability import DetectabilityGoal
-from twinct.recon.objectives.dose import DoseGoal
-from twinct.recon.objectives.metal_paths import MetalGoal
-from twinct.recon.objectives.motion_time import MovingGoal
-from twinct.recon.objectives.variance import KnownGoal
-from twinct.scenario.beam_hardening import BeamHardening, OneMaterialHardening, TwoMaterialHardening
-from twinct.scenario.breathing import Breathing, Fields, KnownMotion
-from twinct.scenario.catalogue import scenario_names
-from twinct.scenario.cell import (
+from twinct.evaluation.sections import Evaluation, Region, Shell, WholePart
+from twinct.recon.sections.beam_hardening import (
+    BeamHardening,
+    OneMaterialHardening,
+    TwoMaterialHardening,
+)
+from twinct.recon.sections.known_motion import KnownMotion
+from twinct.recon.sections.metal import Implant, KnownImplants, Nmar
+from twinct.recon.sections.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
+from twinct.robots.sections.cell import (
     AnyCell,
     Arm,
     Cell,
@@ -21,8 +20,68 @@ from twinct.scenario.cell import (
     Table,
     Turntable,
 )
-from twinct.scenario.composition import Composition
-from twinct.scenario.detector import (
+from twinct.robots.sections.motion import InverseKinematics, Motion
+from twinct.scenario.catalogue import scenario_names
+from twinct.scenario.digests import plan_digest, specimen_digest, stage_digests
+from twinct.scenario.loading import (
+    Template,
+    load_scenario,
+    named_places,
+    parse_scenario,
+    reconstructed_by,
+    scenario_schema,
+    write_scenario,
+)
+from twinct.scenario.objects import with_files_in, with_paths
+from twinct.scenario.scenario import AnyTrajectory, Scenario
+from twinct.specimen.sections.body_motion import Breathing, Fields
+from twinct.specimen.sections.composition import Composition
+from twinct.specimen.sections.grey_volume import (
+    AttenuationValues,
+    Calibration,
+    ElectronDensities,
+    GreyVolume,
+    HuLine,
+    Labels,
+    Mask,
+    TableRow,
+    Tissues,
+    TissueTable,
+)
+from twinct.specimen.sections.room_objects import Capsule, GroupClearance, RoomObject, Zone
+from twinct.specimen.sections.specimen import (
+    BallHelix,
+    Box,
+    Brain,
+    CtVolume,
+    Cylinder,
+    Ellipsoid,
+    Head,
+    MeshFile,
+    Part,
+    Shape,
+    Skull,
+    Specimen,
+    Sphere,
+    part_kinds,
+)
+from twinct.specimen.signals import GaussianSignal, SphereSignal
+from twinct.uncertainty.sections import (
+    PRESETS,
+    ArmErrors,
+    PatientMotion,
+    PoseNoise,
+    Uncertainty,
+    ViewErrors,
+)
+from twinct.view_planning.objectives.completeness import CompletenessGoal
+from twinct.view_planning.objectives.detectability import DetectabilityGoal
+from twinct.view_planning.objectives.dose import DoseGoal
+from twinct.view_planning.objectives.metal_paths import MetalGoal
+from twinct.view_planning.objectives.motion_time import MovingGoal
+from twinct.view_planning.objectives.variance import KnownGoal
+from twinct.view_planning.task import ExposureSharing, FamilyParameter, FamilySearch, ViewTask
+from twinct.xray.sections.detector import (
     BadPixels,
     Correction,
     CountingResponse,
@@ -42,35 +101,8 @@ from twinct.scenario.detector import (
     ScintillatorResponse,
     SnrNoise,
 )
-from twinct.scenario.digests import plan_digest, specimen_digest, stage_digests
-from twinct.scenario.evaluation import Evaluation, Region, Shell, WholePart
-from twinct.scenario.grey_volume import (
-    AttenuationValues,
-    Calibration,
-    ElectronDensities,
-    GreyVolume,
-    HuLine,
-    Labels,
-    Mask,
-    TableRow,
-    Tissues,
-    TissueTable,
-)
-from twinct.scenario.loading import (
-    Template,
-    load_scenario,
-    named_places,
-    parse_scenario,
-    scenario_schema,
-    write_scenario,
-)
-from twinct.scenario.metal import Implant, KnownImplants, Nmar
-from twinct.scenario.motion import InverseKinematics, Motion
-from twinct.scenario.objects import with_files_in, with_paths
-from twinct.scenario.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
-from twinct.scenario.room_objects import Capsule, GroupClearance, RoomObject, Zone
-from twinct.scenario.scenario import AnyTrajectory, Scenario
-from twinct.scenario.source import (
+from twinct.xray.sections.engine import Xray
+from twinct.xray.sections.source import (
     FileSpectrum,
     Filter,
     GaussianSpot,
@@ -81,35 +113,9 @@ from twinct.scenario.source import (
     SquareSpot,
     TubeSpectrum,
 )
-from twinct.scenario.specimen import (
-    PART_KINDS,
-    BallHelix,
-    Box,
-    Brain,
-    CtVolume,
-    Cylinder,
-    Ellipsoid,
-    Head,
-    MeshFile,
-    Part,
-    Shape,
-    Skull,
-    Specimen,
-    Sphere,
-)
-from twinct.scenario.task import ExposureSharing, FamilyParameter, FamilySearch, ViewTask
-from twinct.scenario.uncertainty import (
-    PRESETS,
-    ArmErrors,
-    PatientMotion,
-    PoseNoise,
-    Uncertainty,
-    ViewErrors,
-)
-from twinct.scenario.xray import Xray
 
 __all__ = [
-    "PART_KINDS",
+    "part_kinds",
     "PRESETS",
     "AnyCell",
     "AnyTrajectory",
@@ -215,6 +221,7 @@ __all__ = [
     "load_scenario",
     "named_places",
     "parse_scenario",
+    "reconstructed_by",
     "plan_digest",
     "scenario_names",
     "scenario_schema",

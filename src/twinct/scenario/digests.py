@@ -14,18 +14,27 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
 from twinct.core.errors import ScenarioError
-from twinct.core.settings import FileOf, Section, is_file, read_by
+from twinct.core.files.arm_xml import read_arm_xml
+from twinct.core.settings import (
+    FileOf,
+    Section,
+    annotation_of,
+    default_of,
+    is_file,
+    models_in,
+    read_by,
+)
 from twinct.recon.algorithms import BUILT_IN
-from twinct.scenario.cell import DEFAULT_KIND
-from twinct.scenario.detector import RandomBadPixels
+from twinct.robots.sections.cell import DEFAULT_KIND
 from twinct.scenario.scenario import Scenario, sections_in
-from twinct.scenario.uncertainty import Uncertainty
+from twinct.uncertainty.sections import Uncertainty
+from twinct.xray.sections.detector import RandomBadPixels
 
 StageName = Literal["surface", "plan", "executed", "images", "believed", "volume"]
 
@@ -128,14 +137,8 @@ def declared(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, fr
     for name, info in model.model_fields.items():
         if stages := read_by(info):
             yield f"{prefix}{name}", stages
-        for section in _sections_of(info.annotation):
+        for section in models_in(annotation_of(info)):
             yield from declared(section, f"{prefix}{name}.")
-
-
-def _sections_of(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [section for part in get_args(annotation) for section in _sections_of(part)]
 
 
 def _reads(scenario: Scenario, stage: StageName, key: str, readers: frozenset[str]) -> bool:
@@ -203,7 +206,7 @@ def _read_keys(
         value = getattr(section, name)
         inner, stages = f"{key}.{name}" if key else name, readers | read_by(info)
         changed_since = any(other.startswith(f"{inner}.") for other in _BEFORE)
-        at_default = not changed_since and value == _BEFORE.get(inner, info.default)
+        at_default = not changed_since and value == _BEFORE.get(inner, default_of(info))
         if name not in ("kind", "algorithm") and at_default:
             continue
         if sections := sections_in(value):
@@ -212,7 +215,7 @@ def _read_keys(
                 data[name] = parts
         elif isinstance(value, Section):
             part = _read_keys(value, inner, stages, reads, content)
-            if part or reads(inner, stages) and not isinstance(info.default, Section):
+            if part or reads(inner, stages) and not isinstance(default_of(info), Section):
                 data[name] = part
         elif reads(inner, stages):
             file = is_file(info) and value is not None
@@ -242,8 +245,6 @@ def content_digest(path: Path, key: str) -> str:
 def _of_arm(path: Path) -> tuple[Path, ...]:
     """Return an arm's file and all files that it includes or names; only itself if invalid."""
     try:
-        from twinct.core.files.arm_xml import read_arm_xml
-
         return read_arm_xml(path, str(path)).files
     except ScenarioError:  # reported when the arm is built
         return (path,) if path.is_file() else ()

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -19,12 +19,16 @@ from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.plain_yaml import written
 from twinct.core.files.writing import write_text
 from twinct.core.foreign_text import shortened
+from twinct.core.settings import Section
+from twinct.recon.sections import SECTIONS, AnyReconstruction
 from twinct.scenario.messages import place, refusal
 from twinct.scenario.objects import with_paths
 from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
 log = logging.getLogger(__name__)
+
+ModelT = TypeVar("ModelT", bound=Section)
 
 
 def load_scenario(
@@ -169,6 +173,38 @@ def parse_scenario(data: Mapping[str, Any]) -> Scenario:
     return _validate(drafted(data, extends=False))
 
 
+class _Reconstructed(Section):
+    """Only the section of a scenario that another reconstruction changes."""
+
+    reconstruction: AnyReconstruction
+
+
+def reconstructed_by(
+    scenario: Scenario, algorithm: str | None, settings: Mapping[str, Any]
+) -> Scenario:
+    """Return a scenario with another algorithm, or other keys of it; only they are validated.
+
+    Args:
+        scenario: valid scenario; its keys that the algorithm has, too, stay.
+        algorithm: name of the algorithm; None: the scenario's.
+        settings: keys of the section ``reconstruction``.
+
+    Raises:
+        ScenarioError: with one sentence for each problem.
+    """
+    section = scenario.reconstruction.model_dump(mode="json")
+    if algorithm is not None:
+        known = SECTIONS[algorithm].model_fields if algorithm in SECTIONS else section
+        section = {key: value for key, value in section.items() if key in known}
+        section["algorithm"] = algorithm
+    draft = drafted({"reconstruction": section | dict(settings)}, extends=False)
+    changed = _validated(draft, _Reconstructed).reconstruction
+    result = scenario.model_copy(update={"reconstruction": changed})
+    if conflicts := result.conflicts():
+        raise ScenarioError([conflict.message for conflict in conflicts])
+    return result
+
+
 def scenario_schema() -> dict[str, Any]:
     """Return the JSON Schema of the scenario file, for editors."""
     schema = Scenario.model_json_schema()
@@ -192,6 +228,10 @@ def _with_keys_left_out(part: dict[str, Any]) -> dict[str, Any]:
 
 
 def _validate(draft: Draft) -> Scenario:
+    return _validated(draft, Scenario)
+
+
+def _validated(draft: Draft, model: type[ModelT]) -> ModelT:
     try:
         text = json.dumps(draft.data, default=str)
     except (TypeError, ValueError, RecursionError) as error:  # plain data that came from no file
@@ -199,6 +239,6 @@ def _validate(draft: Draft) -> Scenario:
         raise ScenarioError(f"a scenario must consist of plain data: {why}") from None
     try:
         # In JSON mode, strict validation still takes lists for tuples and text for paths.
-        return Scenario.model_validate_json(text, strict=True)
+        return model.model_validate_json(text, strict=True)
     except ValidationError as error:
-        raise refusal(draft, error) from None
+        raise refusal(draft, error, model) from None

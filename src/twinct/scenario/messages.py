@@ -6,31 +6,33 @@ import difflib
 import re
 import reprlib
 import typing
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
 from twinct.core.errors import ScenarioError
+from twinct.core.extensions import Registry
 from twinct.core.foreign_text import quoted, shortened
-from twinct.core.settings import Conflict, ConflictError
-from twinct.scenario.evaluation import BROKEN_KINDS
+from twinct.core.settings import Conflict, ConflictError, annotation_of, models_in
+from twinct.evaluation.figure_kinds import figure_kinds
+from twinct.recon.algorithms import algorithms
 from twinct.scenario.reading import KIND_KEYS, Draft, Key, is_list, key_of
-from twinct.scenario.reconstruction import BROKEN_ALGORITHMS
 from twinct.scenario.scenario import Scenario
-from twinct.scenario.specimen import PART_KINDS
-from twinct.scenario.task import BROKEN_OBJECTIVES
-from twinct.scenario.uncertainty import BROKEN_TERMS
+from twinct.specimen.sections.specimen import part_kinds
 from twinct.trajectory.families import families
+from twinct.uncertainty.sections import error_terms
+from twinct.view_planning.task import usable_objectives
 
-_BROKEN: dict[Key, dict[str, str]] = {
-    ("reconstruction", "algorithm"): BROKEN_ALGORITHMS,
-    ("trajectory", "kind"): families().broken,
-    ("specimen", "parts"): PART_KINDS.broken,
-    ("task",): BROKEN_OBJECTIVES,
-    ("evaluation",): BROKEN_KINDS,
-    ("uncertainty",): BROKEN_TERMS,
+_REGISTRIES: dict[Key, Callable[[], Registry[Any]]] = {
+    ("reconstruction", "algorithm"): algorithms,
+    ("trajectory", "kind"): families,
+    ("specimen", "parts"): part_kinds,
+    ("task",): usable_objectives,
+    ("evaluation",): figure_kinds,
+    ("uncertainty",): error_terms,
 }
-"""Reasons why extensions cannot be used, by their names, at the keys that name or have them."""
+"""Extensions, at the keys that name or have them."""
 
 MOST_PROBLEMS = 50
 """Largest number of problems that get a sentence; a file with more is probably no scenario."""
@@ -151,7 +153,7 @@ def _sentence(
     kind: str = detail["type"]
     given: Any = detail["input"]
     if kind == "extra_forbidden":
-        broken = _BROKEN.get(key[:-1], {}).get(str(key[-1]))
+        broken = _why_broken(key[:-1], str(key[-1]))
         return broken or _unknown_key(key, model, others)
     if kind == "missing" and is_list(given):
         length = _length(model, key) or detail["loc"][-1] + 1
@@ -211,7 +213,7 @@ def _length(model: type[BaseModel] | None, key: Key) -> int | None:
 def _example(model: type[BaseModel] | None, key: Key) -> str:
     """Return the beginning of such a section, or nothing."""
     info = model.model_fields.get(str(key[-1])) if model else None
-    tags = [tag for tag in map(_tag, _models(info.annotation) if info else ()) if tag]
+    tags = [tag for tag in map(_tag, models_in(annotation_of(info)) if info else ()) if tag]
     return f" such as {{kind: {tags[0]}}} (kinds: {', '.join(tags)})" if tags else ""
 
 
@@ -236,13 +238,19 @@ def _unknown_key(key: Key, model: type[BaseModel] | None, others: list[type[Base
     return f"unknown key{hint}" + (f" (known: {', '.join(known)})" if known else "")
 
 
+def _why_broken(key: Key, name: str) -> str:
+    """Return the reason why an extension cannot be used; nothing if no package offers it."""
+    registry = _REGISTRIES.get(key)
+    return registry().broken.get(name, "") if registry else ""
+
+
 def _unknown_kind(data: Any, key: Key) -> str:
     if "tag" not in data:
         by = data["discriminator"]
         return f"this section needs the key {'method' if 'method' in by else 'kind'!r}"
     given, allowed = data["tag"], data["expected_tags"]
-    if given in (broken := _BROKEN.get(key, {})):
-        return broken[given]
+    if broken := _why_broken(key, str(given)):
+        return broken
     hint = _nearest(given, allowed.replace("'", "").split(", "), 0.6)
     return f"{key[-1]} {shown(given)} is not one of {allowed}{hint}"
 
@@ -259,17 +267,17 @@ def _plain_key(location: tuple[str | int, ...], data: Any, root: type[BaseModel]
     model: type[BaseModel] | None = root
     others: list[type[BaseModel]] = []
     for step in location:
-        models = _models(annotation)
+        models = models_in(annotation)
         tagged = next((m for m in models if _tag(m) == step), None)
         owner = models[0] if models else None
         if tagged is not None and len(models) > 1:
             annotation, model, others = tagged, tagged, models
         elif isinstance(step, int):
             key.append(step)
-            annotation = next((arg for arg in typing.get_args(annotation) if _models(arg)), None)
+            annotation = next((arg for arg in typing.get_args(annotation) if models_in(arg)), None)
         elif owner is not None and step in owner.model_fields:
             key.append(step)
-            model, annotation, others = owner, owner.model_fields[step].annotation, []
+            model, annotation, others = owner, annotation_of(owner.model_fields[step]), []
         elif owner is not None and _exists(data, [*key, step]):
             key.append(step)
             model = owner
@@ -285,12 +293,6 @@ def _exists(data: Any, key: list[str | int]) -> bool:
         except (KeyError, IndexError, TypeError):
             return False
     return True
-
-
-def _models(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [m for arg in typing.get_args(annotation) for m in _models(arg)]
 
 
 def _tag(model: type[BaseModel]) -> str | None:

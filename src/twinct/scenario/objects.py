@@ -27,6 +27,7 @@ from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import complete
 from twinct.core.settings import FILE_KEYS
 from twinct.geometry import ScanGeometry
+from twinct.recon.volume import Volume
 from twinct.scenario.scenario import Scenario
 from twinct.trajectory import rows_of_views, write_rows
 
@@ -67,8 +68,6 @@ def as_settings(key: str, value: Any) -> Any:
 def _is_volume(value: object) -> bool:
     if isinstance(value, Mapping | str):
         return False
-    from twinct.recon.volume import Volume  # plain data need no arrays
-
     return isinstance(value, Volume)
 
 

@@ -15,10 +15,10 @@ from twinct.core.files.boundary import ABSENT, absolute, no_file
 from twinct.core.files.plain_yaml import Key, read_file, read_value
 from twinct.core.foreign_text import quoted, shortened, whole_number
 from twinct.core.settings import FILE_KEYS
+from twinct.recon.sections.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
+from twinct.robots.sections.cell import DEFAULT_KIND
 from twinct.scenario.catalogue import same_name, scenario_file
-from twinct.scenario.cell import DEFAULT_KIND
 from twinct.scenario.objects import as_settings
-from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
 from twinct.scenario.version_0_1 import upgraded
 
 _SET = "--set "

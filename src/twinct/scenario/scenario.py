@@ -3,39 +3,33 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Union, cast
+from typing import Annotated, Any, cast
 
 from pydantic import Field, model_validator
 
-from twinct.core.settings import Conflict, ConflictError, ReadBy, Section, is_file, setting
-from twinct.scenario.breathing import motion_conflicts
-from twinct.scenario.cell import AnyCell, Cell, GantryCell
-from twinct.scenario.detector import Detector
-from twinct.scenario.evaluation import Evaluation
-from twinct.scenario.motion import Motion
-from twinct.scenario.reconstruction import DEFAULT_ALGORITHM, SECTIONS, AnyReconstruction
-from twinct.scenario.source import Source, TubeSpectrum
-from twinct.scenario.specimen import Specimen
-from twinct.scenario.task import ViewTask
-from twinct.scenario.uncertainty import Uncertainty
-from twinct.scenario.xray import Xray
-from twinct.trajectory import TrajectorySettings
-from twinct.trajectory.families import families
-
-if TYPE_CHECKING:
-
-    class AnyTrajectory(TrajectorySettings):
-        """Keys that all trajectories share."""
-
-        kind: str
-
-else:
-    AnyTrajectory = Annotated[
-        Union[tuple(family.settings for family in families().values())],  # noqa: UP007
-        Field(discriminator="kind"),
-    ]
+from twinct.core.settings import (
+    Conflict,
+    ConflictError,
+    ReadBy,
+    Section,
+    is_file,
+    section_made_late,
+    setting,
+)
+from twinct.evaluation.sections import Evaluation
+from twinct.recon.sections.known_motion import motion_conflicts
+from twinct.recon.sections.reconstruction import AnyReconstruction, default_reconstruction
+from twinct.robots.sections.cell import AnyCell, Cell, GantryCell
+from twinct.robots.sections.motion import Motion
+from twinct.specimen.sections.specimen import Specimen
+from twinct.trajectory.families import AnyTrajectory
+from twinct.uncertainty.sections import Uncertainty
+from twinct.view_planning.task import ViewTask
+from twinct.xray.sections.detector import Detector
+from twinct.xray.sections.engine import Xray
+from twinct.xray.sections.source import Source, TubeSpectrum
 
 
 class Scenario(Section):
@@ -59,13 +53,11 @@ class Scenario(Section):
     specimen: Specimen = Field(description="Specimen to be imaged.")
     cell: AnyCell = setting(Cell(), "The room, with two arms or a gantry.")
     motion: Motion = setting(Motion(), "Motion of the arms; not used with a gantry.")
-    uncertainty: Uncertainty = setting(
-        Uncertainty(), "Differences between commanded, executed and believed poses."
+    uncertainty: Uncertainty = section_made_late(
+        Uncertainty, "Differences between commanded, executed and believed poses."
     )
-    reconstruction: AnyReconstruction = setting(
-        SECTIONS[DEFAULT_ALGORITHM].model_validate({}),
-        "Reconstruction of the volume.",
-        read_by="volume",
+    reconstruction: AnyReconstruction = section_made_late(
+        default_reconstruction, "Reconstruction of the volume.", read_by="volume"
     )
     evaluation: Evaluation | None = setting(
         None, "Measurements in the volume, in addition to the figures that every run has."
@@ -103,17 +95,21 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _sections_go_together(self) -> Scenario:
+        if conflicts := self.conflicts():
+            raise ConflictError(*conflicts)
+        return self
+
+    def conflicts(self) -> list[Conflict]:
+        """Return the conflicts between sections."""
         contradictions = (
             *(self._photon_number(), self._subsets(), self._something_to_correct()),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
             *(self._arms_to_err(), self._time_of_a_frame()),
             *self._motion(),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
-            *(self.task.conflicts(self.specimen) if self.task else ()),
+            *(self.task.conflicts(self.specimen.names) if self.task else ()),
         )
-        if conflicts := [conflict for conflict in contradictions if conflict is not None]:
-            raise ConflictError(*conflicts)
-        return self
+        return [conflict for conflict in contradictions if conflict is not None]
 
     def _photon_number(self) -> Conflict | None:
         quantum = self.detector.noise is not None and self.detector.noise.kind == "quantum"
@@ -177,12 +173,7 @@ class Scenario(Section):
         )
 
     def _arms_to_err(self) -> Conflict | None:
-        results = {
-            "uncertainty.arms": any(self.uncertainty.arms.sizes),
-            "uncertainty.encoder_step_deg": self.uncertainty.encoder_step_deg > 0,
-            "uncertainty.calibration": self.uncertainty.calibration is not None,
-        }
-        keys = tuple(key for key, given in results.items() if given)
+        keys = tuple(f"uncertainty.{name}" for name in self.uncertainty.of_arms)
         if not isinstance(self.cell, GantryCell) or not keys:
             return None
         what = (
@@ -228,6 +219,15 @@ class Scenario(Section):
         """Seed of the arms' errors, which are constant during a scan."""
         own = self.uncertainty.arms.seed
         return self.seed if own is None else own
+
+    def named_parts(self) -> list[tuple[str, str]]:
+        """Return the keys of the evaluation that name a part or a label, each with the name."""
+        references = self.evaluation.references() if self.evaluation else ()
+        return [(f"evaluation.{key}", name) for key, name, kind in references if kind == "part"]
+
+    def unknown_parts(self, parts: Sequence[str]) -> list[Conflict]:
+        """Return the conflicts of objectives that name a part which is not among some names."""
+        return self.task.unknown_parts(parts) if self.task else []
 
     def files(self) -> dict[str, Path]:
         """Return the files and folders that the scenario names in any section, by key."""

@@ -11,7 +11,7 @@ import json
 import logging
 from typing import Any, cast
 
-from twinct.scenario.reconstruction import SECTIONS
+from twinct.recon.sections.reconstruction import SECTIONS
 
 log = logging.getLogger(__name__)
 

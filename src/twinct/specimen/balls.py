@@ -6,7 +6,7 @@ import numpy as np
 
 from twinct.core.draws import view_rng
 from twinct.geometry import Floats
-from twinct.scenario import BallHelix
+from twinct.specimen.sections import BallHelix
 
 WIDE_GAP = 1.5
 """Width of a wide gap relative to a narrow one."""

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.nifti import read_nifti
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose
-from twinct.recon.deformation import Deformation
-from twinct.recon.moving import Map, map_of
+from twinct.specimen import sections
 from twinct.specimen.breathing import (
     Breath,
     Chest,
@@ -23,6 +21,8 @@ from twinct.specimen.breathing import (
     Rhythm,
     require_smooth,
 )
+from twinct.specimen.deformation import Deformation
+from twinct.specimen.displacement_map import Map, map_of
 from twinct.specimen.grey import GreyField
 from twinct.specimen.grey_part import GreyPart, VoxelLabels
 
@@ -151,7 +151,7 @@ class _Scaled:
         return self.motion.rests(breath)
 
 
-def body_motion(section: scenario.Specimen) -> BodyMotion:
+def body_motion(section: sections.Specimen) -> BodyMotion:
     """Return the motion of a specimen that has one.
 
     Raises:
@@ -163,7 +163,7 @@ def body_motion(section: scenario.Specimen) -> BodyMotion:
         motion.period_s, motion.irregularity, motion.drift_per_min, motion.seed, motion.start_phase
     )
     part = section.moving_part
-    if isinstance(motion, scenario.Breathing):
+    if isinstance(motion, sections.Breathing):
         keys = "diaphragm_mm", "front_mm", "hysteresis", "dome_mm", "reach_mm", "half_axes_mm"
         ways: Motion = Chest(**{name: getattr(motion, name) for name in keys})
     else:
@@ -171,7 +171,7 @@ def body_motion(section: scenario.Specimen) -> BodyMotion:
     return BodyMotion(part.label, rhythm, ways, part.specimen_from_part)
 
 
-def _read_fields(section: scenario.Fields) -> PhaseFields:
+def _read_fields(section: sections.Fields) -> PhaseFields:
     results: list[NDArray[np.float32]] = []
     affine = np.eye(4)
     for i, one in enumerate(section.phases):

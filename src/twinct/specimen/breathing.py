@@ -22,7 +22,7 @@ import numpy as np
 
 from twinct.core.draws import view_rng
 from twinct.geometry import Floats
-from twinct.recon.deformation import require_no_fold
+from twinct.specimen.deformation import require_no_fold
 
 STEEPEST = 4
 """Power of the sine in the breath's course."""

@@ -12,10 +12,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.specimen import sections
+from twinct.specimen.body_motion import body_motion, require_possible
+from twinct.specimen.breathing import Breath
+from twinct.specimen.colours import SKIN, colour_of
+from twinct.specimen.convex_parts import convex_parts
 from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
@@ -270,8 +274,6 @@ class BuiltSpecimen:
         """
         if not self.greys:
             return (self.hull,)
-        from twinct.specimen.convex_parts import convex_parts
-
         convex: list[trimesh.Trimesh] = []
         for part in self.greys:
             for points in convex_parts(part.mesh):
@@ -283,8 +285,6 @@ class BuiltSpecimen:
 
     def _breathing(self, points: Floats) -> Iterator[Floats]:
         """Yield points of the moving part in deep breaths."""
-        from twinct.specimen.breathing import Breath
-
         assert self.motion is not None
         depth = float(np.exp(2 * self.motion.rhythm.irregularity))
         for phase in (0.25, 0.5, 0.75):
@@ -301,8 +301,6 @@ class BuiltSpecimen:
     @property
     def colour(self) -> Rgb:
         """Colour of the largest part in pictures of the room."""
-        from twinct.specimen.colours import SKIN, colour_of
-
         largest = self.largest_part
         return SKIN if isinstance(largest, GreyPart) else colour_of(largest.material)
 
@@ -326,7 +324,7 @@ class BuiltSpecimen:
         return volume
 
 
-def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
+def build_specimen(section: sections.Specimen) -> BuiltSpecimen:
     """Build every part, then subtract from each the volume that later parts cover.
 
     Raises:
@@ -358,9 +356,7 @@ def build_specimen(section: scenario.Specimen) -> BuiltSpecimen:
     return specimen if section.motion is None else _in_motion(specimen, section)
 
 
-def _in_motion(specimen: BuiltSpecimen, section: scenario.Specimen) -> BuiltSpecimen:
-    from twinct.specimen.body_motion import body_motion, require_possible
-
+def _in_motion(specimen: BuiltSpecimen, section: sections.Specimen) -> BuiltSpecimen:
     motion = body_motion(section)
     require_possible(motion, specimen.greys)
     for part in specimen.solids:
@@ -368,10 +364,10 @@ def _in_motion(specimen: BuiltSpecimen, section: scenario.Specimen) -> BuiltSpec
     return replace(specimen, motion=motion)
 
 
-def _made(part: scenario.Part, substance: Material | None, key: str) -> AnyPart | None:
+def _made(part: sections.Part, substance: Material | None, key: str) -> AnyPart | None:
     """Return a part in the specimen's frame; None if its material is unknown."""
     pose = part.specimen_from_part
-    if isinstance(part.shape, scenario.GreyVolume):
+    if isinstance(part.shape, sections.GreyVolume):
         known = substance or BUILT_IN["bone"]  # the file's own problems are reported, too
         grey = grey_part(part.shape, part.label, known, pose, key)
         return None if substance is None else grey

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npz
 from twinct.geometry import Pose, VolumeGrid
+from twinct.specimen import sections
+from twinct.specimen.body_motion import body_motion
 from twinct.specimen.build import AnyPart, BuiltPart, BuiltSpecimen
 from twinct.specimen.grey import GreyField
 from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
@@ -48,7 +49,7 @@ def save_built(specimen: BuiltSpecimen, path: Path) -> None:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
-def load_built(section: scenario.Specimen, path: Path) -> BuiltSpecimen:
+def load_built(section: sections.Specimen, path: Path) -> BuiltSpecimen:
     """Read the file that ``save_built`` wrote for the specimen of a scenario.
 
     Raises:
@@ -59,8 +60,6 @@ def load_built(section: scenario.Specimen, path: Path) -> BuiltSpecimen:
     parts = [_part(part, arrays, str(i), where) for i, part in enumerate(section.parts)]
     motion = None
     if section.motion is not None:
-        from twinct.specimen.body_motion import body_motion
-
         motion = body_motion(section)
     specimen = BuiltSpecimen(tuple(parts), section.world_from_specimen, section.reference, motion)
     if any(name.startswith(f"{_HULL}.") for name in arrays):
@@ -73,7 +72,7 @@ def load_built(section: scenario.Specimen, path: Path) -> BuiltSpecimen:
 
 
 def _part(
-    section: scenario.Part, arrays: Mapping[str, NDArray[Any]], name: str, where: str
+    section: sections.Part, arrays: Mapping[str, NDArray[Any]], name: str, where: str
 ) -> AnyPart:
     substance, mesh = material(section.material), _mesh(arrays, name, where)
     if f"{name}.amounts" not in arrays:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.geometry import Floats
+from twinct.specimen import sections
 
 AIR_HU = -1000.0
 
@@ -39,7 +39,7 @@ class CtImage:
         return np.linalg.norm(self.affine[:3, :3], axis=0)
 
 
-def in_hu(values: NDArray[np.float32], line: scenario.HuLine | None) -> NDArray[np.float32]:
+def in_hu(values: NDArray[np.float32], line: sections.HuLine | None) -> NDArray[np.float32]:
     """Return a file's values in HU, by the line that the part states, if any."""
     if line is None:
         return values

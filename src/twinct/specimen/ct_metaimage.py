@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.metaimage import MetaImageHeader, read_metaimage
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats
+from twinct.specimen import sections
 from twinct.specimen.ct_image import (
     RAS_FROM_LPS,
     STATE_HU,
@@ -26,7 +26,7 @@ _OF_CT = (None, "MET_MOD_CT", "MET_MOD_UNKNOWN", "MET_MOD_OTHER")
 _OF_MM = (None, "mm", "?")
 
 
-def read_ct_metaimage(path: Path, where: str, line: scenario.HuLine | None = None) -> CtImage:
+def read_ct_metaimage(path: Path, where: str, line: sections.HuLine | None = None) -> CtImage:
     """Read a MetaImage file of one CT volume.
 
     Raises:

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.nifti import nifti_values, open_nifti
 from twinct.core.files.nifti_header import NUMBERS, NiftiHeader
 from twinct.geometry import Floats
+from twinct.specimen import sections
 from twinct.specimen.ct_image import (
     STATE_HU,
     CtImage,
@@ -33,7 +33,7 @@ PLACE_TOLERANCE = 0.1
 """Maximum distance of corners in two equal affines, in voxel edges."""
 
 
-def read_ct_nifti(path: Path, where: str, line: scenario.HuLine | None = None) -> CtImage:
+def read_ct_nifti(path: Path, where: str, line: sections.HuLine | None = None) -> CtImage:
     """Read a NIfTI file of one CT volume.
 
     Raises:

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import library_errors, require_memory
 from twinct.geometry import Floats
+from twinct.specimen import sections
 from twinct.specimen.ct_image import RAS_FROM_LPS, STATE_HU, CtImage
 from twinct.specimen.dicom_files import DicomImage, dicom_images, silent_library
 from twinct.specimen.dicom_values import require_grey, require_hu, values_hu
@@ -61,7 +61,7 @@ class _Plane:
 
 
 def read_dicom_series(
-    folder: Path, where: str, line: scenario.HuLine | None = None, *, interpolate: bool = False
+    folder: Path, where: str, line: sections.HuLine | None = None, *, interpolate: bool = False
 ) -> CtImage:
     """Read the folder of one CT series; unevenly spaced slices are interpolated or refused.
 
@@ -117,7 +117,7 @@ def _require_series(images: list[DicomImage], where: str) -> None:
         raise SpecimenError(f"{where}: images differ in their frame of reference")
 
 
-def _require_ct(image: DicomImage, line: scenario.HuLine | None) -> None:
+def _require_ct(image: DicomImage, line: sections.HuLine | None) -> None:
     kind = image.value("ImageType") or ()
     if "LOCALIZER" in [str(word).upper() for word in kind]:
         raise SpecimenError(f"{image.where} is a localizer, which is no slice of the volume")

@@ -9,10 +9,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.dicom import require_frame
 from twinct.core.files.packed import require_growth
+from twinct.specimen import sections
 from twinct.specimen.ct_image import (
     AIR_HU,
     STATE_HU,
@@ -133,7 +133,7 @@ def line_of(image: DicomImage, frame: int) -> tuple[float, float]:
 
 
 def values_hu(
-    image: DicomImage, shape: tuple[int, int, int], line: scenario.HuLine | None
+    image: DicomImage, shape: tuple[int, int, int], line: sections.HuLine | None
 ) -> Iterator[NDArray[np.float32]]:
     """Yield the values of each frame in HU, (rows, columns); padding is air.
 

@@ -13,8 +13,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.evaluation import part_of
-from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.geometry import Floats, Pose, VolumeGrid, part_of
 from twinct.geometry.arrays import lock
 from twinct.specimen.aligned_means import add_aligned_means
 from twinct.specimen.grey import GreyField

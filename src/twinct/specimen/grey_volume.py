@@ -10,15 +10,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.geometry import Pose, VolumeGrid
+from twinct.specimen import sections
 from twinct.specimen.ct_grid import canonical, right_angled
 from twinct.specimen.ct_image import AIR_HU, CtImage
 from twinct.specimen.grey import GreyField
 from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
 from twinct.specimen.hounsfield import TissueLine, line_of, values_line
 from twinct.specimen.materials import Material
+from twinct.specimen.phantom import phantom_ct
 from twinct.specimen.surface import isosurface, simplified, surface
 from twinct.specimen.volumes import read_ct
 from twinct.specimen.voxel_labels import read_labels, read_mask
@@ -65,7 +66,7 @@ class _Voxels:
 
 
 def grey_part(
-    shape: scenario.GreyVolume, name: str, reference: Material, specimen_from_part: Pose, key: str
+    shape: sections.GreyVolume, name: str, reference: Material, specimen_from_part: Pose, key: str
 ) -> GreyPart:
     """Read a CT volume and return it as a grey part in the specimen's frame.
 
@@ -96,12 +97,10 @@ def grey_part(
 
 
 def _read(
-    shape: scenario.GreyVolume, where: str
+    shape: sections.GreyVolume, where: str
 ) -> tuple[CtImage, tuple[str, ...], NDArray[np.uint16] | None]:
     """Return a file's CT volume or the phantom, with names and labels, if any."""
     if shape.phantom:
-        from twinct.specimen.phantom import phantom_ct  # its kernels load numba
-
         return phantom_ct(shape.phantom, shape.seed, shape.voxel_mm)
     assert shape.path is not None
     line = shape.hu or values_line(shape.calibration)
@@ -115,7 +114,7 @@ def _read(
     return image, names, numbers
 
 
-def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -> None:
+def _require_plausible(image: CtImage, shape: sections.GreyVolume, where: str) -> None:
     """Check that values are what the part says: HU, or attenuation."""
     low, high = float(image.values.min()), float(image.values.max())
     if shape.calibration.kind == "attenuation":
@@ -148,7 +147,7 @@ def _require_plausible(image: CtImage, shape: scenario.GreyVolume, where: str) -
         )
 
 
-def _warn_of_edge(image: CtImage, shape: scenario.GreyVolume, where: str) -> None:
+def _warn_of_edge(image: CtImage, shape: sections.GreyVolume, where: str) -> None:
     """Warn if tissue reaches the padding around a round field of view, as cut shoulders do."""
     padding = image.values < PADDING_HU
     if not padding.any():
@@ -171,7 +170,7 @@ def _counting(
     image: CtImage,
     names: tuple[str, ...],
     numbers: NDArray[np.uint16] | None,
-    shape: scenario.GreyVolume,
+    shape: sections.GreyVolume,
     where: str,
 ) -> _Voxels:
     """Return the voxels that count; all others are air."""
@@ -235,7 +234,7 @@ def _cuts(voxels: _Voxels, level: float) -> tuple[CutFace, ...]:
     return tuple(cuts)
 
 
-def _skin(voxels: _Voxels, shape: scenario.GreyVolume, where: str) -> trimesh.Trimesh:
+def _skin(voxels: _Voxels, shape: sections.GreyVolume, where: str) -> trimesh.Trimesh:
     """Return the closed surface around the body and its cavities, in the part's frame."""
     factors = np.maximum(np.floor(SKIN_MM / voxels.grid.voxel + 1e-9).astype(int), 1)[::-1]
     hu = _averaged(voxels.hu, factors)

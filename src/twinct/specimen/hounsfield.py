@@ -21,9 +21,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.geometry import Floats
 from twinct.geometry.arrays import lock
+from twinct.specimen import sections
 from twinct.specimen.ct_image import AIR_HU
 from twinct.specimen.materials import BUILT_IN, Material, material
 
@@ -87,7 +87,7 @@ class TissueLine:
         return self(hu).astype(np.float64) @ of_materials
 
 
-def line_of(section: scenario.Calibration, key: str, pure: bool = False) -> TissueLine:
+def line_of(section: sections.Calibration, key: str, pure: bool = False) -> TissueLine:
     """Return the line that a part's key ``calibration`` describes.
 
     Args:
@@ -99,24 +99,24 @@ def line_of(section: scenario.Calibration, key: str, pure: bool = False) -> Tiss
         SpecimenError: a material is unknown; begins with the key.
     """
     match section:
-        case scenario.Tissues():
+        case sections.Tissues():
             energy = section.energy_kev or EFFECTIVE_KEV[section.kv]
             return tissue_line(energy)
-        case scenario.AttenuationValues():
+        case sections.AttenuationValues():
             return tissue_line(section.energy_kev)
-        case scenario.TissueTable():
+        case sections.TissueTable():
             return _table_line(section, key, pure)
-        case scenario.ElectronDensities():
+        case sections.ElectronDensities():
             return _electron_line(section)
 
 
-def values_line(section: scenario.Calibration) -> scenario.HuLine | None:
+def values_line(section: sections.Calibration) -> sections.HuLine | None:
     """Return the line from a file's attenuation values to HU; None if they are HU."""
-    if not isinstance(section, scenario.AttenuationValues):
+    if not isinstance(section, sections.AttenuationValues):
         return None
     per_unit = {"1/mm": 1.0, "1/cm": 0.1}[section.unit]
     water = BUILT_IN["water"].mu_per_mm(section.energy_kev)
-    return scenario.HuLine(slope=-AIR_HU * per_unit / water, intercept=AIR_HU)
+    return sections.HuLine(slope=-AIR_HU * per_unit / water, intercept=AIR_HU)
 
 
 def tissue_line(energy_kev: float) -> TissueLine:
@@ -162,7 +162,7 @@ def _amounts_of(tissue: Material, basis: Sequence[Material]) -> Floats:
     return amounts
 
 
-def _table_line(section: scenario.TissueTable, key: str, pure: bool) -> TissueLine:
+def _table_line(section: sections.TissueTable, key: str, pure: bool) -> TissueLine:
     """Return a user's table: each row has one material at one density."""
     of_rows = []
     for i, row in enumerate(section.rows):
@@ -179,7 +179,7 @@ def _table_line(section: scenario.TissueTable, key: str, pure: bool) -> TissueLi
     return TissueLine(basis, np.array([row.hu for row in section.rows]), amounts)
 
 
-def _electron_line(section: scenario.ElectronDensities) -> TissueLine:
+def _electron_line(section: sections.ElectronDensities) -> TissueLine:
     """Return the built-in tissues at the HU where a scanner shows their electron densities."""
     line = tissue_line(EFFECTIVE_KEV[120])
     water = _electrons(BUILT_IN["water"])

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import file_bytes, require_memory
 from twinct.core.files.packed import open_packed, read_to_end, require_unpacked, unpacked_limit
+from twinct.specimen import sections
 from twinct.specimen.ct_image import STATE_HU, CtImage, in_hu, require_low_values
 
 
-def read_invesalius(path: Path, where: str, line: scenario.HuLine | None = None) -> CtImage:
+def read_invesalius(path: Path, where: str, line: sections.HuLine | None = None) -> CtImage:
     """Read an InVesalius project: a tar of main.plist and the raw volume (slice, row, column).
 
     The tar may be gzipped. Slices run upwards, rows to the front (VTK's origin is at the lower

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from twinct import scenario
 from twinct.core.errors import InputError, SpecimenError
 from twinct.core.files.nifti import open_nifti
 from twinct.core.foreign_text import quoted
-from twinct.scenario.specimen import OpenNames
+from twinct.core.settings import Conflict
+from twinct.specimen import sections
+from twinct.specimen.phantom import phantom
+from twinct.specimen.sections.specimen import OpenNames
 from twinct.specimen.voxel_labels import header_names, mask_files
 
 NUMBERED = re.compile(r"label_[1-9]\d*")
@@ -37,34 +40,36 @@ class KnownNames(list[str]):
         )
 
 
-def require_known_names(whole: scenario.Scenario) -> None:
+def require_known_names(
+    section: sections.Specimen,
+    named: Iterable[tuple[str, str]],
+    conflicts: Callable[[Sequence[str]], Iterable[Conflict]],
+) -> None:
     """Check the names of parts and labels that a scenario states anywhere.
+
+    Args:
+        section: the specimen.
+        named: further keys that name a part or a label, each with the name.
+        conflicts: finds names that are not among those of the specimen.
 
     Raises:
         InputError: no part and no label has the name; or a file of labels is damaged.
     """
-    specimen, named = whole.specimen, list[tuple[str, str]]()
-    if not isinstance(specimen.names, OpenNames):  # else checked with the scenario
+    if not isinstance(section.names, OpenNames):  # else checked with the scenario
         return
-    if specimen.reference:
-        named.append(("specimen.reference", specimen.reference))
-    if whole.evaluation:
-        references = whole.evaluation.references()
-        named += [(f"evaluation.{key}", name) for key, name, kind in references if kind == "part"]
-    known = known_names(specimen)
+    reference = [("specimen.reference", section.reference)] if section.reference else []
+    known = known_names(section)
     problems = [
         f"{key}: no part or label is called {quoted(name)}; there are {known.in_words}"
-        for key, name in named
+        for key, name in (*reference, *named)
         if name not in known
     ]
-    if whole.task:
-        for objective, section in whole.task.goals.values():
-            problems += [one.message for one in objective.conflicts(section, known)]
+    problems += [one.message for one in conflicts(known)]
     if problems:
         raise InputError(problems)
 
 
-def known_names(section: scenario.Specimen) -> KnownNames:
+def known_names(section: sections.Specimen) -> KnownNames:
     """Return the names of a specimen's parts and labels, from keys, headers and phantoms.
 
     Raises:
@@ -74,11 +79,9 @@ def known_names(section: scenario.Specimen) -> KnownNames:
     for part in section.parts:
         names_so_far.append(part.label)
         shape = part.shape
-        if not isinstance(shape, scenario.GreyVolume):
+        if not isinstance(shape, sections.GreyVolume):
             continue
         if shape.phantom:
-            from twinct.specimen.phantom import phantom
-
             names_so_far += phantom(shape.phantom, shape.seed).names[1:]
         elif shape.labels:
             names = _of_files(shape.labels, f"part {part.label!r}: labels {shape.labels.path}")
@@ -87,7 +90,7 @@ def known_names(section: scenario.Specimen) -> KnownNames:
     return names_so_far
 
 
-def _of_files(section: scenario.Labels, where: str) -> KnownNames:
+def _of_files(section: sections.Labels, where: str) -> KnownNames:
     if section.names:
         return KnownNames(section.names)
     path: Path = section.path

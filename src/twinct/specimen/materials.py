@@ -22,7 +22,7 @@ import xraylib
 
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
-from twinct.scenario import Composition
+from twinct.specimen.sections import Composition
 
 FRACTION_SUM_TOLERANCE = 0.005
 """Tolerance of the sum of mass fractions: tables round about ten shares to three digits."""

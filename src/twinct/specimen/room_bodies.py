@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
+from twinct.specimen import sections
 from twinct.specimen.build import BuiltPart
 from twinct.specimen.materials import material
 from twinct.specimen.shapes import mesh_file_surface, shape_surface
@@ -42,7 +42,7 @@ class MeshPieces:
     hulls: tuple[trimesh.Trimesh, ...]
 
 
-def mesh_pieces(body: scenario.RoomObject, key: str) -> MeshPieces:
+def mesh_pieces(body: sections.RoomObject, key: str) -> MeshPieces:
     """Return the mesh of an object whose shape is a file.
 
     Args:
@@ -53,7 +53,7 @@ def mesh_pieces(body: scenario.RoomObject, key: str) -> MeshPieces:
         SpecimenError: the file is unusable, or its unit is certainly wrong.
     """
     shape = body.shape
-    assert isinstance(shape, scenario.MeshFile)
+    assert isinstance(shape, sections.MeshFile)
     try:
         changed = shape.path.stat().st_mtime_ns
     except OSError:  # reported by the reader
@@ -66,7 +66,7 @@ def mesh_pieces(body: scenario.RoomObject, key: str) -> MeshPieces:
 def _mesh_pieces(
     path: Path, unit_mm: float, centre: bool, owner: str, _changed_ns: int
 ) -> MeshPieces:
-    shape = scenario.MeshFile(kind="mesh", path=path, unit_mm=unit_mm, centre=centre)
+    shape = sections.MeshFile(kind="mesh", path=path, unit_mm=unit_mm, centre=centre)
     mesh = mesh_file_surface(shape, owner)
     edges = np.ptp(mesh.bounds, axis=0)
     if not SMALLEST_MESH_MM <= edges.max() <= LARGEST_MESH_MM:
@@ -81,7 +81,7 @@ def _mesh_pieces(
     return MeshPieces(mesh, tuple(piece.convex_hull for piece in pieces))
 
 
-def beam_bodies(objects: Sequence[tuple[str, scenario.RoomObject]]) -> tuple[BuiltPart, ...]:
+def beam_bodies(objects: Sequence[tuple[str, sections.RoomObject]]) -> tuple[BuiltPart, ...]:
     """Return the objects that the beam sees, in the world, mm; overlaps count for the later one.
 
     ``objects`` holds the key of each object, for messages.
@@ -114,14 +114,14 @@ def beam_bodies(objects: Sequence[tuple[str, scenario.RoomObject]]) -> tuple[Bui
     return tuple(apart)
 
 
-def _surface(body: scenario.RoomObject, key: str) -> trimesh.Trimesh:
+def _surface(body: sections.RoomObject, key: str) -> trimesh.Trimesh:
     """Return the closed surface of an object in its own frame, mm."""
     import trimesh
 
     shape = body.shape
-    if isinstance(shape, scenario.MeshFile):
+    if isinstance(shape, sections.MeshFile):
         return mesh_pieces(body, key).look
-    if isinstance(shape, scenario.Capsule):
+    if isinstance(shape, sections.Capsule):
         mesh = trimesh.creation.capsule(shape.length_mm, shape.radius_mm, count=(64, 64))
         return surface(mesh.vertices - mesh.bounds.mean(axis=0), mesh.faces)
     return shape_surface(shape, body.name)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.meshes import read_mesh
 from twinct.core.foreign_text import quoted
-from twinct.scenario import PART_KINDS, Shape
+from twinct.specimen import sections
 from twinct.specimen.balls import true_centres
 from twinct.specimen.head import brain_surface, head_surface
+from twinct.specimen.sections import Shape, part_kinds
 from twinct.specimen.shells import joined_shells
 from twinct.specimen.skull import skull_surface
 from twinct.specimen.surface import enclosed_volume, surface
@@ -47,7 +47,7 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
 
 def _of_another_package(shape: Shape, name: str) -> trimesh.Trimesh:
     where = f"part {quoted(name)} of kind {shape.kind}"
-    mesh = surface(*PART_KINDS[shape.kind].surface(shape))
+    mesh = surface(*part_kinds()[shape.kind].surface(shape))
     if not (mesh.is_watertight and enclosed_volume(mesh) > 0):
         raise SpecimenError(
             f"{where}: its surface is open or inside out; every edge must belong to two triangles, "
@@ -56,16 +56,16 @@ def _of_another_package(shape: Shape, name: str) -> trimesh.Trimesh:
     return joined_shells(mesh, where)
 
 
-def _sphere(shape: scenario.Sphere, name: str) -> trimesh.Trimesh:
+def _sphere(shape: sections.Sphere, name: str) -> trimesh.Trimesh:
     radius = shape.radius_mm
     return _ball((radius, radius, radius), shape.mesh_resolution_mm)
 
 
-def _ellipsoid(shape: scenario.Ellipsoid, name: str) -> trimesh.Trimesh:
+def _ellipsoid(shape: sections.Ellipsoid, name: str) -> trimesh.Trimesh:
     return _ball(shape.semi_axes_mm, shape.mesh_resolution_mm)
 
 
-def _cylinder(shape: scenario.Cylinder, name: str) -> trimesh.Trimesh:
+def _cylinder(shape: sections.Cylinder, name: str) -> trimesh.Trimesh:
     import trimesh
 
     rod = trimesh.creation.cylinder(1.0, shape.height_mm, CYLINDER_SECTIONS)
@@ -73,24 +73,24 @@ def _cylinder(shape: scenario.Cylinder, name: str) -> trimesh.Trimesh:
     return surface(rod.vertices * (fit, fit, 1.0), rod.faces)
 
 
-def _box(shape: scenario.Box, name: str) -> trimesh.Trimesh:
+def _box(shape: sections.Box, name: str) -> trimesh.Trimesh:
     import trimesh
 
     return trimesh.creation.box(shape.size_mm)
 
 
-def _from_file(shape: scenario.MeshFile, name: str) -> trimesh.Trimesh:
+def _from_file(shape: sections.MeshFile, name: str) -> trimesh.Trimesh:
     return mesh_file_surface(shape, f"part {quoted(name)}")
 
 
-def _voxels(shape: scenario.GreyVolume, name: str) -> trimesh.Trimesh:
+def _voxels(shape: sections.GreyVolume, name: str) -> trimesh.Trimesh:
     raise SpecimenError(
         f"part {quoted(name)}: voxels (kind: volume) have no single material, which is "
         "needed here; use kind: ct, which cuts the CT at a threshold, or a mesh"
     )
 
 
-def _anatomy(shape: scenario.Skull | scenario.Head | scenario.Brain, name: str) -> trimesh.Trimesh:
+def _anatomy(shape: sections.Skull | sections.Head | sections.Brain, name: str) -> trimesh.Trimesh:
     make = {"skull": skull_surface, "head": head_surface, "brain": brain_surface}
     edge = shape.mesh_resolution_mm
     try:
@@ -102,7 +102,7 @@ def _anatomy(shape: scenario.Skull | scenario.Head | scenario.Brain, name: str) 
         ) from None
 
 
-def _helix(shape: scenario.BallHelix, name: str) -> trimesh.Trimesh:
+def _helix(shape: sections.BallHelix, name: str) -> trimesh.Trimesh:
     radius = shape.ball_radius_mm
     ball = _ball((radius, radius, radius), shape.mesh_resolution_mm)
     centres = true_centres(shape)
@@ -111,7 +111,7 @@ def _helix(shape: scenario.BallHelix, name: str) -> trimesh.Trimesh:
     return surface(corners, (first + ball.faces).reshape(-1, 3))
 
 
-def mesh_file_surface(shape: scenario.MeshFile, owner: str) -> trimesh.Trimesh:
+def mesh_file_surface(shape: sections.MeshFile, owner: str) -> trimesh.Trimesh:
     """Return the closed surface in a mesh file, mm.
 
     Args:
@@ -132,15 +132,15 @@ def mesh_file_surface(shape: scenario.MeshFile, owner: str) -> trimesh.Trimesh:
 def triangles(shape: Shape) -> int:
     """Return the number of triangles of round bodies; 0 for all others (few, or measured)."""
     match shape:
-        case scenario.Sphere():
+        case sections.Sphere():
             size = shape.radius_mm
-        case scenario.Ellipsoid():
+        case sections.Ellipsoid():
             size = max(shape.semi_axes_mm)
-        case scenario.BallHelix():
+        case sections.BallHelix():
             size = shape.ball_radius_mm
         case _:
             return 0
-    number = shape.balls if isinstance(shape, scenario.BallHelix) else 1
+    number = shape.balls if isinstance(shape, sections.BallHelix) else 1
     return 20 * 4 ** _subdivisions(size, shape.mesh_resolution_mm) * number
 
 
@@ -162,16 +162,16 @@ def _subdivisions(radius_mm: float, edge_mm: float | None) -> int:
 
 
 _SURFACES: dict[type, Callable[[Any, str], trimesh.Trimesh]] = {
-    scenario.Skull: _anatomy,
-    scenario.Head: _anatomy,
-    scenario.Brain: _anatomy,
-    scenario.Sphere: _sphere,
-    scenario.Ellipsoid: _ellipsoid,
-    scenario.Cylinder: _cylinder,
-    scenario.Box: _box,
-    scenario.BallHelix: _helix,
-    scenario.MeshFile: _from_file,
-    scenario.CtVolume: ct_surface,
-    scenario.GreyVolume: _voxels,
+    sections.Skull: _anatomy,
+    sections.Head: _anatomy,
+    sections.Brain: _anatomy,
+    sections.Sphere: _sphere,
+    sections.Ellipsoid: _ellipsoid,
+    sections.Cylinder: _cylinder,
+    sections.Box: _box,
+    sections.BallHelix: _helix,
+    sections.MeshFile: _from_file,
+    sections.CtVolume: ct_surface,
+    sections.GreyVolume: _voxels,
 }
 """Surface of each built-in kind, from its shape and the part's name."""

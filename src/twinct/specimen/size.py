@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.specimen import sections
 from twinct.specimen.build import BuiltSpecimen
 
 FEW_VOXELS = 4
@@ -45,7 +45,7 @@ class SpecimenSize:
 
 
 def specimen_size(
-    section: scenario.Specimen, built: BuiltSpecimen, geometry: ScanGeometry, grid: VolumeGrid
+    section: sections.Specimen, built: BuiltSpecimen, geometry: ScanGeometry, grid: VolumeGrid
 ) -> SpecimenSize:
     """Compare a specimen, built from ``section``, with field of view and voxels."""
     low, high = built.bounds
@@ -61,7 +61,7 @@ def specimen_size(
         else:
             continue
         advice = "is that its size in mm?"
-        if isinstance(part.shape, scenario.MeshFile):
+        if isinstance(part.shape, sections.MeshFile):
             key, unit_mm = f"specimen.parts.{i}.shape.unit_mm", part.shape.unit_mm
             name = _fitting_unit(largest / unit_mm, float(field.min()))
             size = largest / unit_mm * UNITS_MM[name]

@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from twinct.core.disk_cache import made_once
 from twinct.geometry import Floats
 from twinct.specimen.implicit import (
     Body,
@@ -52,8 +53,6 @@ SOURCES = ("skull.py", "implicit.py", "surface.py")
 @lru_cache(maxsize=2)
 def _cached(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     from importlib.metadata import version  # only here: imports of twinct load few modules
-
-    from twinct.core.disk_cache import made_once
 
     texts = [Path(__file__).with_name(name).read_bytes() for name in SOURCES]
     libraries = [f"{name} {version(name)}" for name in ("numpy", "scipy", "scikit-image")]

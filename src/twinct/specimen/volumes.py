@@ -12,10 +12,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.boundary import no_file
+from twinct.specimen import sections
 from twinct.specimen.ct_image import CtImage
+from twinct.specimen.ct_metaimage import read_ct_metaimage
+from twinct.specimen.ct_nifti import read_ct_nifti
+from twinct.specimen.dicom_series import read_dicom_series
+from twinct.specimen.invesalius import read_invesalius
 from twinct.specimen.surface import isosurface, simplified, surface
 
 if TYPE_CHECKING:
@@ -27,7 +31,7 @@ FARTHEST_MM = 1e6
 """Limit of the numbers in an affine."""
 
 
-def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
+def ct_surface(shape: sections.CtVolume, name: str) -> trimesh.Trimesh:
     """Return the closed surface around all voxels above the threshold, in RAS, mm.
 
     Raises:
@@ -62,7 +66,7 @@ def ct_surface(shape: scenario.CtVolume, name: str) -> trimesh.Trimesh:
 
 
 def read_ct(
-    path: Path, where: str, line: scenario.HuLine | None = None, *, interpolate: bool = False
+    path: Path, where: str, line: sections.HuLine | None = None, *, interpolate: bool = False
 ) -> CtImage:
     """Read a NIfTI or MetaImage file, the folder of one DICOM series, or an InVesalius project.
 
@@ -76,12 +80,6 @@ def read_ct(
         SpecimenError: the file does not exist, is damaged, has another format, is not one volume,
             or its values are no HU. The message starts with ``where``.
     """
-    # Each reader is loaded when a specimen needs it.
-    from twinct.specimen.ct_metaimage import read_ct_metaimage
-    from twinct.specimen.ct_nifti import read_ct_nifti
-    from twinct.specimen.dicom_series import read_dicom_series
-    from twinct.specimen.invesalius import read_invesalius
-
     name = path.name.lower()
     if why := no_file(path, folder=True):
         raise SpecimenError(f"{where} {why}")
@@ -124,7 +122,7 @@ def _require_sense(image: CtImage, where: str) -> None:
 
 
 def _without_small_parts(
-    values: NDArray[np.float32], shape: scenario.CtVolume, image: CtImage, where: str
+    values: NDArray[np.float32], shape: sections.CtVolume, image: CtImage, where: str
 ) -> NDArray[np.float32]:
     if shape.smallest_part_cm3 <= 0:
         return values

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.errors import SpecimenError
 from twinct.core.files.plain_xml import xml_of
 from twinct.core.foreign_text import quoted, whole_number
+from twinct.specimen import sections
 from twinct.specimen.ct_grid import canonical, same_place
 from twinct.specimen.ct_image import CtImage
 from twinct.specimen.ct_nifti import read_ct_nifti
@@ -22,7 +22,7 @@ MOST_LABELS = 65535
 
 
 def read_labels(
-    section: scenario.Labels, image: CtImage, where: str
+    section: sections.Labels, image: CtImage, where: str
 ) -> tuple[tuple[str, ...], NDArray[np.uint16]]:
     """Read the labels of a CT volume.
 
@@ -76,7 +76,7 @@ def mask_files(folder: Path) -> dict[str, Path]:
 
 
 def _of_folder(
-    section: scenario.Labels, image: CtImage, where: str
+    section: sections.Labels, image: CtImage, where: str
 ) -> tuple[tuple[str, ...], NDArray[np.uint16]]:
     """Read one mask for each name; where masks overlap, the later name wins."""
     files = mask_files(section.path)
@@ -107,7 +107,7 @@ def _numbers(path: Path, image: CtImage, where: str) -> NDArray[np.uint16]:
 
 
 def _on_grid(path: Path, image: CtImage, where: str) -> CtImage:
-    image_read = canonical(read_ct_nifti(path, where, scenario.HuLine()))
+    image_read = canonical(read_ct_nifti(path, where, sections.HuLine()))
     if not same_place(image_read, image):
         raise SpecimenError(
             f"{where} is on another grid than the CT: {_in_words(image_read)}, the CT "

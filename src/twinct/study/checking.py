@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import FILE_KEYS
 from twinct.runs import needs
-from twinct.scenario import Scenario, stage_digests
+from twinct.scenario import Part, Scenario, stage_digests
 from twinct.specimen.materials import material
 from twinct.study.cost import Cost
 from twinct.study.design import Design, Trial
@@ -45,7 +45,7 @@ class Checker:
         for trial in progressed(trials, progress):
             try:
                 scenario = self.design.scenario(trial)
-                self._check_materials(scenario)
+                self._check_materials(scenario.specimen.parts)
             except InputError as error:
                 for problem in error.problems:
                     problems.setdefault(problem, trial)
@@ -91,14 +91,14 @@ class Checker:
             hint = f"did you mean {' or '.join(map(repr, near))}?"
         return f"{place + ': ' if place else ''}figure {quoted(name)}: no trial has it; {hint}"
 
-    def _check_materials(self, scenario: Scenario) -> None:
+    def _check_materials(self, parts: Sequence[Part]) -> None:
         """Raise if a material is unknown; look up each material once.
 
         Raises:
             SpecimenError: one sentence for each unknown material.
         """
         problems: list[str] = []
-        for index, part in enumerate(scenario.specimen.parts):
+        for index, part in enumerate(parts):
             description = repr(part.material)
             if description not in self.materials:
                 self.materials[description] = ()

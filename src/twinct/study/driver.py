@@ -178,7 +178,7 @@ class Driver:
         return TrialSpec(
             key=one.key,
             scenario=scenario.model_dump(mode="json"),
-            files=self._inputs.offered(scenario, self.pool),
+            files=self._inputs.offered(scenario.files(), self.pool),
             scan=one.scan,
             shared=shared,
             keep=self.design.study.keep,

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from twinct.core.files.arm_xml import read_arm_xml
-from twinct.scenario import Scenario
 from twinct.scenario.digests import content_digest
 from twinct.workers import Pool
 
@@ -24,14 +23,14 @@ class Inputs:
         self._folder = folder
         self._known: dict[Path, tuple[str, str]] = {}
 
-    def offered(self, scenario: Scenario, pool: Pool) -> Mapping[str, tuple[str, str]]:
-        """Offer a scenario's files; return offered name and path inside the offer, by key.
+    def offered(self, files: Mapping[str, Path], pool: Pool) -> Mapping[str, tuple[str, str]]:
+        """Offer a scenario's files, by key; return offered name and path inside the offer, by key.
 
         Raises:
             OSError: a file cannot be read.
         """
         offers: dict[str, tuple[str, str]] = {}
-        for key, path in scenario.files().items():
+        for key, path in files.items():
             if path not in self._known:
                 last = key.rpartition(".")[2]
                 name = f"{content_digest(path, last)[:32]}-{path.name}"

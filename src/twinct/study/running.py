@@ -30,6 +30,7 @@ from twinct.study.rows import Rows
 from twinct.study.search import Tried, next_values, trial_of
 from twinct.study.timings import TrialTimings
 from twinct.workers import LocalPool, Pool
+from twinct.workers.cluster import RayPool
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -279,8 +280,6 @@ def _pool(
         return LocalPool(
             folder.work, workers=workers, threads=threads_each, memory_bytes=memory_bytes
         )
-    from twinct.workers.cluster import RayPool
-
     return RayPool(
         address, name=name, threads=threads_each, workers=jobs, memory_bytes=memory_bytes
     )

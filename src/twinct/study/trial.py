@@ -21,6 +21,7 @@ from twinct.evaluation import ImageFigures, region_of_interest
 from twinct.observers import Audience
 from twinct.recon.volume import Volume
 from twinct.report import cross_sections
+from twinct.robots.motion import load_plan, save_plan
 from twinct.runs import (
     Truth,
     acquire_to_store,
@@ -50,6 +51,7 @@ from twinct.study.sections import packed_sections
 from twinct.study.trial_figures import flat_figures
 from twinct.workers import Place
 from twinct.workers.artifact import LocalArtifact, remove
+from twinct.xray.build import effective_energy_kev
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
@@ -328,8 +330,6 @@ def _plan(
     """Return the motion plan as ``SimulationBuilder`` makes it; None with a gantry."""
     if scenario.cell.kind != "arms":
         return None
-    from twinct.robots.motion import load_plan, save_plan
-
     builder = SimulationBuilder(scenario, None, specimen)
 
     def make() -> MotionPlan:
@@ -346,8 +346,6 @@ def _plan(
 
 def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
     """Compute the truth like ``twinct.runs.truth_of``, with the parts that trials share cached."""
-    from twinct.xray.build import effective_energy_kev
-
     scenario = scan.scenario
     section = scenario.reconstruction.grid
     energy = effective_energy_kev(scenario.source, scenario.detector)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Union
 
-from twinct.core.extensions import Offers, offers
-from twinct.core.settings import kind_of
+from pydantic import Field
+
+from twinct.core.extensions import Registry
+from twinct.core.settings import OneOf, complete, kind_of
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.arc import ARC
 from twinct.trajectory.circle import CIRCLE
@@ -23,9 +26,29 @@ BUILT_IN = {family.name: family for family in _ALL}
 
 
 @cache
-def families() -> Offers[Family]:
+def families() -> Registry[Family]:
     """Return the families that a scenario can name; they are looked up once per process."""
-    return offers("twinct.trajectories", Family, BUILT_IN)
+    known = Registry("twinct.trajectories", Family, BUILT_IN)
+    known.keep(lambda family: complete(family.settings), "the settings of {name}")
+    return known
+
+
+def _sections() -> Any:
+    return Annotated[
+        Union[tuple(family.settings for family in families().values())],  # noqa: UP007
+        Field(discriminator="kind"),
+    ]
+
+
+if TYPE_CHECKING:
+
+    class AnyTrajectory(TrajectorySettings):
+        """Keys that all trajectories share."""
+
+        kind: str
+
+else:
+    AnyTrajectory = Annotated[TrajectorySettings, OneOf(_sections)]
 
 
 def commanded_views(section: TrajectorySettings, panel: Panel) -> ScanGeometry:

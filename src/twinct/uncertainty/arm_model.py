@@ -10,8 +10,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from twinct.core.error_terms import Place, Shift, ToolMotion
 from twinct.geometry import Chain, Floats, Misfit, exp_matrices
+from twinct.uncertainty.error_terms import Place, Shift, ToolMotion
 
 
 def shifted_tools(chain: Chain, joints: Floats, shifts: Iterable[Shift]) -> Floats:

@@ -12,13 +12,13 @@ import scipy
 from numpy.typing import NDArray
 
 from twinct.core.draws import scan_rng
-from twinct.core.error_terms import SIDES
 from twinct.geometry import Floats, exp_matrices
-from twinct.scenario import PoseNoise, Uncertainty
 from twinct.uncertainty.correlation import weights
 from twinct.uncertainty.drawn_tool import DrawnTool
+from twinct.uncertainty.error_terms import SIDES
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.patient import directions, patient_twists
+from twinct.uncertainty.sections import PoseNoise, Uncertainty
 from twinct.uncertainty.terms.registry import terms_of
 
 Singles = NDArray[np.float32]

@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from twinct.core.draws import scan_rng
-from twinct.core.error_terms import (
+from twinct.core.errors import InputError
+from twinct.geometry import Chain, Floats
+from twinct.uncertainty.arm_model import shifted_tools
+from twinct.uncertainty.error_terms import (
     CONSTANT,
     ArmShift,
     ErrorTerm,
@@ -18,9 +21,6 @@ from twinct.core.error_terms import (
     ToolMotion,
     ViewDraws,
 )
-from twinct.core.errors import InputError
-from twinct.geometry import Chain, Floats
-from twinct.uncertainty.arm_model import shifted_tools
 
 
 class ConstantDraws:
@@ -130,15 +130,20 @@ def keyed_spreads(
     """Yield the spreads of a term, each with the key of its draws.
 
     Raises:
-        InputError: a term of arms applies to a gantry.
+        InputError: a spread has a place that the term does not declare; or a term of arms applies
+            to a gantry.
     """
     places: Counter[str] = Counter()
     for spread in term.spreads(settings, motion):
-        if motion.chain is None and spread.place != "pose":
+        key = f"uncertainty.{term.section or term.name}"
+        if spread.place not in term.places:
+            declared = ", ".join(term.places)
             raise InputError(
-                f"uncertainty.{term.section or term.name}: this error belongs to arms, and a "
-                "gantry has none"
+                f"{key}: a spread of this error has the place {spread.place!r}, but the error "
+                f"declares only {declared}"
             )
+        if motion.chain is None and spread.place != "pose":
+            raise InputError(f"{key}: this error belongs to arms, and a gantry has none")
         places[spread.place] += 1
         again = "" if places[spread.place] == 1 else f" {places[spread.place]}"
         whose = "both" if spread.draws == "all" else motion.side

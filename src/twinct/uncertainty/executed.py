@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.core.error_terms import SIDES, ToolMotion, ViewDraws
-from twinct.geometry import Chain, Floats, Pose
+from twinct.geometry import Chain, Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
-from twinct.scenario import Uncertainty
 from twinct.uncertainty.correlation import view_normals
+from twinct.uncertainty.drawn_tool import DrawnTool
+from twinct.uncertainty.error_terms import SIDES, ToolMotion, ViewDraws
+from twinct.uncertainty.patient import world_from_moved
+from twinct.uncertainty.sections import Uncertainty
+from twinct.uncertainty.terms.registry import terms_of
 
 
 class TrueCell:
@@ -35,16 +38,22 @@ class TrueCell:
         """
         self._seed, self._arms_seed = seed, arms_seed
         self._patient = uncertainty.patient if any(uncertainty.patient.sizes) else None
-        # Imported here because few scenarios have errors of executed poses.
-        from twinct.uncertainty.drawn_tool import DrawnTool
-        from twinct.uncertainty.terms.registry import terms_of
-
         self._tools: list[tuple[DrawnTool, Chain | None, slice]] = []
         first = 0
         for side, chain in zip(SIDES, chains or (None, None), strict=True):
             own = slice(first, first := first + len(chain or ()))
             tool = DrawnTool(terms_of(uncertainty), side, chain, arms_seed)
             self._tools.append((tool, chain, own))
+
+    def check(self, views: ScanGeometry) -> None:
+        """Check the errors of a gantry's views, before anything moves.
+
+        Raises:
+            InputError: an error belongs to arms, or deviates a part that it does not declare.
+        """
+        first = views[:1]
+        source, panel = first.source_poses()[0], first.detector_poses()[0]
+        self.at(PosePairs.at(source, panel, Pose.identity()), 0, 0.0)
 
     def at(
         self,
@@ -79,8 +88,6 @@ class TrueCell:
             poses[k] = at
         (stands,) = nominal.object
         if self._patient is not None:
-            from twinct.uncertainty.patient import world_from_moved
-
             moved = world_from_moved(self._patient, self._arms_seed, time_s)
             stands = (moved @ stands).as_sent()
         return PosePairs((poses[0],), (poses[1],), (stands,))

@@ -15,13 +15,13 @@ from functools import cached_property
 
 import numpy as np
 
-from twinct.core.error_terms import CONSTANT, Place, Spread
 from twinct.geometry import Floats
-from twinct.scenario import PoseNoise, Uncertainty
 from twinct.uncertainty.arm_model import carried, derivatives
 from twinct.uncertainty.drawn_tool import by_view, keyed_spreads
+from twinct.uncertainty.error_terms import CONSTANT, Place, Spread
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.patient import amplitudes
+from twinct.uncertainty.sections import PoseNoise, Uncertainty
 from twinct.uncertainty.terms.registry import terms_of
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twinct.core.error_terms import SIDES, ToolMotion
 from twinct.geometry import Chain, Floats, ScanGeometry, lock
+from twinct.uncertainty.error_terms import SIDES, ToolMotion
 
 
 @dataclass(frozen=True, eq=False)

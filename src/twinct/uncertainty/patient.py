@@ -6,7 +6,7 @@ import numpy as np
 
 from twinct.core.draws import scan_rng
 from twinct.geometry import Floats, Pose
-from twinct.scenario import PatientMotion
+from twinct.uncertainty.sections import PatientMotion
 
 JERK_S = 0.2
 

@@ -14,10 +14,10 @@ import numpy as np
 import scipy
 
 from twinct.geometry import Floats, Panel
-from twinct.scenario import Uncertainty
 from twinct.uncertainty.drawn_errors import Singles, draw
 from twinct.uncertainty.first_order import FirstOrder, first_order
 from twinct.uncertainty.nominal_scan import NominalScan
+from twinct.uncertainty.sections import Uncertainty
 
 STEP = 1e-3
 """Step of the difference quotients of projections, mm and rad."""

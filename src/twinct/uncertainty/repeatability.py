@@ -12,8 +12,8 @@ import numpy as np
 
 from twinct.core.draws import view_rng
 from twinct.geometry import Floats, Pose
-from twinct.scenario import PoseNoise, Uncertainty
 from twinct.uncertainty.correlation import view_normals
+from twinct.uncertainty.sections import PoseNoise, Uncertainty
 
 
 def truncated_normal(rng: np.random.Generator, noise: PoseNoise, count: int = 3) -> Floats:

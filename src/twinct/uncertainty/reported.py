@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from twinct.geometry.wire import PosePairs
-from twinct.scenario import Uncertainty
 from twinct.uncertainty.repeatability import believed_poses
+from twinct.uncertainty.sections import Uncertainty
 
 
 def reported_poses(nominal: PosePairs, uncertainty: Uncertainty, seed: int) -> PosePairs:

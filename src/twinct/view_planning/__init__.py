@@ -1,15 +1,19 @@
 """View planning: objectives over a region, and the choice of views among candidates."""
 
-from twinct.recon.objectives.completeness import crossed_planes, local_completeness, plane_normals
-from twinct.recon.objectives.detectability import Detectability, Task, detectability_of
-from twinct.recon.objectives.dose import primary_kerma
-from twinct.recon.objectives.measures import Coverage, Mean, Measure
-from twinct.recon.objectives.metal_paths import metal_paths, spectral_shift, starved_share
-from twinct.recon.objectives.motion_time import PathTime, TourTime
-from twinct.recon.objectives.variance import KnownShare, prior_covariance
 from twinct.view_planning.exposure import best_exposures
 from twinct.view_planning.family import Tuned, best_parameters
 from twinct.view_planning.goals import Goal, worth_of
+from twinct.view_planning.objectives.completeness import (
+    crossed_planes,
+    local_completeness,
+    plane_normals,
+)
+from twinct.view_planning.objectives.detectability import Detectability, Task, detectability_of
+from twinct.view_planning.objectives.dose import primary_kerma
+from twinct.view_planning.objectives.measures import Coverage, Mean, Measure
+from twinct.view_planning.objectives.metal_paths import metal_paths, spectral_shift, starved_share
+from twinct.view_planning.objectives.motion_time import PathTime, TourTime
+from twinct.view_planning.objectives.variance import KnownShare, prior_covariance
 from twinct.view_planning.prices import has_limit
 from twinct.view_planning.search import Searched, search_views
 from twinct.view_planning.selection import (

@@ -7,7 +7,7 @@ import scipy
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats
-from twinct.recon.objectives.detectability import Detectability
+from twinct.view_planning.objectives.detectability import Detectability
 
 
 def best_exposures(

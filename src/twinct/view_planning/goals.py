@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats
-from twinct.recon.objectives.measures import Mean, Measure, figure_of
-from twinct.recon.objectives.motion_time import TourTime
+from twinct.view_planning.objectives.measures import Mean, Measure, figure_of
+from twinct.view_planning.objectives.motion_time import TourTime
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from twinct.core.extras import require
 from twinct.core.foreign_text import counted
 from twinct.evaluation import region_of_interest
 from twinct.geometry import VolumeGrid
+from twinct.geometry.wire import PosePairs
 from twinct.robots.reach import Holder, Poses
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
@@ -43,8 +44,6 @@ def planned(builder: SimulationBuilder) -> Show:
     else:
         state = f"not run; {counted(views, 'view')} planned"
     if plan is None and builder.plan_chooses:
-        from twinct.geometry.wire import PosePairs
-
         commanded = PosePairs.from_geometry(builder.requested)
     else:
         commanded = builder.commanded_poses

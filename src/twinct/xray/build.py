@@ -11,20 +11,22 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.files.images import read_image
 from twinct.geometry import Floats, Panel
 from twinct.specimen.materials import Material, material
+from twinct.specimen.sections import Composition
+from twinct.xray import sections
 from twinct.xray.response import PhotonResponse
 from twinct.xray.spectrum import PhotonSpectrum, attenuation
 from twinct.xray.spot import gaussian_spot, image_spot, square_spot, unit_square
 from twinct.xray.spread import PointSpreadFunction
+from twinct.xray.tube import tube_spectrum
 
 SCINTILLATORS = {
-    "CsI": scenario.Composition(formula="CsI", density_g_cm3=4.51),
-    "Gd2O2S": scenario.Composition(formula="Gd2O2S", density_g_cm3=7.32),
+    "CsI": Composition(formula="CsI", density_g_cm3=4.51),
+    "Gd2O2S": Composition(formula="Gd2O2S", density_g_cm3=7.32),
 }
 """Solid densities; state the composition of a powder screen itself."""
 
@@ -32,7 +34,7 @@ _FAINTEST = 1e-9
 """Minimum share of a spectrum's photons behind its filters."""
 
 
-def build_spectrum(source: scenario.Source) -> PhotonSpectrum:
+def build_spectrum(source: sections.Source) -> PhotonSpectrum:
     """Return the source's spectrum behind its filters.
 
     Raises:
@@ -42,9 +44,7 @@ def build_spectrum(source: scenario.Source) -> PhotonSpectrum:
     section = source.spectrum
     if section is None:
         return PhotonSpectrum.monochromatic(source.energy_kev, photons)
-    if isinstance(section, scenario.TubeSpectrum):
-        from twinct.xray.tube import tube_spectrum
-
+    if isinstance(section, sections.TubeSpectrum):
         with _named("source.spectrum"):
             spectrum = tube_spectrum(section.kvp, section.anode_angle_deg, target=section.target)
     else:
@@ -54,7 +54,7 @@ def build_spectrum(source: scenario.Source) -> PhotonSpectrum:
     return spectrum if photons is None else spectrum.scaled(photons)
 
 
-def _filtered(spectrum: PhotonSpectrum, filters: Sequence[scenario.Filter]) -> PhotonSpectrum:
+def _filtered(spectrum: PhotonSpectrum, filters: Sequence[sections.Filter]) -> PhotonSpectrum:
     """Return the spectrum behind all plates; refuse it if less than ``_FAINTEST`` passes."""
     plates: list[tuple[Material, float]] = []
     problems: list[str] = []
@@ -81,14 +81,14 @@ def _filtered(spectrum: PhotonSpectrum, filters: Sequence[scenario.Filter]) -> P
     return spectrum
 
 
-def build_response(detector: scenario.Detector) -> PhotonResponse:
+def build_response(detector: sections.Detector) -> PhotonResponse:
     """Return the detector's response to a photon."""
     section = detector.response
-    if isinstance(section, scenario.CountingResponse):
+    if isinstance(section, sections.CountingResponse):
         return PhotonResponse.counting()
-    if isinstance(section, scenario.IntegratingResponse):
+    if isinstance(section, sections.IntegratingResponse):
         return PhotonResponse.integrating()
-    if isinstance(section, scenario.FileResponse):
+    if isinstance(section, sections.FileResponse):
         with _named("detector.response.path"):
             return PhotonResponse.read_efficiency(section.path)
     layer = section.material
@@ -97,7 +97,7 @@ def build_response(detector: scenario.Detector) -> PhotonResponse:
     return PhotonResponse.scintillator(substance, section.thickness_mm)
 
 
-def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -> float:
+def effective_energy_kev(source: sections.Source, detector: sections.Detector) -> float:
     """Return the mean energy of the free beam, keV, each photon weighted with its signal.
 
     A specimen's true attenuation is stated at this energy, and beam hardening is corrected to it.
@@ -109,15 +109,15 @@ def effective_energy_kev(source: scenario.Source, detector: scenario.Detector) -
     return float(weight @ spectrum.energies_kev / weight.sum())
 
 
-def build_spot(source: scenario.Source) -> Floats:
+def build_spot(source: sections.Source) -> Floats:
     """Return points of the focal spot in the source frame's x and y, (points, 2), mm."""
     section = source.focal_spot
     if section is None:
         return np.zeros((1, 2))
     unit = unit_square(section.samples)
-    if isinstance(section, scenario.GaussianSpot):
+    if isinstance(section, sections.GaussianSpot):
         return gaussian_spot(*_pair(section.sigma_mm), unit)
-    if isinstance(section, scenario.SquareSpot):
+    if isinstance(section, sections.SquareSpot):
         return square_spot(*_pair(section.size_mm), unit)
     with _named("source.focal_spot.path"):
         image = read_image(section.path, "a focal spot")
@@ -125,12 +125,12 @@ def build_spot(source: scenario.Source) -> Floats:
             return image_spot(image, *_pair(section.size_mm), unit)
 
 
-def build_spread(detector: scenario.Detector) -> PointSpreadFunction | None:
+def build_spread(detector: sections.Detector) -> PointSpreadFunction | None:
     """Return the detector's point spread; refuse a table from a file that ends too early."""
     section = detector.point_spread
     if section is None:
         return None
-    if isinstance(section, scenario.GaussianSpread):
+    if isinstance(section, sections.GaussianSpread):
         return PointSpreadFunction.gaussian(section.sigma_mm)
     panel = physical_panel(detector)
     with _named("detector.point_spread.path"):
@@ -140,12 +140,12 @@ def build_spread(detector: scenario.Detector) -> PointSpreadFunction | None:
     return spread
 
 
-def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_]:
+def build_bad_pixels(detector: sections.Detector, seed: int) -> NDArray[np.bool_]:
     """Return a mask of the dead pixels, (rows, columns)."""
     shape, section = detector.panel.shape, detector.bad_pixels
     if section is None:
         return np.zeros(shape, dtype=bool)
-    if isinstance(section, scenario.RandomBadPixels):
+    if isinstance(section, sections.RandomBadPixels):
         return view_rng(seed, "bad pixels", 0).random(shape) < section.share
     with _named("detector.bad_pixels.path"):
         bad = read_image(section.path, "bad pixels") != 0
@@ -160,7 +160,7 @@ def build_bad_pixels(detector: scenario.Detector, seed: int) -> NDArray[np.bool_
     return bad
 
 
-def physical_panel(detector: scenario.Detector) -> Panel:
+def physical_panel(detector: sections.Detector) -> Panel:
     """Return the panel before binning."""
     return detector.panel.divided(detector.binning)
 

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct import scenario
 from twinct.core.draws import view_rng
 from twinct.geometry import MM_PER_M, Floats, ScanGeometry
 from twinct.specimen.materials import Material
+from twinct.xray import sections
 from twinct.xray.beam import fall_off
 from twinct.xray.build import (
     build_bad_pixels,
@@ -68,8 +68,8 @@ class Chain:
 
     def __init__(
         self,
-        source: scenario.Source,
-        detector: scenario.Detector,
+        source: sections.Source,
+        detector: sections.Detector,
         materials: Sequence[Material],
         commanded: ScanGeometry,
         seed: int = 0,
@@ -222,11 +222,11 @@ class Chain:
             of_one = np.float32(self.free[1] / self.free[0])
             expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
         signal = expected[0]
-        if rng is not None and isinstance(detector.noise, scenario.QuantumNoise):
+        if rng is not None and isinstance(detector.noise, sections.QuantumNoise):
             signal = quantum_noise(signal, expected[1], rng)
         if self._spread is not None:
             signal = self._spread.apply(signal, *pitch)
-        if rng is not None and isinstance(detector.noise, scenario.SnrNoise):
+        if rng is not None and isinstance(detector.noise, sections.SnrNoise):
             free = np.float32(self.free[0])
             sigma = np.sqrt(np.maximum(signal, np.float32(0)) * free)
             sigma *= np.float32(detector.binning / detector.noise.snr)
@@ -278,9 +278,9 @@ class Chain:
             signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
         if frames:
             variance = np.zeros_like(signal)
-            if isinstance(detector.noise, scenario.QuantumNoise):
+            if isinstance(detector.noise, sections.QuantumNoise):
                 variance = beam * factor[1]
-            elif isinstance(detector.noise, scenario.SnrNoise):
+            elif isinstance(detector.noise, sections.SnrNoise):
                 share = detector.binning / detector.noise.snr
                 variance = signal * np.float32(self.free[0] * share**2)
             # Lag carries noise from frame to frame, so an average of few frames has less noise.
@@ -294,7 +294,7 @@ class Chain:
     def _flat_pattern(self) -> Image:
         """Unit noise of the flat image; the point spread blurs quantum noise."""
         pattern = self._pattern("flat noise")
-        if isinstance(self._detector.noise, scenario.QuantumNoise) and self._spread is not None:
+        if isinstance(self._detector.noise, sections.QuantumNoise) and self._spread is not None:
             pattern = self._spread.apply(pattern, self.panel.pitch_u, self.panel.pitch_v)
         return pattern
 
@@ -323,7 +323,7 @@ class Chain:
         """Return the smallest grey value above the dark image that counts as light."""
         if self._detector.readout is not None:
             return 0.5
-        if isinstance(self._detector.noise, scenario.QuantumNoise):
+        if isinstance(self._detector.noise, sections.QuantumNoise):
             photon = self.free[1] / self.free[0] / self._detector.binning**2
             return 0.5 * float(photon) * self._amplifier.gain
         return _LEAST_TRANSMISSION

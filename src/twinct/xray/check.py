@@ -7,9 +7,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from twinct import scenario
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry
+from twinct.xray import sections
 from twinct.xray.build import (
     build_bad_pixels,
     build_response,
@@ -29,7 +29,7 @@ _WIDEST_SPOT = 0.25
 
 
 def check_parts(
-    source: scenario.Source, detector: scenario.Detector, views: ScanGeometry, seed: int = 0
+    source: sections.Source, detector: sections.Detector, views: ScanGeometry, seed: int = 0
 ) -> None:
     """Build every part of the chain once, and check that it suits the commanded views.
 
@@ -75,11 +75,11 @@ def _response_problems(spectrum: PhotonSpectrum, response: PhotonResponse) -> li
     return []
 
 
-def _spot_problems(source: scenario.Source, views: ScanGeometry) -> list[str]:
+def _spot_problems(source: sections.Source, views: ScanGeometry) -> list[str]:
     section = source.focal_spot
     if section is None:
         return []
-    if isinstance(section, scenario.GaussianSpot):
+    if isinstance(section, sections.GaussianSpot):
         key, width = "sigma_mm", 4 * np.max(section.sigma_mm)
     else:
         key, width = "size_mm", np.max(section.size_mm)

@@ -7,7 +7,7 @@ from functools import cache
 from importlib.util import find_spec
 
 from twinct.core.errors import InputError
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.core.foreign_text import quoted
 from twinct.xray.cuda_mesh import CUDA_MESH
 from twinct.xray.engine import EngineChoice
@@ -19,9 +19,9 @@ BUILT_IN = {choice.name: choice for choice in (GVXR, MESH, CUDA_MESH)}
 
 
 @cache
-def engines() -> Offers[EngineChoice]:
+def engines() -> Registry[EngineChoice]:
     """Return the engines that a scenario can name; they are looked up once per process."""
-    return offers("twinct.xray_engines", EngineChoice, BUILT_IN)
+    return Registry("twinct.xray_engines", EngineChoice, BUILT_IN)
 
 
 def engine_named(name: str) -> EngineChoice:

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
-from twinct.core.signals import Inserts
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
-from twinct.scenario import Detector, Source
 from twinct.specimen import BuiltPart, BuiltSpecimen
+from twinct.specimen.signals import Inserts
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
 from twinct.xray.build import effective_energy_kev, physical_panel
@@ -22,8 +21,10 @@ from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.grey import GreyCaster
 from twinct.xray.inserts import Insertion
+from twinct.xray.moving_voxels import MovingVoxels
 from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
 from twinct.xray.room_rays import RoomRays
+from twinct.xray.sections import Detector, Source
 
 if TYPE_CHECKING:
     from twinct.xray.moving_voxels import MovingVoxels
@@ -110,8 +111,6 @@ class Imager(SceneOwner):
     def _moving_of(self, specimen: BuiltSpecimen) -> MovingVoxels | None:
         if specimen.motion is None:
             return None
-        from twinct.xray.moving_voxels import MovingVoxels
-
         casters = self._casters if self._paths is None else self._paths.casters
         greys = zip(specimen.greys, casters, strict=True)
         caster = next(caster for part, (caster, _) in greys if part.name == specimen.motion.part)

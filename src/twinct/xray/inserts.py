@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.core.signals import Inserts, integral_at
 from twinct.geometry import Floats, ScanGeometry
+from twinct.specimen.signals import Inserts, integral_at
 
 _FAR_SIGMAS = 6.0
 """Distance from a Gaussian beyond which it counts as nothing, in standard deviations."""

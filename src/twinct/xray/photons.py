@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twinct import scenario
 from twinct.geometry import ScanGeometry
+from twinct.xray import sections
+from twinct.xray.build import build_spread
+from twinct.xray.chain import Chain
 
 
 @dataclass(frozen=True)
@@ -25,16 +27,13 @@ class FreePhotons:
 
 
 def free_photons(
-    source: scenario.Source, detector: scenario.Detector, commanded: ScanGeometry
+    source: sections.Source, detector: sections.Detector, commanded: ScanGeometry
 ) -> FreePhotons | None:
     """Return the photons behind a scenario's noise; None if it states none."""
-    from twinct.xray.build import build_spread
-    from twinct.xray.chain import Chain
-
     noise = detector.noise
     if noise is None:
         return None
-    if isinstance(noise, scenario.SnrNoise):
+    if isinstance(noise, sections.SnrNoise):
         return FreePhotons(noise.snr**2, noise.snr**2)  # drawn after the point spread
     signal, square = Chain(source, detector, (), commanded[:1]).free
     number = float(signal**2 / square) * detector.binning**2

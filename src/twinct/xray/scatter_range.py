@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twinct import scenario
 from twinct.geometry import Panel, Pose, ScanGeometry
 from twinct.specimen import BuiltPart, BuiltSpecimen
+from twinct.xray import sections
 from twinct.xray.beam import fall_off
 from twinct.xray.build import effective_energy_kev
 from twinct.xray.paths import Body, PathRenderer
@@ -48,8 +48,8 @@ class ScatterLoad(NamedTuple):
 
 
 def scatter_doubts(
-    source: scenario.Source,
-    detector: scenario.Detector,
+    source: sections.Source,
+    detector: sections.Detector,
     specimen: BuiltSpecimen,
     views: ScanGeometry,
     objects: Sequence[BuiltPart] = (),

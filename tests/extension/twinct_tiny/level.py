@@ -3,7 +3,7 @@
 import numpy as np
 from pydantic import Field
 
-from twinct.recon.objectives import LessIsBetter, Mean, Objective, PatientModel, Views
+from twinct.view_planning.objectives import LessIsBetter, Mean, Objective, PatientModel, Views
 
 
 class LevelGoal(LessIsBetter):

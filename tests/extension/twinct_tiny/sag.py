@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from pydantic import Field
 
-from twinct.core.error_terms import ErrorSettings, ErrorTerm, Spread, ToolMotion, size
+from twinct.uncertainty.error_terms import ErrorSettings, ErrorTerm, Spread, ToolMotion, size
 
 
 class Sag(ErrorSettings):

@@ -2,6 +2,6 @@
 
 from pathlib import Path
 
-from twinct.core.arm_files import ArmFile
+from twinct.robots.arm_files import ArmFile
 
 SIX = ArmFile("six", Path(__file__).with_name("six.xml"), {"joint_speed_deg_s": 120.0})

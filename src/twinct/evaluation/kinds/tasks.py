@@ -10,7 +10,6 @@ from pydantic import Field
 
 from twinct.core.foreign_text import quoted
 from twinct.core.settings import setting
-from twinct.core.signals import AnySignal
 from twinct.evaluation.figure import Figure
 from twinct.evaluation.figure_kind import (
     FigureKind,
@@ -22,6 +21,7 @@ from twinct.evaluation.figure_kind import (
 from twinct.evaluation.observer import detectability
 from twinct.evaluation.region_voxels import Box, Voxels
 from twinct.geometry import Floats, VolumeGrid
+from twinct.specimen.signals import AnySignal
 
 log = logging.getLogger(__name__)
 

@@ -14,6 +14,7 @@ from twinct.core.files.writing import storage_errors
 from twinct.link.recording.bag import Bag
 from twinct.link.recording.recorder import PLAN, SCENARIO
 from twinct.link.topics import JOINTS
+from twinct.robots.motion import save_plan
 from twinct.scenario import Scenario
 
 if TYPE_CHECKING:  # they need rclpy and MuJoCo; those who read such files do without
@@ -58,8 +59,6 @@ class DriveFile:
             ScanExistsError: the file exists.
             StorageError: it cannot be written.
         """
-        from twinct.robots.motion import save_plan
-
         self.path = path
         self.heard: dict[str, int] = {}
         if os.path.lexists(path):

@@ -19,6 +19,7 @@ from twinct.link.recording.recorder import Recorder
 from twinct.link.stamps import Epoch, Stamp
 from twinct.link.topics import Topic
 from twinct.scan import LocalRig, Rig, SimulationBuilder
+from twinct.scenario import stage_digests
 
 TICK_S = 0.02
 """Longest simulated time between two clock plain."""
@@ -38,7 +39,7 @@ class LocalRecorder(Recorder):
         super().begin(builder, first)
         self._now_ns, self._clock_s = 0, None
         self._panel = builder.scenario.detector.panel
-        self._epoch = Epoch.of(builder.scenario)
+        self._epoch = Epoch.of(stage_digests(builder.scenario)["images"])
         at = self._epoch.stamp
         if builder.scenario.cell.kind == "arms":
             self._say(topics.DESCRIPTION, {"data": builder.urdf()})

@@ -18,8 +18,9 @@ from twinct.link.plain import transforms
 from twinct.link.recording.bag import Bag
 from twinct.link.stamps import Stamp
 from twinct.link.topics import IMAGE, KINDS, TF
+from twinct.robots.motion import save_plan
 from twinct.scan import NamedGeometry, Rig, RigFactory, SimulationBuilder
-from twinct.scenario import Scenario, stage_digests
+from twinct.scenario import stage_digests
 from twinct.version import __version__
 
 if TYPE_CHECKING:
@@ -85,23 +86,14 @@ class Recorder(ABC):
             from twinct.robots.cell import LinkFrames
 
             self._links = LinkFrames(builder.cell)
-        bag.note("twinct", self._facts(scenario, len(builder.targets), first))
+        bag.note("twinct", _facts(stage_digests(scenario)["images"], len(builder.targets), first))
         bag.attach(SCENARIO, scenario.resolved().encode())
         with temporary_folder() as folder:
             commanded = NamedGeometry("commanded", builder.commanded_poses, {})
             bag.attach(COMMANDED, commanded.write(folder).read_bytes())
             if plan := builder.followed:
-                from twinct.robots.motion import save_plan
-
                 save_plan(plan, folder / PLAN)
                 bag.attach(PLAN, (folder / PLAN).read_bytes())
-
-    def _facts(self, scenario: Scenario, views: int, first: int) -> dict[str, str]:
-        digest = stage_digests(scenario)["images"]
-        return {
-            **{"format": FORMAT, "version": __version__, "images": digest},
-            **{"views": str(views), "first": str(first)},
-        }
 
     @abstractmethod
     def around(self, rig: Rig) -> Rig:
@@ -134,3 +126,10 @@ class Recorder(ABC):
         """Complete the file in any case; a second call does nothing."""
         if self._bag is not None:
             self._bag.close()
+
+
+def _facts(digest: str, views: int, first: int) -> dict[str, str]:
+    return {
+        **{"format": FORMAT, "version": __version__, "images": digest},
+        **{"views": str(views), "first": str(first)},
+    }

@@ -16,6 +16,7 @@ from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.contents import Contents
 from twinct.link.recording.foreign import foreign_scan
 from twinct.link.recording.recorder import COMMANDED, PLAN, SCENARIO
+from twinct.robots.motion import load_plan
 from twinct.scan import NamedGeometry, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario
 from twinct.trajectory import write_views
@@ -136,8 +137,6 @@ def _own(contents: Contents) -> Recorded:
         commanded = NamedGeometry.read(folder / COMMANDED).poses
         plan = None
         if PLAN in contents.files:
-            from twinct.robots.motion import load_plan
-
             plan = load_plan(folder / PLAN)
     views, samples = contents.view_of, scenario.source.motion_samples
     reached = {

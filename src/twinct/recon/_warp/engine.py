@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from twinct.core import card
 from twinct.geometry import Floats
 from twinct.recon.blocks import EVERYWHERE, Blocks
+from twinct.recon.slabs import lower_in_slabs
 
 Held = Any
 """An array on the card, or one of numpy."""
@@ -167,8 +168,6 @@ class WarpKernels:
         steps: int,
     ) -> None:
         """See ``Kernels``."""
-        from twinct.recon.slabs import lower_in_slabs
-
         lower_in_slabs(self, x, inverse, radius, step, floor, steps)
 
     def _launch(self, kernel: Any, threads: tuple[int, ...], *arguments: Any) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.recon.volume_formats.dicom_volume import DICOM
 from twinct.recon.volume_formats.metaimage_volume import METAIMAGE
 from twinct.recon.volume_formats.nifti_volume import NIFTI
@@ -16,9 +16,9 @@ BUILT_IN = {form.name: form for form in (DICOM, NIFTI, METAIMAGE, TIFF, ZARR)}
 
 
 @cache
-def volume_formats() -> Offers[VolumeFormat]:
+def volume_formats() -> Registry[VolumeFormat]:
     """Return the formats in which volumes are written; they are looked up once per process."""
-    return offers("twinct.volume_formats", VolumeFormat, BUILT_IN)
+    return Registry("twinct.volume_formats", VolumeFormat, BUILT_IN)
 
 
 def volume_format_named(name: str) -> VolumeFormat:

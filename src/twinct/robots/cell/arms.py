@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twinct.core.arm_files import BUILT_IN
 from twinct.core.errors import MissingExtraError, ScenarioError
 from twinct.core.foreign_text import counted, quoted
 from twinct.geometry import Floats, Pose
+from twinct.robots.arm_files import BUILT_IN
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
-from twinct.scenario import Arm
-from twinct.scenario.cell import ARMS
+from twinct.robots.sections import Arm
+from twinct.robots.sections.cell import known_arms
 
 if TYPE_CHECKING:
     import mujoco
@@ -75,7 +75,7 @@ def load_arm(arm: Arm, key: str) -> ArmModel:
     if name in BUILT_IN:
         spec, model = _built_in(name)
         return _normalised(spec.copy(), model, arm, key, origin)
-    offered = ARMS[name]
+    offered = known_arms()[name]
     keys = {k: v for k, v in offered.keys.items() if k not in arm.model_fields_set}
     return _from_file(arm.model_copy(update={"file": offered.file, **keys}), key, origin)
 

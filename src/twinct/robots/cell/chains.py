@@ -7,7 +7,7 @@ import numpy as np
 from twinct.geometry import MM_PER_M, Chain, Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import CellModel, build_cell
-from twinct.scenario import Cell
+from twinct.robots.sections import Cell
 
 
 def nominal_chains(cell: Cell, panel: Panel) -> tuple[Chain, Chain]:

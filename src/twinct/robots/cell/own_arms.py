@@ -14,7 +14,7 @@ from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.urdf_tree import FLANGE_LINKS, Reduced, arm_alone
-from twinct.scenario import Arm
+from twinct.robots.sections import Arm
 
 if TYPE_CHECKING:
     import mujoco

@@ -12,7 +12,7 @@ from twinct.geometry import Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel
 from twinct.robots.cell.standing import MM, VISUAL_GROUP
-from twinct.scenario import Arm, Rail, Turntable
+from twinct.robots.sections import Arm, Rail, Turntable
 
 if TYPE_CHECKING:
     import mujoco

@@ -33,7 +33,7 @@ from twinct.robots.cell.standing import (
     add_zones,
     object_margins,
 )
-from twinct.scenario import Arm, Cell, DetectorArm, GantryCell, SourceArm
+from twinct.robots.sections import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:
     import mujoco

@@ -9,8 +9,9 @@ import numpy as np
 
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.scenario import Box, Capsule, Cell, Cylinder, RoomObject, Sphere, Zone
+from twinct.robots.sections import Cell
 from twinct.specimen.room_bodies import mesh_pieces
+from twinct.specimen.sections import Box, Capsule, Cylinder, RoomObject, Sphere, Zone
 
 if TYPE_CHECKING:
     import mujoco

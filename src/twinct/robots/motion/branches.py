@@ -17,7 +17,7 @@ from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import CellModel, mujoco
 from twinct.robots.motion.arm_search import SerialArm
 from twinct.robots.motion.carriers import Carrier
-from twinct.scenario import InverseKinematics
+from twinct.robots.sections import InverseKinematics
 
 SIDES = ("source", "detector")
 

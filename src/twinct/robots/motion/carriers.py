@@ -8,7 +8,7 @@ import numpy as np
 
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell.rails import axis_of, direction, turned_back
-from twinct.scenario import Arm, Rail, Turntable
+from twinct.robots.sections import Arm, Rail, Turntable
 
 RAIL_STEP_M = 0.2
 """Spacing of the places of a carriage that are tried."""

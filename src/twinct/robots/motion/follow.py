@@ -21,7 +21,7 @@ from twinct.robots.motion.home import FLIP_RAD, home_off
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.path_search import JointPath
 from twinct.robots.motion.refusals import far_problems, gap_problems, named, runs
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 RESTARTS = 60
 """Random starts in one view; two UR10e show all their branches within 40."""

@@ -13,7 +13,7 @@ import numpy as np
 from twinct.geometry import Floats
 from twinct.robots.cell import CellModel
 from twinct.robots.cell.rails import JOINT as RAIL_JOINT
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 OVER = 1.02
 """Factor by which speed and acceleration may exceed a limit.

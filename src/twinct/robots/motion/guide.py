@@ -16,7 +16,7 @@ from twinct.robots.motion.path_search import JointPath, find_joint_path, require
 from twinct.robots.motion.plan import MotionPlan, timed
 from twinct.robots.motion.refusals import arms_in
 from twinct.robots.motion.return_path import path_home
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 MOST_LOOKS = 60_000
 """Configurations that one search may check, from the current joints, and again from home.

@@ -13,7 +13,7 @@ from twinct.core.progress import spend
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, mujoco
-from twinct.scenario import InverseKinematics
+from twinct.robots.sections import InverseKinematics
 
 FAR_MM = 20.0
 FAR_DEG = 4.0

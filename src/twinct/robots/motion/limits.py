@@ -12,7 +12,7 @@ from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.plan import MotionPlan
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import STEP_SHARE, TimeLaw
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 STEP_S = 0.01
 """Time step at which a plan is looked at, s."""

@@ -42,7 +42,7 @@ from twinct.robots.motion.refusals import (
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.motion.tour import moving_seconds, shortest_tour
 from twinct.robots.motion.view_configurations import Candidates, ViewConfigurations
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 SETTLED_ROOM_MM = 0.5
 """Margin of a path above the required clearance, for arms that come to rest in every view."""

@@ -27,7 +27,7 @@ from twinct.robots.motion.path_search import JointPath, find_joint_path, require
 from twinct.robots.motion.refusals import late_problems, readable
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import FINE_S, Law, TimeLaw
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 if TYPE_CHECKING:
     from scipy.interpolate import BPoly

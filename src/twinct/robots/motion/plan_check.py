@@ -20,7 +20,7 @@ from twinct.robots.motion.plan import MotionPlan, gaps_of, too_close, with_gaps
 from twinct.robots.motion.refusals import named, runs
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import FINE_S, TimeLaw
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 SAME_MM, SAME_DEG = 1e-3, 1e-3
 """Tolerances within which the poses of a plan equal the requested poses."""

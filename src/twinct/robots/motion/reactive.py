@@ -13,7 +13,7 @@ from twinct.robots.motion.follow import straight_path
 from twinct.robots.motion.home import FLIP_RAD
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.refusals import readable
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 REFUSED_SHARE = 0.5
 """Share of a plan's clearance below which the path to a target is refused.

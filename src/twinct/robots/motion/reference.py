@@ -9,7 +9,7 @@ import numpy as np
 from twinct.core.errors import MissingExtraError, MotionError
 from twinct.geometry import Floats
 from twinct.robots.cell import CellModel
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 
 class Reference:

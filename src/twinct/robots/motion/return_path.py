@@ -13,7 +13,7 @@ from twinct.robots.motion.kinematics import site_pose
 from twinct.robots.motion.path_planner import SEARCHES, Detours
 from twinct.robots.motion.path_search import JointPath, required_gap_mm
 from twinct.robots.motion.refusals import gap_text
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 AT_ONCE = 8
 """Knots of the path back that are checked at once for a straight connection, last ones first."""

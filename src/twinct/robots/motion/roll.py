@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.scenario import GaussianSpot, Motion, Source
+from twinct.robots.sections import Motion
 from twinct.trajectory import leaves_roll
 from twinct.trajectory.family import TrajectorySettings
+from twinct.xray.sections import GaussianSpot, Source
 
 
 def roll_free(motion: Motion, trajectory: TrajectorySettings, source: Source) -> tuple[bool, bool]:

@@ -22,7 +22,7 @@ from twinct.robots.motion.reactive import Reactive
 from twinct.robots.motion.reference import Reference
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.touch import Touch, touches
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 from twinct.uncertainty import TrueCell
 
 BREAKAWAY_RAD_S = 0.002

@@ -25,7 +25,7 @@ from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell import CellModel, mujoco
 from twinct.robots.motion.refusals import weak_text
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

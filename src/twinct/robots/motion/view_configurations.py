@@ -17,7 +17,7 @@ from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.kinematics import Kinematics
 from twinct.robots.motion.refusals import far_problems, gap_problems, sample_of, weak_problems
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength, load_s
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 ROLL_STEP_DEG = 5.0
 """Step between the roll angles that are tried where the roll is free."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from twinct.core.extensions import Offers, offers
+from twinct.core.extensions import Registry
 from twinct.robots.programs.joint_table import JOINT_TABLE
 from twinct.robots.programs.language import Language
 from twinct.robots.programs.ros_trajectory import ROS_TRAJECTORY
@@ -14,9 +14,9 @@ BUILT_IN = {language.name: language for language in (ROS_TRAJECTORY, JOINT_TABLE
 
 
 @cache
-def languages() -> Offers[Language]:
+def languages() -> Registry[Language]:
     """Return all formats of programs; they are looked up once per process."""
-    return offers("twinct.programs", Language, BUILT_IN)
+    return Registry("twinct.programs", Language, BUILT_IN)
 
 
 def language_named(name: str) -> Language:

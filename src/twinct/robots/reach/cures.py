@@ -18,7 +18,7 @@ from twinct.robots.cell import CellModel, apart
 from twinct.robots.motion.branches import SIDES, Branches
 from twinct.robots.motion.feasible import Indices
 from twinct.robots.reach.holding import Flags, Holder, Poses
-from twinct.scenario import Cell, Motion
+from twinct.robots.sections import Cell, Motion
 
 FAILING = 8
 """Number of infeasible views, evenly spaced, for which a cure is sought."""

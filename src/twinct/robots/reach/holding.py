@@ -18,7 +18,7 @@ from twinct.robots.cell import CellModel
 from twinct.robots.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations, matrices
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.path_search import required_gap_mm
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 
 ROLLS_DEG = np.array([0.0, 90.0, 45.0, 135.0, 180.0, 270.0, 225.0, 315.0, *range(15, 360, 15)])
 """Roll angles about the beam, in the order in which they are tried if the roll is free."""

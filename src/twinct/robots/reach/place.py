@@ -24,7 +24,7 @@ from twinct.geometry import Floats
 from twinct.robots.cell import CellModel, overlaps
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.reach.holding import Flags, Holder, Poses
-from twinct.scenario import Cell, Motion
+from twinct.robots.sections import Cell, Motion
 
 SAMPLES = 128
 """Number of places of each arm alone, in addition to its own."""

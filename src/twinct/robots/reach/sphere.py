@@ -14,7 +14,7 @@ from twinct.geometry import Floats, Panel, ScanGeometry, fibonacci_directions
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.reach.connected import joined
 from twinct.robots.reach.holding import Flags, Holder, Poses
-from twinct.scenario import Motion
+from twinct.robots.sections import Motion
 from twinct.trajectory import panel_axes
 
 PAIRS_LOOKED_AT = 16

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from twinct.core.error_terms import (
+from twinct.geometry import Chain, Floats
+from twinct.uncertainty.error_terms import (
     ArmShift,
     ErrorTerm,
     Place,
@@ -16,8 +17,7 @@ from twinct.core.error_terms import (
     Spread,
     ToolMotion,
 )
-from twinct.geometry import Chain, Floats
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.sections import ArmErrors
 
 
 def twist_sigmas(mm: float, deg: float) -> Floats:
@@ -26,7 +26,10 @@ def twist_sigmas(mm: float, deg: float) -> Floats:
 
 
 def _term(
-    name: str, sigmas: Callable[[ArmErrors], dict[Place, Floats]], *, of_hinges: bool = False
+    name: str,
+    sigmas: Callable[[ArmErrors], dict[Place, Floats]],
+    *places: Place,
+    of_hinges: bool = False,
 ) -> ErrorTerm:
     def of(section: ArmErrors, chain: Chain) -> Iterator[tuple[Place, Floats]]:
         for place, sigma in sigmas(section).items():
@@ -47,7 +50,7 @@ def _term(
         shift = Shift(**parts)
         return lambda motion, of_views: shift
 
-    return ErrorTerm(name, ArmErrors, spreads, section="arms", drawn=drawn)
+    return ErrorTerm(name, ArmErrors, spreads, places, "arms", drawn)
 
 
 def _aged(section: ArmErrors) -> dict[Place, Floats]:
@@ -58,11 +61,14 @@ def _aged(section: ArmErrors) -> dict[Place, Floats]:
 JOINT_OFFSET = _term(
     "joint offset",
     lambda arms: {"links": twist_sigmas(0, arms.joint_offset_deg) * (0, 0, 0, 0, 0, 1)},
+    "links",
     of_hinges=True,
 )
 LINK = _term(
-    "link", lambda arms: {"links": twist_sigmas(arms.link_mm, arms.link_deg) * (1, 1, 1, 1, 1, 0)}
+    "link",
+    lambda arms: {"links": twist_sigmas(arms.link_mm, arms.link_deg) * (1, 1, 1, 1, 1, 0)},
+    "links",
 )
-BASE = _term("base", lambda arms: {"base": twist_sigmas(arms.base_mm, arms.base_deg)})
-TOOL = _term("tool", lambda arms: {"tool": twist_sigmas(arms.tool_mm, arms.tool_deg)})
-AGEING = _term("ageing", _aged)
+BASE = _term("base", lambda arms: {"base": twist_sigmas(arms.base_mm, arms.base_deg)}, "base")
+TOOL = _term("tool", lambda arms: {"tool": twist_sigmas(arms.tool_mm, arms.tool_deg)}, "tool")
+AGEING = _term("ageing", _aged, "base", "tool")

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.core.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
 from twinct.geometry import Chain, Floats
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
+from twinct.uncertainty.sections import ArmErrors
 
 S_PER_MIN = 60.0
 LENGTHS = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -44,4 +44,4 @@ def _prior(section: ArmErrors) -> dict[str, Floats]:
     return {"links": section.drift_mm * LENGTHS}
 
 
-DRIFT = ErrorTerm("drift", ArmErrors, _spreads, section="arms", drawn=_drawn, prior=_prior)
+DRIFT = ErrorTerm("drift", ArmErrors, _spreads, ("links",), "arms", _drawn, _prior)

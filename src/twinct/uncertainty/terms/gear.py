@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.core.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
 from twinct.geometry import Chain, Floats
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
+from twinct.uncertainty.sections import ArmErrors
 
 
 def waves(amplitudes: Floats, periods: int, joints: Floats) -> tuple[Floats, Floats]:
@@ -44,6 +44,4 @@ def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
     return lambda motion, _: Shift(joints=waves(own, section.gear_periods, motion.joints))
 
 
-GEAR = ErrorTerm(
-    "gear", ArmErrors, _spreads, section="arms", drawn=_drawn, prior=lambda section: {}
-)
+GEAR = ErrorTerm("gear", ArmErrors, _spreads, ("joints",), "arms", _drawn, prior=lambda section: {})

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.core.error_terms import ErrorTerm, Spread, ToolMotion
 from twinct.geometry import MM_PER_M
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.error_terms import ErrorTerm, Spread, ToolMotion
+from twinct.uncertainty.sections import ArmErrors
 from twinct.uncertainty.terms.displacements import twist_sigmas
 
 
@@ -25,4 +25,4 @@ def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
         yield Spread("links", sigma)
 
 
-RAIL = ErrorTerm("rail", ArmErrors, _spreads, section="arms")
+RAIL = ErrorTerm("rail", ArmErrors, _spreads, ("links",), "arms")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from twinct.core.error_terms import ErrorTerm
-from twinct.scenario import Uncertainty
-from twinct.scenario.uncertainty import ERROR_TERMS
+from twinct.uncertainty.error_terms import ErrorTerm
+from twinct.uncertainty.sections import Uncertainty, error_terms
 from twinct.uncertainty.terms.displacements import AGEING, BASE, JOINT_OFFSET, LINK, TOOL
 from twinct.uncertainty.terms.drift import DRIFT
 from twinct.uncertainty.terms.gear import GEAR
@@ -25,7 +24,7 @@ BUILT_IN: dict[str, ErrorTerm] = {
 def terms_of(uncertainty: Uncertainty) -> list[tuple[ErrorTerm, Any]]:
     """Return the terms that make executed poses deviate, each with its settings."""
     terms: list[tuple[ErrorTerm, Any]] = []
-    for term in (*BUILT_IN.values(), *ERROR_TERMS.values()):
+    for term in (*BUILT_IN.values(), *error_terms().values()):
         settings = getattr(uncertainty, term.section or term.name, None)
         if settings is not None and any(settings.sizes):
             terms.append((term, settings))

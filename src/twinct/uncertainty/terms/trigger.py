@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from twinct.core.error_terms import ArmShift, ErrorTerm, Shift, Spread, ToolMotion, ViewDraws
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, Shift, Spread, ToolMotion, ViewDraws
+from twinct.uncertainty.sections import ArmErrors
 
 S_PER_MS = 1e-3
 
@@ -29,4 +29,4 @@ def _drawn(section: ArmErrors, chain: object, draws: object) -> ArmShift:
     return shift
 
 
-TRIGGER = ErrorTerm("trigger", ArmErrors, _spreads, section="arms", drawn=_drawn)
+TRIGGER = ErrorTerm("trigger", ArmErrors, _spreads, ("joints",), "arms", _drawn)

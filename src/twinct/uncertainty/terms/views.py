@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.core.error_terms import ErrorTerm, Spread, ToolMotion
-from twinct.scenario import ViewErrors
+from twinct.uncertainty.error_terms import ErrorTerm, Spread, ToolMotion
+from twinct.uncertainty.sections import ViewErrors
 
 
 def _spreads(section: ViewErrors, motion: ToolMotion) -> Iterator[Spread]:

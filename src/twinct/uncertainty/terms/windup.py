@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.core.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
 from twinct.geometry import Chain, Floats
-from twinct.scenario import ArmErrors
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
+from twinct.uncertainty.sections import ArmErrors
 
 
 def mean_compliance(section: ArmErrors, chain: Chain) -> Floats:
@@ -50,5 +50,5 @@ def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
 
 
 WINDUP = ErrorTerm(
-    "windup", ArmErrors, _spreads, section="arms", drawn=_drawn, prior=lambda section: {}
+    "windup", ArmErrors, _spreads, ("joints",), "arms", _drawn, prior=lambda section: {}
 )

@@ -1,0 +1,291 @@
+"""Flat panel and its signal. Every default is ideal."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from twinct.core.settings import (
+    Conflict,
+    ConflictError,
+    Length,
+    NonNegative,
+    Pair,
+    Positive,
+    Section,
+    facts,
+    setting,
+)
+from twinct.geometry import Panel
+from twinct.specimen.sections.composition import Composition
+
+
+class CountingResponse(Section):
+    """Ideal photon counting."""
+
+    kind: Literal["counting"]
+
+
+class IntegratingResponse(Section):
+    """Ideal energy integration: every photon deposits all of its energy."""
+
+    kind: Literal["integrating"] = "integrating"
+
+
+class ScintillatorResponse(Section):
+    """Scintillator: every attenuated photon is absorbed, and deposits all of its energy."""
+
+    kind: Literal["scintillator"]
+    material: Literal["CsI", "Gd2O2S"] | Composition = setting(
+        "CsI",
+        "Scintillator. CsI has a density of 4.51 g/cm^3, Gd2O2S of 7.32 g/cm^3.",
+        source="attenuation: xraylib",
+    )
+    thickness_mm: Length = Field(
+        description="Thickness t; it absorbs the share 1 - exp(-mu t) of the photons.",
+        json_schema_extra=facts(source="Beer-Lambert"),
+    )
+
+
+class FileResponse(Section):
+    """A measured quantum efficiency."""
+
+    kind: Literal["file"]
+    path: Path = Field(
+        description="Two columns: energy in keV (rising), share of photons absorbed (0 to 1). "
+        "At most 0.1 % of the source's photons may lie outside this energy range."
+    )
+
+
+Response = Annotated[
+    CountingResponse | IntegratingResponse | ScintillatorResponse | FileResponse,
+    Field(discriminator="kind"),
+]
+
+
+class GaussianSpread(Section):
+    """A Gaussian point spread."""
+
+    kind: Literal["gaussian"]
+    sigma_mm: Length = Field(
+        description="Standard deviation: the basic spatial resolution of ISO 19232-5 divided by "
+        "1.41.",
+        json_schema_extra=facts(source="ISO 19232-5"),
+    )
+
+
+class FileSpread(Section):
+    """A measured modulation transfer function."""
+
+    kind: Literal["mtf"]
+    path: Path = Field(
+        description="Two columns: spatial frequency in 1/mm (rising from 0), modulation (1 at "
+        "0; 0 to 1.05). It is interpolated linearly, and is 0 beyond the last row, which must "
+        "lie at or above the Nyquist frequency of the physical pixels, or have a modulation of "
+        "at most 0.1."
+    )
+
+
+PointSpread = Annotated[GaussianSpread | FileSpread, Field(discriminator="kind")]
+
+
+class QuantumNoise(Section):
+    """Poisson noise of the photons that the detector absorbs."""
+
+    kind: Literal["quantum"]
+
+
+class SnrNoise(Section):
+    """Normal noise of a given signal-to-noise ratio; it grows with the root of the signal."""
+
+    kind: Literal["snr"]
+    snr: Positive = Field(
+        description="Signal-to-noise ratio of the free beam, at the centre of the first view's "
+        "panel.",
+        json_schema_extra=facts(source="as in CTSimU files"),
+    )
+
+
+Noise = Annotated[QuantumNoise | SnrNoise, Field(discriminator="kind")]
+
+
+class Readout(Section):
+    """Amplifier and converter. Without this section, pixel values keep their fractions."""
+
+    free_beam: Positive = setting(
+        50000.0,
+        "Grey value of the free beam above the offset, at the centre of the first view's panel, "
+        "for the largest mAs of all views. It sets the gain.",
+        unit="grey values",
+    )
+    offset: NonNegative = setting(500.0, "Grey value without beam.", unit="grey values")
+    electronic_noise: NonNegative = setting(
+        0.0, "Standard deviation of the noise without beam.", unit="grey values"
+    )
+    bits: int | None = setting(
+        16, "Bit depth; null: values keep their fractions.", ge=1, le=32, unit="bit"
+    )
+    saturation: Positive | None = setting(
+        None,
+        "Grey value of saturation; null: the largest value of the converter. The free beam, "
+        "offset + free_beam, must not exceed it.",
+        unit="grey values",
+    )
+
+    @property
+    def largest(self) -> float:
+        """Largest possible grey value."""
+        ends = (None if self.bits is None else 2.0**self.bits - 1, self.saturation)
+        return min((end for end in ends if end is not None), default=math.inf)
+
+    @model_validator(mode="after")
+    def _free_beam_fits(self) -> Readout:
+        beam = self.offset + self.free_beam
+        if beam <= self.largest:
+            return self
+        end = f"the largest {self.bits}-bit value ({self.largest:g})"
+        if self.largest == self.saturation:
+            end = f"saturation ({self.largest:g})"
+        if self.offset >= self.largest:
+            message = f"offset ({self.offset:g}) must be below {end}, or no signal can be read"
+        else:
+            message = (
+                f"the free beam saturates: offset ({self.offset:g}) + free_beam "
+                f"({self.free_beam:g}) = {beam:g} exceeds {end}"
+            )
+        raise ConflictError(Conflict(message, ("free_beam", "offset", "saturation", "bits")))
+
+
+class RandomBadPixels(Section):
+    """Dead pixels at random positions, drawn from the scenario's seed."""
+
+    kind: Literal["random"]
+    share: float = Field(gt=0, lt=0.5, description="Share of all pixels that are dead.")
+
+
+class FileBadPixels(Section):
+    """Dead pixels from a map."""
+
+    kind: Literal["file"]
+    path: Path = Field(
+        description=".npy file or image of the panel's shape; bad pixels are nonzero."
+    )
+
+
+BadPixels = Annotated[RandomBadPixels | FileBadPixels, Field(discriminator="kind")]
+
+
+class Correction(Section):
+    """Flat and dark images, acquired without specimen before the scan."""
+
+    flat_frames: int = setting(
+        0, "Number of flat frames to average; 0: a flat image without noise.", ge=0
+    )
+    dark_frames: int = setting(
+        0, "Number of dark frames to average; 0: a dark image without noise.", ge=0
+    )
+    flat_geometry: Literal["commanded", "first", "view"] = setting(
+        "commanded",
+        "Geometry of the flat images. commanded and first use one flat image, taken at the first "
+        "commanded view. commanded: the flat image is scaled by distance and tilt to each "
+        "commanded view, so that the errors of the arms stay in the image; first: it is used "
+        "unchanged; view: a flat image at each executed view, which no machine can take.",
+    )
+
+
+class Scatter(Section):
+    """Forward-scatter estimate of scattered radiation, from the kernel of single scattering.
+
+    It is up to 25 % wrong from 40 keV on, up to a Compton optical depth of 3.5 (20 cm of water at
+    80 keV), for bodies whose shadow fits on the panel; ``twinct check`` warns of others. Details:
+    ``twinct.xray.scatter``.
+    """
+
+    kind: Literal["kernel"]
+    scale: NonNegative = setting(
+        1.0,
+        "Factor on the scatter: above 1 for higher-order scatter, below 1 for an anti-scatter "
+        "grid.",
+        source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina",
+    )
+
+
+class Detector(Section):
+    """Flat panel; a lattice of ideal pixels by default."""
+
+    columns: int = setting(
+        640, "Pixels along u.", ge=1, le=8192, unit="px", source="the paper", read_by="plan"
+    )
+    rows: int = setting(
+        480, "Pixels along v.", ge=1, le=8192, unit="px", source="the paper", read_by="plan"
+    )
+    pixel_pitch_mm: Length | Pair = setting(
+        0.5, "Pixel pitch; two numbers for (u, v).", source="the paper", read_by="plan"
+    )
+    response: Response = setting(
+        IntegratingResponse(), "Signal that the detector produces for each photon."
+    )
+    pixel_samples: int = setting(
+        1,
+        "Samples along each edge of a pixel; the pixel value is their mean. The cost grows with "
+        "the square of this number.",
+        ge=1,
+        le=16,
+        source="1: the paper's gVXR",
+    )
+    binning: Annotated[int, Field(ge=1, le=8)] = setting(
+        1,
+        "Physical pixels along each edge of an image pixel; noise and spread act on the "
+        "physical pixels.",
+    )
+    point_spread: PointSpread | None = setting(
+        None, "Point spread of the signal.", source="none: the paper"
+    )
+    noise: Noise | None = setting(None, "Noise of the signal.", source="none: the paper")
+    readout: Readout | None = setting(None, "Conversion to grey values.")
+    bad_pixels: BadPixels | None = setting(
+        None, "Dead pixels; correction fills them from their neighbours.", read_by="volume"
+    )
+    frame_ms: float | None = setting(
+        None,
+        "Shortest time from one image to the next that the detector allows, 1000 / frames per "
+        "second; null: only the exposure time limits it. The plan of the arms respects both times.",
+        gt=0,
+        le=60_000,
+        read_by="executed",
+    )
+    lag: float = setting(
+        0.0,
+        "Share of a view's signal that remains in the next view. A lag above 0 doubles the cost.",
+        ge=0,
+        lt=1,
+    )
+    correction: Correction = setting(
+        Correction(), "Correction that turns raw images into transmission."
+    )
+    scatter: Scatter | None = setting(None, "Scattered radiation; null: none.")
+    keep: tuple[Literal["raw", "flat", "dark"], ...] = setting(
+        (),
+        "Images that the scan store keeps for each view beside the transmission, in grey "
+        "values. Each view is then rendered twice. An ideal source and detector have no such "
+        "images, and the key is refused.",
+    )
+
+    @property
+    def panel(self) -> Panel:
+        """Pixel lattice."""
+        pitch = self.pixel_pitch_mm
+        pitch_u, pitch_v = pitch if isinstance(pitch, tuple) else (pitch, pitch)
+        return Panel(self.rows, self.columns, pitch_u, pitch_v)
+
+    @property
+    def ideal(self) -> bool:
+        """True if each pixel measures the transmission of the ray through its centre.
+
+        The response is ignored: it cancels out of the transmission at a single energy.
+        """
+        exempt = ("columns", "rows", "pixel_pitch_mm", "response", "keep", "frame_ms")
+        return self == Detector(**{name: getattr(self, name) for name in exempt})
