@@ -104,9 +104,9 @@ STUDY_VALUE = Walk(
         ("study/driver.py", "run"),
         ("study/driver.py", "spec"),
         ("study/driver.py", "_trial_work"),
-        ("workers/work.py", "submit"),
-        ("workers/local.py", "submit"),
-        ("workers/call.py", "sent"),
+        ("workers/pool.py", "submit"),
+        ("workers/local.py", "_start"),
+        ("workers/call.py", "pickled"),
         ("study/trial.py", "try_trial"),
         ("workers/call.py", "call"),
         ("workers/call.py", "received"),
@@ -177,7 +177,6 @@ from twinct.scan import SimulationBuilder
 warnings.simplefilter("error")
 names = ["from twinct.scan import Workshop", "SimulationBuilder(None).asked"]
 names += ["from twinct.recon import FoundImplant", "DamagedError([], []).found"]
-names += ["from twinct.workers import Parcel", "from twinct.workers import Made"]
 names += ["from twinct.report import StudyAxis"]
 for old in ("import twinct.motion.way", *names):
     try:
@@ -204,8 +203,6 @@ def test_old_names_import_the_same_things_with_a_warning() -> None:
         "SimulationBuilder.asked is now SimulationBuilder.requested",
         "twinct.recon.FoundImplant is now twinct.recon.FittedImplant",
         "DamagedError.found is now DamagedError.damages",
-        "twinct.workers.Parcel is now twinct.workers.Artifact",
-        "twinct.workers.Made is now twinct.workers.WithArtifacts",
         "twinct.report.StudyAxis is now twinct.report.study_page.StudyAxis",
         "twinct.robots.motion.path_search twinct.view_planning.planner twinct.core.errors",
         "True",

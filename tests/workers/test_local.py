@@ -15,9 +15,7 @@ import pytest
 from waiting import HANG_S, Patience, until
 
 from twinct.core.errors import InputError, MemoryShortageError
-from twinct.workers import Died, Done, Event, Failed, LocalPool, WithArtifacts, Work
-from twinct.workers.call import call, received, sent
-from twinct.workers.worker import LocalPlace
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Work
 
 GIB = 2**30
 
@@ -227,8 +225,8 @@ def test_contents_come_from_where_they_were_offered_and_go_where_they_are_saved(
     assert isinstance(unnamed, Failed) and unnamed.kind == "KeyError"
     assert isinstance(written, Done) and set(written.artifacts) == {"folder", "file"}
     for _ in range(2):  # again: it takes the place of what is there
-        written.artifacts["folder"].save(tmp_path / "out" / "folder")
-        written.artifacts["file"].save(tmp_path / "out" / "file.txt")
+        pool.save(written, "folder", tmp_path / "out" / "folder")
+        pool.save(written, "file", tmp_path / "out" / "file.txt")
     assert (tmp_path / "out" / "folder" / "deep" / "a.txt").read_text() == "ab"
     assert (tmp_path / "out" / "file.txt").read_text() == "abab"
     made = pool.folder / "made-ab" / "b.txt"
@@ -237,18 +235,6 @@ def test_contents_come_from_where_they_were_offered_and_go_where_they_are_saved(
     pool.withdraw("text")
     with pytest.raises(ValueError, match="not offered.*text"):
         pool.submit(Work("again", jobs.read, "text", inputs=("text",)))
-
-
-def test_functions_of_earlier_versions_return_their_artifacts(
-    pool: LocalPool, tmp_path: Path
-) -> None:
-    with pytest.warns(DeprecationWarning, match="place.attach"):
-        made = WithArtifacts(7, {"here": tmp_path})
-    work = Work("old", jobs.meet, (tmp_path, "", made))
-    event = received(call(sent(work, pool, (), ()), LocalPlace(tmp_path, 1, {})))
-    assert isinstance(event, Done) and (event.key, event.value) == ("old", 7)
-    event.artifacts["here"].save(tmp_path.with_name("there"))
-    assert tmp_path.with_name("there").is_dir()
 
 
 def test_what_cannot_be_sent_is_refused_before_anything_starts(pool: LocalPool) -> None:
