@@ -12,11 +12,10 @@ from twinct.core.error_terms import (
     ErrorTerm,
     Place,
     ScanDraws,
-    Shift,
     Spread,
     ToolMotion,
 )
-from twinct.geometry import Chain, Floats
+from twinct.geometry import Chain, Floats, Misfit
 from twinct.scenario import ArmErrors
 
 
@@ -44,8 +43,8 @@ def _term(
             shape = (len(chain), 6) if place == "links" else (6,)
             normals = draws.rng(f"{name} {place}").normal(size=(draws.count, *shape))
             parts[place] = sigma * normals[:, None]
-        shift = Shift(**parts)
-        return lambda motion, of_views: shift
+        misfit = Misfit(**parts)
+        return lambda motion, of_views: misfit
 
     return ErrorTerm(name, ArmErrors, spreads, section="arms", drawn=drawn)
 
