@@ -9,7 +9,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from twinct.workers import Done, LocalPool, Work, map_over
+from twinct.workers import Done, LocalPool, Work
 from twinct.workers.cluster import RayPool
 
 
@@ -32,12 +32,10 @@ def nothing(argument, place):
 
 def measure(pool, number):
     """Works a second, and the growth of this process in bytes a work, workers warm."""
-    warm = [map_over(None, map(work, range(-n, 0)), pool=pool) for n in (8, number // 10)]
+    warm = [pool.results(map(work, range(-n, 0))) for n in (8, number // 10)]
     assert all(isinstance(event, Done) for events in warm for event in events)
     before, begun = resident_bytes(), time.perf_counter()
-    assert all(
-        isinstance(event, Done) for event in map_over(None, map(work, range(number)), pool=pool)
-    )
+    assert all(isinstance(event, Done) for event in pool.results(map(work, range(number))))
     seconds = time.perf_counter() - begun
     return number / seconds, (resident_bytes() - before) / number
 

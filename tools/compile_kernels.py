@@ -147,8 +147,9 @@ def _interpolate() -> None:
 
 def _paint() -> None:
     from twinct.geometry import VolumeGrid
+    from twinct.specimen.implicit import ball
+    from twinct.specimen.organs import Organ
     from twinct.specimen.phantom import Phantom
-    from twinct.specimen.phantom_bodies import Organ, ball
 
     body = Phantom((Organ("ball", 40.0, (ball((0, 0, 0), 5.0),)),))
     body.on(VolumeGrid((4, 5, 6), 2.0))

@@ -17,7 +17,7 @@ import pytest
 from waiting import HANG_S, Patience, until
 
 from twinct.core.errors import InputError, LinkError, MemoryShortageError
-from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work, map_over
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work
 from twinct.workers.cluster import RayPool, local
 from twinct.workers.cluster.content import pack, unpack
 
@@ -133,11 +133,7 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
         assert (pool.slots, pool.most_memory_bytes) == (4, 8 * GIB)
         assert _loopback_only(tmp_path)
 
-        (said,) = [
-            e.value
-            for e in map_over(None, [Work("who", jobs.who, 0)], pool=pool)
-            if isinstance(e, Done)
-        ]
+        (said,) = [e.value for e in pool.results([Work("who", jobs.who, 0)]) if isinstance(e, Done)]
         assert said["main"] and said["threads"] == (1, "1", "1") and not ran.exists()
         assert said["folder"].parent == tmp_path / "cache" / "study"
 
@@ -158,7 +154,7 @@ def test_one_pool_on_this_machine(tmp_path: Path, content: Path, monkeypatch, ca
             assert _told(pool, content, tmp_path / "ray") == _told(own, content, tmp_path / "own")
 
         works = [Work(str(n), jobs.die_until, (tmp_path / str(n), n)) for n in (2, 3)]
-        events = {event.key: event for event in map_over(None, works, pool=pool)}
+        events = {event.key: event for event in pool.results(works)}
         two, three = events["2"], events["3"]
         assert isinstance(two, Done) and two.value == 2
         assert isinstance(three, Failed) and three.kind == "WorkerDied"
@@ -220,15 +216,16 @@ def _told(pool: Pool, content: Path, out: Path) -> list[object]:
     works += [Work(f"read {n}", jobs.read, n, inputs=(n,)) for n in ("folder", "file")]
     works += [Work("write", jobs.write, "ab")]
     told: list[object] = []
-    for event in sorted(map_over(None, works, pool=pool), key=lambda event: event.key):
+    for event in sorted(pool.results(works), key=lambda event: event.key):
         if isinstance(event, Failed):
             told.append((event.key, event.kind, event.problems, event.trace))
         elif event.key.startswith("read"):
             told.append((event.key, Path(event.value[0]).name, event.value[1]))
         else:
             told.append((event.key, event.value))
-        for name, artifact in event.artifacts.items() if isinstance(event, Done) else ():
-            artifact.save(out / name)
+        if isinstance(event, Done):
+            for name in event.artifacts:
+                pool.save(event, name, out / name)
     told += [(str(p.relative_to(out)), p.is_file() and p.read_bytes()) for p in out.rglob("*")]
     return told
 
@@ -344,7 +341,7 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
         assert [isinstance(event, Done) for event in finish(pool).values()] == [True]
         for key, event in written.items():
             assert isinstance(event, Done)
-            event.artifacts["folder"].save(tmp_path / key)
+            pool.save(event, "folder", tmp_path / key)
             assert (tmp_path / key / "deep" / "a.txt").read_text() == key
         steer("add")
         until(lambda: pool.slots == 2)  # a dead node counts until it is missed
@@ -357,7 +354,7 @@ def test_nodes_come_and_go_and_a_cluster_may_be_lost(
         pool.submit(_at(last, "busy"))
         os.killpg(group, signal.SIGKILL)
         with pytest.raises(LinkError, match="does not answer"):
-            list(map_over(None, [Work("late", jobs.double, 1)], pool=pool))
+            list(pool.results([Work("late", jobs.double, 1)]))
     assert isinstance(written["w"], Done)
     with pytest.raises(ValueError, match="closed"):
-        written["w"].artifacts["file"].save(tmp_path / "late")
+        pool.save(written["w"], "file", tmp_path / "late")

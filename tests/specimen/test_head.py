@@ -14,7 +14,6 @@ from twinct.scenario import Specimen, load_scenario
 from twinct.specimen import build_specimen, material
 from twinct.specimen.head import MIDDLE, brain_surface, head_surface
 from twinct.specimen.skull import skull_canvas
-from twinct.specimen.surface import isosurface
 from twinct.trajectory import commanded_views
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
@@ -162,8 +161,7 @@ def test_figures_are_relative_to_the_named_part(specimen, parts):
 
 
 def test_skin_lies_about_the_bones_and_is_symmetric():
-    skull = skull_canvas(3.0)
-    bones = isosurface(-skull.mirrored, 0.0, skull.affine)
+    bones = skull_canvas(3.0).surface()
     assert bones.bounds.mean(axis=0) == pytest.approx(MIDDLE, abs=0.3)
     head = head_surface(resolution_mm=4.0)
     beyond = (head.bounds - (bones.bounds - MIDDLE)) * [[-1], [1]]

@@ -13,8 +13,9 @@ from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import Specimen, load_scenario
 from twinct.specimen import build_specimen, material
 from twinct.specimen.convex_parts import MOST_PARTS, convex_parts
+from twinct.specimen.implicit import ball
+from twinct.specimen.organs import CELLS_PER_WAVE, TILE, Organ, random_field
 from twinct.specimen.phantom import Phantom, phantom
-from twinct.specimen.phantom_bodies import CELLS_PER_WAVE, TILE, Organ, ball, random_field
 from twinct.specimen.skull import skull_surface
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"

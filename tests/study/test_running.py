@@ -20,6 +20,7 @@ from twinct.study import StudyRun, Tally, load_results, run_study
 from twinct.study.folder import StudyFolder
 from twinct.study.trial_figures import figure_names
 from twinct.version import __version__
+from twinct.workers import LocalPool
 
 from .conftest import SCENARIO
 
@@ -110,7 +111,7 @@ def test_once_more_takes_nothing(base, no_page, monkeypatch: pytest.MonkeyPatch)
     finished, before = base[0], base[0].folder.journal.read_bytes()
     with pytest.raises(ScanExistsError, match="--resume"):
         run_study(study(0.2, 0.5), finished.folder.path)
-    monkeypatch.setattr("twinct.study.driver.map_over", lambda _, works, pool: [*works] and 1 / 0)
+    monkeypatch.setattr(LocalPool, "results", lambda _, works: [*works] and 1 / 0)
     again = run_study(study(0.2, 0.5), finished.folder.path, resume=True)
     assert (again.done, again.failed) == (8, 0)
     assert finished.folder.journal.read_bytes() == before

@@ -14,7 +14,7 @@ from twinct.scenario import parse_scenario, specimen_digest, stage_digests
 from twinct.study import trial
 from twinct.study.trial import TrialSpec, try_trial
 from twinct.version import __version__
-from twinct.workers.worker import LocalPlace
+from twinct.workers import Place
 
 from .conftest import SCENARIO
 
@@ -36,7 +36,7 @@ def tried(scenario: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The figures of a trial in this process, with nothing of an earlier one in it."""
     cached._last.clear()
     spec = TrialSpec("key", scenario, {}, "scan", shared=False, keep="figures", link="local")
-    return try_trial(spec, LocalPlace(folder, 1, {}))["figures"]
+    return try_trial(spec, Place(folder, 1, {}.__getitem__))["figures"]
 
 
 def test_a_worker_loads_no_pickle_of_its_folder(tmp_path: Path) -> None:

@@ -225,8 +225,8 @@ def test_contents_come_from_where_they_were_offered_and_go_where_they_are_saved(
     assert isinstance(unnamed, Failed) and unnamed.kind == "KeyError"
     assert isinstance(written, Done) and set(written.artifacts) == {"folder", "file"}
     for _ in range(2):  # again: it takes the place of what is there
-        written.artifacts["folder"].save(tmp_path / "out" / "folder")
-        written.artifacts["file"].save(tmp_path / "out" / "file.txt")
+        pool.save(written, "folder", tmp_path / "out" / "folder")
+        pool.save(written, "file", tmp_path / "out" / "file.txt")
     assert (tmp_path / "out" / "folder" / "deep" / "a.txt").read_text() == "ab"
     assert (tmp_path / "out" / "file.txt").read_text() == "abab"
     made = pool.folder / "made-ab" / "b.txt"

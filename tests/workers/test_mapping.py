@@ -5,36 +5,46 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pool_jobs as jobs
 import pytest
 
-from twinct.core.errors import InputError, MemoryShortageError, TwinctError
-from twinct.workers import Died, Done, Event, Failed, LocalPool, Work, map_over
+from twinct.core.errors import InputError, TwinctError
+from twinct.workers import Died, Done, Event, Failed, LocalPool, Pool, Work
 
 GIB = 2**30
 
 
-class Scripted:
+class Scripted(Pool):
     """A pool that tells what it was made to tell of each work, one after the other."""
 
-    slots = 2
-
-    def __init__(self, script: dict[str, list[Event]]) -> None:
+    def __init__(self, script: dict[str, list[Any]]) -> None:
+        super().__init__()
         self.script = script
         self.waiting: list[str] = []
         self.most = 0
 
-    def submit(self, work: Work) -> None:
-        if work.memory_bytes > 10:
-            raise MemoryShortageError(f"{work.key} needs more than 10 bytes")
+    @property
+    def slots(self) -> int:
+        return 2
+
+    @property
+    def most_memory_bytes(self) -> int:
+        return 10
+
+    def _start(self, work: Work, request: bytes) -> None:
         self.waiting.append(work.key)
         self.most = max(self.most, len(self.waiting))
 
-    def wait(self, timeout_s: float | None = None) -> list[Event]:
+    def _events(self, timeout_s: float | None) -> list[Event]:
         key = self.waiting.pop(0)
         told = self.script.get(key)
         return [told.pop(0) if told else Done(key, key, {}, 0.0)]
+
+    def save(self, done: Done, name: str, path: Path) -> None: ...
+
+    def close(self, *, clear: bool = False) -> None: ...
 
 
 def work(key: str, memory_bytes: int = 0) -> Work:
@@ -49,7 +59,7 @@ def test_little_is_under_way_at_a_time() -> None:
             asked.append(number)
             yield work(str(number))
 
-    results = map_over(None, source(), pool=pool)
+    results = pool.results(source())
     next(results)
     assert len(asked) == 4
     assert len(list(results)) == 49 and pool.most == 4
@@ -59,15 +69,15 @@ def test_blamed_deaths_count_and_others_do_not() -> None:
     lost, blamed = Died("a", "its node was lost", blamed=False), Died("a", "it was SIGKILL")
     done = Done("a", 1, {}, 0.0)
     pool = Scripted({"a": [lost] * 9 + [blamed, lost, blamed, done]})
-    assert list(map_over(None, [work("a")], pool=pool)) == [done]
+    assert list(pool.results([work("a")])) == [done]
     pool = Scripted({"a": [blamed, lost, blamed, blamed, done]})
-    (failed,) = map_over(None, [work("a")], pool=pool)
+    (failed,) = pool.results([work("a")])
     problems = ("killed its worker 3 times: it was SIGKILL",)
     assert failed == Failed("a", "WorkerDied", problems, "", 0.0)
 
 
 def test_too_much_memory_fails_at_once() -> None:
-    first, second = map_over(None, [work("big", 11), work("b", 10)], pool=Scripted({}))
+    first, second = Scripted({}).results([work("big", 11), work("b", 10)])
     assert isinstance(first, Failed) and first.kind == "MemoryShortageError"
     assert isinstance(second, Done)
 
@@ -84,7 +94,7 @@ def test_nothing_ready_waits_for_an_event_and_is_an_error_without_one() -> None:
         yield None
 
     with pytest.raises(ValueError, match="no work ready"):
-        for event in map_over(None, source(), pool=Scripted({})):
+        for event in Scripted({}).results(source()):
             done.append(event.key)
     assert done == ["a", "b"]
 
@@ -94,7 +104,7 @@ def test_real_deaths_are_tried_again_three_times(tmp_path: Path) -> None:
     with LocalPool(tmp_path, workers=2, memory_bytes=GIB) as pool:
         two = Work("two", jobs.die_until, (tmp_path / "two", 2))
         three = Work("three", jobs.die_until, (tmp_path / "three", 3))
-        events = {event.key: event for event in map_over(None, [two, three], pool=pool)}
+        events = {event.key: event for event in pool.results([two, three])}
     assert isinstance(events["two"], Done) and events["two"].value == 2
     failed = events["three"]
     assert isinstance(failed, Failed) and failed.kind == "WorkerDied"
@@ -107,13 +117,13 @@ def test_a_map_keeps_the_order_and_raises_what_failed(tmp_path: Path) -> None:
         os.mkfifo(pipe := tmp_path / "pipe")
         modes = ["r", "", "", "", "w"]  # the first ends when the last has begun
         calls = [(pipe, mode, number) for number, mode in enumerate(modes)]
-        assert list(map_over(jobs.meet, calls, pool=pool)) == [0, 1, 2, 3, 4]
-        unread = map_over(jobs.double, range(100), pool=pool)
+        assert list(pool.map(jobs.meet, calls)) == [0, 1, 2, 3, 4]
+        unread = pool.map(jobs.double, range(100))
         assert [next(unread) for _ in range(3)] == [0, 2, 4]
-        assert list(map_over(jobs.double, ["a", "b"], pool=pool)) == ["aa", "bb"]
+        assert list(pool.map(jobs.double, ["a", "b"])) == ["aa", "bb"]
         with pytest.raises(InputError) as caught:
-            list(map_over(jobs.fail, ["input"], pool=pool))
+            list(pool.map(jobs.fail, ["input"]))
         assert caught.value.problems == ("one", "two")
         with pytest.raises(TwinctError, match="RuntimeError: other") as other:
-            list(map_over(jobs.fail, ["other"], pool=pool))
+            list(pool.map(jobs.fail, ["other"]))
         assert "in fail" in other.value.__notes__[0]

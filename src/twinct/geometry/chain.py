@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,7 +24,7 @@ def exp_matrices(twists: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """Deviations of arms from a chain; leading axes match the joint angles.
+    """Deviation of arms from a chain; leading axes match the joint angles.
 
     Each twist (v, w), mm and rad, moves everything after its frame, in the frame's own axes. The
     twist of a joint precedes its rotation; its last component adds to the joint angle.
@@ -32,11 +33,19 @@ class Misfit:
         base: twist of the base frame, (..., 6).
         links: twists of the joint frames, (..., joints, 6).
         tool: twist of the tool frame, (..., 6).
+        joints: deviations of the joints behind their encoders, each (..., joints), rad.
     """
 
-    base: Floats
-    links: Floats
-    tool: Floats
+    base: Floats | None = None
+    links: Floats | None = None
+    tool: Floats | None = None
+    joints: tuple[Floats, ...] = ()
+
+    def __bool__(self) -> bool:
+        """Return True if any part deviates."""
+        return bool(self.joints) or any(
+            part is not None for part in (self.base, self.links, self.tool)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,17 +103,17 @@ class Chain:
         twists[..., 2] = (1 - self.hinges) * MM_PER_M * joints
         return twists
 
-    def tools(self, joints: Floats, misfit: Misfit | None = None) -> Floats:
+    def tools(self, joints: Floats, *misfits: Misfit) -> Floats:
         """Return ``world_from_tool`` of many joint configurations.
 
         Args:
-            joints: rad, (..., joints).
-            misfit: deviations of the arms; None: no deviations.
+            joints: encoder readings, rad, (..., joints).
+            misfits: deviations of the arms, which add up in their order.
 
         Returns:
             (..., 4, 4), mm.
         """
-        return self._walk(joints, misfit)[-1]
+        return self._walk(joints, misfits)[-1]
 
     def frames(self, joints: Floats) -> Floats:
         """Return ``world_from_joint`` of each joint after its rotation, then ``world_from_tool``.
@@ -115,15 +124,21 @@ class Chain:
         Returns:
             (..., joints + 1, 4, 4), mm.
         """
-        return np.stack(self._walk(joints, None, keep=True), axis=-3)
+        return np.stack(self._walk(joints, keep=True), axis=-3)
 
-    def _walk(self, joints: Floats, misfit: Misfit | None, keep: bool = False) -> list[Floats]:
+    def _walk(
+        self, joints: Floats, misfits: tuple[Misfit, ...] = (), keep: bool = False
+    ) -> list[Floats]:
         here: Floats = np.eye(4)
         transforms: list[Floats] = []
-        links = None
-        if misfit is not None:
-            here = self.base @ exp_matrices(misfit.base) @ np.linalg.inv(self.base)
-            links = exp_matrices(misfit.links)
+        links = tool = None
+        if misfits:
+            base = exp_matrices(_sum((misfit.base for misfit in misfits), (6,)))
+            here = self.base @ base @ np.linalg.inv(self.base)
+            links = exp_matrices(_sum((misfit.links for misfit in misfits), (len(self), 6)))
+            tool = exp_matrices(_sum((misfit.tool for misfit in misfits), (6,)))
+            if behind := [turn for misfit in misfits for turn in misfit.joints]:
+                joints = joints + sum(behind[1:], behind[0])
         for joint in range(len(self)):
             here = here @ self._steps[joint]
             if links is not None:
@@ -132,8 +147,8 @@ class Chain:
             here = moved(here, joints[..., joint])
             transforms += [here] if keep else []
         here = here @ self._steps[-1]
-        if misfit is not None:
-            here = here @ exp_matrices(misfit.tool)
+        if tool is not None:
+            here = here @ tool
         return [*transforms, here]
 
     def gravity_torques(self, joints: Floats) -> Floats:
@@ -156,6 +171,11 @@ class Chain:
         for rail in self.rails:
             torques[..., rail] = carried[rail] * axes[..., rail, :] @ GRAVITY_M_S2
         return torques
+
+
+def _sum(parts: Iterable[Floats | None], shape: tuple[int, ...]) -> Floats:
+    """Return the sum of those parts that are there, 0 without any."""
+    return sum((part for part in parts if part is not None), np.zeros(shape))
 
 
 def _turned(frames: Floats, angles: Floats) -> Floats:

@@ -14,10 +14,9 @@ from twinct.core.errors import InputError
 from twinct.core.files.boundary import read_text
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.core.foreign_text import quoted, shortened
-from twinct.geometry import Chain, Floats, Pose
+from twinct.geometry import Chain, Floats, Misfit, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.uncertainty.arm_model import shifted_tools
-from twinct.uncertainty.error_terms import SIDES, Shift
+from twinct.uncertainty.error_terms import SIDES
 from twinct.uncertainty.terms.gear import waves
 from twinct.uncertainty.terms.windup import deflections
 
@@ -59,7 +58,7 @@ def changed_tools(chain: Chain, change: Change, periods: int, joints: Floats) ->
     Returns:
         (..., views, 4, 4), mm.
     """
-    shift = Shift(
+    misfit = Misfit(
         links=change.links[..., None, :, :],
         tool=change.tool[..., None, :],
         joints=(
@@ -67,7 +66,7 @@ def changed_tools(chain: Chain, change: Change, periods: int, joints: Floats) ->
             *waves(change.gear, periods, joints),
         ),
     )
-    return shifted_tools(chain, joints, [shift])
+    return chain.tools(joints, misfit)
 
 
 @dataclass(frozen=True, eq=False)

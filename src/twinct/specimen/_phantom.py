@@ -1,6 +1,6 @@
-"""Numba kernels: tissue at points, from the table of ``phantom_bodies``.
+"""Numba kernels: tissue at points, from the table of ``organs``.
 
-Points are taken in blocks. For each block, the kernels list the bodies near it, and the organs that
+Points are taken in blocks. For each block, the kernels list the solids near it, and the organs that
 can be seen there: none that lie elsewhere, and none that a later organ hides.
 """
 
@@ -9,10 +9,10 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from twinct.specimen.phantom_bodies import ADD, BLOCK, CUT, ELLIPSOID, KEEP, ROD
+from twinct.specimen.implicit import ADD, BLOCK, CUT, ELLIPSOID, KEEP, ROD
 
 FAR = 1e3
-"""Distance of a body that is too far away to matter, mm."""
+"""Distance of a solid that is too far away to matter, mm."""
 BLOCK_EDGE = 4
 """Voxels along the edge of a block."""
 SAFE = 1.5
@@ -50,12 +50,12 @@ def _lattice(data, q, s, x, y, z):
     b = data[at + row] * (1 - fz) + data[at + row + 1] * fz
     c = data[at + plane] * (1 - fz) + data[at + plane + 1] * fz
     d = data[at + plane + row] * (1 - fz) + data[at + plane + row + 1] * fz
-    return (a * (1 - fy) + b * fy) * (1 - fx) + (c * (1 - fy) + d * fy) * fx + q[s, 23]
+    return (a * (1 - fy) + b * fy) * (1 - fx) + (c * (1 - fy) + d * fy) * fx
 
 
 @njit(**OPTIONS)
 def _distance(q, s, data, px, py, pz):
-    """Return the signed distance of body ``s``."""
+    """Return the signed distance of solid ``s``."""
     x = q[s, 3] * px + q[s, 4] * py + q[s, 5] * pz + q[s, 12]
     y = q[s, 6] * px + q[s, 7] * py + q[s, 8] * pz + q[s, 13]
     z = q[s, 9] * px + q[s, 10] * py + q[s, 11] * pz + q[s, 14]
@@ -98,7 +98,7 @@ def _texture(tile, x, y, z):
 
 @njit(**OPTIONS)
 def _organ_distance(o, organs, solids, data, chosen, ends, distances, x, y, z):
-    """Return the signed distance of an organ: its bodies, and its host less an inset."""
+    """Return the signed distance of an organ: its solids, and its host less an inset."""
     d, some = FAR, False
     for c in range(ends[o], ends[o + 1]):
         s = chosen[c]
@@ -120,7 +120,7 @@ def _organ_distance(o, organs, solids, data, chosen, ends, distances, x, y, z):
 def _prepare(solids, boxes, organs, data, x, y, z, radius, chosen, ends, active, distances):
     """List what matters within a ball about a point; return the number of active organs.
 
-    ``chosen`` receives the bodies, ``ends`` the places where each organ's bodies begin and end,
+    ``chosen`` receives the solids, ``ends`` the places where each organ's solids begin and end,
     ``active`` the organs, as -1 - number where only their distance is needed.
     """
     count, cover = 0, 0

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
-from twinct.specimen.implicit import Body, Canvas, block, ellipsoid, rod
+from twinct.specimen.canvas import Canvas
+from twinct.specimen.implicit import Solid, block, ellipsoid, rod
 from twinct.specimen.skull import WALL_MM, ear_canal, orbit, skull_canvas, vault
-from twinct.specimen.surface import isosurface, surface
+from twinct.specimen.surface import surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -55,8 +56,7 @@ def brain_surface(scale: float = 1.0, resolution_mm: float = 2.0) -> trimesh.Tri
 @lru_cache(maxsize=2)
 def _head(scale: float, resolution_mm: float) -> trimesh.Trimesh:
     head = head_canvas(resolution_mm / scale)
-    for body in airways():
-        head.cut(body, 2)
+    head.draw(*(airway.cut(2) for airway in airways()))
     return _placed(head, scale)
 
 
@@ -68,10 +68,9 @@ def _brain(scale: float, resolution_mm: float) -> trimesh.Trimesh:
 def head_canvas(step: float) -> Canvas:
     """Return the head without its airways on half a lattice, in the skull's design frame."""
     head = skull_canvas(step, margin_mm=BRIDGE_MM + 2 * SKIN_MM)
-    head.add(vault())
-    head.add(rod((0, 84, -34), (0, 97, -60), 4, 6))  # the nose
+    nose = rod((0, 84, -34), (0, 97, -60), 4, 6)
     neck = rod((0, -26, -60), (0, -22, -160), 52, flatten=(1, 1.15, 1))
-    head.add(neck.within(block((0, -24, -98), (60, 60, 40))))
+    head.draw(vault(), nose, neck.within(block((0, -24, -98), (60, 60, 40))))
     # Distances refer to the middles of voxels: voxels that bone reaches into count as bone.
     away = scipy.ndimage.distance_transform_edt(head.mirrored >= step / 2, sampling=step)
     depth = scipy.ndimage.distance_transform_edt(away < BRIDGE_MM, sampling=step)
@@ -84,13 +83,12 @@ def brain_canvas(step: float) -> Canvas:
     """Return the brain on half a lattice, in the skull's design frame."""
     outer = vault()
     brain = Canvas(step, outer.low * (0, 1, 1), outer.high)
-    brain.add(Body(lambda x, y, z: outer(x, y, z) + WALL_MM / 2, outer.low, outer.high))
-    brain.cut(orbit(1.6))
-    brain.cut(ear_canal(1.5))
+    inner = Solid(lambda x, y, z: outer(x, y, z) + WALL_MM / 2, outer.low, outer.high)
+    brain.draw(inner, orbit(1.6).cut(), ear_canal(1.5).cut())
     return brain
 
 
-def airways() -> tuple[Body, ...]:
+def airways() -> tuple[Solid, ...]:
     """Return the airways; they leave about 1.5 mm of mucosa on the bone."""
     return (
         ellipsoid((6, 52, -52), (6.5, 21.5, 15.5)),  # nasal cavity with both openings
@@ -103,5 +101,5 @@ def airways() -> tuple[Body, ...]:
 
 
 def _placed(canvas: Canvas, scale: float) -> trimesh.Trimesh:
-    mesh = isosurface(-canvas.mirrored, 0.0, canvas.affine)
+    mesh = canvas.surface()
     return surface((mesh.vertices - MIDDLE) * scale, mesh.faces)

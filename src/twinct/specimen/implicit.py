@@ -1,16 +1,21 @@
-"""Bodies as signed distance fields (mm, negative inside), combined on half a lattice.
+"""Solids as signed distances (mm, negative inside): ellipsoids, rods, blocks, walls, any formula.
 
-Ellipsoids, tapered rods and swept plates are joined and cut by smooth unions and subtractions
+A model is a sequence of solids, each with the way in which it joins those before it: by a smooth
+union, subtraction or intersection
 
     smin(a, b; k) = min(a, b) - h^2 k / 4,    h = max(k - |a - b|, 0) / k
 
-(Quilez's polynomial blend). Only the half x >= 0 is computed; the other half is its mirror image.
+(Quilez's polynomial blend). A model becomes a surface by ``canvas``, and voxels of any grid by
+``organs``. Canvases evaluate the formulas here; the kernels of organs evaluate the ``Form`` of a
+solid, which describes the same distance by numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -21,87 +26,108 @@ from twinct.geometry import Floats
 Field = NDArray[Any]
 Point = tuple[float, float, float]
 
+ELLIPSOID, ROD, BLOCK, LATTICE = 0, 1, 2, 3
+"""Kinds of forms."""
+ADD, CUT, KEEP = 0, 1, 2
+"""Ways in which a solid joins those before it."""
 
-class Canvas:
-    """Half a lattice (x >= 0) for adding and cutting bodies.
 
-    A body is a function of coordinates x, y, z (broadcastable) that returns signed distance. It is
-    evaluated only within its box; further away it has no effect.
+class Form(NamedTuple):
+    """Distance of a solid for the kernels: a kind with numbers, in a local frame.
+
+    Attributes:
+        kind: ``ELLIPSOID``, ``ROD``, ``BLOCK`` or ``LATTICE``.
+        matrix: (3, 3), from the model's axes to the local ones.
+        offset: (3,), local coordinates of the model's origin.
+        numbers: parameters of the kind.
+        lattice: values on half a lattice, for ``LATTICE``.
     """
 
-    def __init__(self, step: float, lowest: ArrayLike, highest: ArrayLike) -> None:
-        self.step, self.origin = step, np.asarray(lowest, dtype=float)
-        counts = np.ceil(np.subtract(highest, lowest) / step).astype(int) + 1
-        self.axes = [
-            np.asarray(low + step * np.arange(n), dtype=np.float32)
-            for low, n in zip(self.origin, counts, strict=True)
-        ]
-        self.field: Field = np.full(counts, 50.0, dtype=np.float32)
-
-    @property
-    def mirrored(self) -> Field:
-        """Full field, both halves."""
-        return np.concatenate([self.field[:0:-1], self.field])
-
-    @property
-    def affine(self) -> Floats:
-        """Affine map (4, 4) from indices of the full field to mm."""
-        affine = np.diag([self.step, self.step, self.step, 1.0])
-        affine[:3, 3] = self.origin
-        affine[0, 3] = -self.step * (self.field.shape[0] - 1)
-        return affine
-
-    def _around(self, body: Body, blend: float) -> tuple[tuple[slice, ...], Field]:
-        """Return the part of the lattice that a body may change, and the body's distance there."""
-        low, high = body.low - (blend + 3.0), body.high + (blend + 3.0)
-        cut = tuple(
-            slice(int(np.searchsorted(axis, lo)), int(np.searchsorted(axis, hi, side="right")))
-            for axis, lo, hi in zip(self.axes, low, high, strict=True)
-        )
-        return cut, body(*np.ix_(*(axis[s] for axis, s in zip(self.axes, cut, strict=True))))
-
-    def add(self, body: Body, blend: float = 0.0) -> None:
-        """Add a body by smooth union; ``blend`` is the width of the fillet, mm."""
-        cut, distance = self._around(body, blend)
-        self.field[cut] = smin(self.field[cut], distance, blend)
-
-    def cut(self, body: Body, blend: float = 0.0) -> None:
-        """Cut a body by smooth subtraction."""
-        cut, distance = self._around(body, blend)
-        self.field[cut] = -smin(-self.field[cut], distance, blend)
+    kind: int
+    matrix: Floats
+    offset: Floats
+    numbers: tuple[float, ...]
+    lattice: NDArray[np.float32] | None = None
 
 
-class Body:
-    """Signed distance function with a box that contains its inside."""
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """One solid: its signed distance, and the way it joins the solids before it.
 
-    def __init__(
-        self, distance: Callable[[Field, Field, Field], Field], low: ArrayLike, high: ArrayLike
-    ) -> None:
-        self.distance = distance
-        self.low = np.asarray(low, dtype=float)
-        self.high = np.asarray(high, dtype=float)
+    Attributes:
+        distance: function of coordinates x, y, z (broadcastable) that returns signed distance, mm.
+        low: lowest corner of a box that contains the inside, mm.
+        high: highest corner of this box, mm.
+        form: form for the kernels; None for a formula, which only a canvas can draw.
+        op: ``ADD``, ``CUT`` or ``KEEP`` (intersect).
+        blend: width of the fillet, mm.
+    """
+
+    distance: Callable[[Field, Field, Field], Field]
+    low: Floats
+    high: Floats
+    form: Form | None = None
+    op: int = ADD
+    blend: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Convert the corners to arrays."""
+        object.__setattr__(self, "low", np.asarray(self.low, dtype=float))
+        object.__setattr__(self, "high", np.asarray(self.high, dtype=float))
 
     def __call__(self, x: Field, y: Field, z: Field) -> Field:
         """Return the signed distance at points."""
         return self.distance(x, y, z)
 
-    def within(self, other: Body, blend: float = 0.0) -> Body:
-        """Return the intersection of both bodies."""
-        return Body(
+    def blended(self, blend: float) -> Solid:
+        """Return the solid joined with a fillet."""
+        return replace(self, blend=blend)
+
+    def cut(self, blend: float = 0.0) -> Solid:
+        """Return the solid as a cut."""
+        return replace(self, op=CUT, blend=blend)
+
+    def keep(self, blend: float = 0.0) -> Solid:
+        """Return the solid as a bound: only what lies inside it remains."""
+        return replace(self, op=KEEP, blend=blend)
+
+    def moved(self, by: ArrayLike) -> Solid:
+        """Return the solid shifted by a vector, mm."""
+        by = np.asarray(by, dtype=float)
+        form = self.form and self.form._replace(offset=self.form.offset - self.form.matrix @ by)
+        return replace(
+            self,
+            distance=lambda x, y, z: self(x - by[0], y - by[1], z - by[2]),
+            low=self.low + by,
+            high=self.high + by,
+            form=form,
+        )
+
+    def mirrored(self) -> Solid:
+        """Return the mirror image at x = 0."""
+        flip = np.array([-1.0, 1.0, 1.0])
+        form = self.form and self.form._replace(matrix=self.form.matrix @ np.diag(flip))
+        ends = self.low * flip, self.high * flip
+        low, high = np.minimum(*ends), np.maximum(*ends)
+        return replace(self, distance=lambda x, y, z: self(-x, y, z), low=low, high=high, form=form)
+
+    def within(self, other: Solid, blend: float = 0.0) -> Solid:
+        """Return the intersection of both solids, as one formula."""
+        return Solid(
             lambda x, y, z: -smin(-self(x, y, z), -other(x, y, z), blend),
             np.maximum(self.low, other.low),
             np.minimum(self.high, other.high),
         )
 
-    def without(self, other: Body, blend: float = 0.0) -> Body:
-        """Return this body without the other."""
-        return Body(
+    def without(self, other: Solid, blend: float = 0.0) -> Solid:
+        """Return this solid without the other, as one formula."""
+        return Solid(
             lambda x, y, z: -smin(-self(x, y, z), other(x, y, z), blend), self.low, self.high
         )
 
-    def joined(self, other: Body, blend: float = 0.0) -> Body:
-        """Return the union of both bodies, with a fillet."""
-        return Body(
+    def joined(self, other: Solid, blend: float = 0.0) -> Solid:
+        """Return the union of both solids with a fillet, as one formula."""
+        return Solid(
             lambda x, y, z: smin(self(x, y, z), other(x, y, z), blend),
             np.minimum(self.low, other.low) - blend / 4,
             np.maximum(self.high, other.high) + blend / 4,
@@ -116,10 +142,15 @@ def smin(a: Field, b: Field, blend: float) -> Field:
     return np.minimum(a, b) - h * h * (blend / 4)
 
 
-def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Body:
+def ball(centre: Point, radius: float) -> Solid:
+    """Return a sphere."""
+    return ellipsoid(centre, (radius, radius, radius))
+
+
+def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Solid:
     """Return an ellipsoid, turned about x, y, z; distance to first order, k (k - 1) / |grad|."""
-    rotation = scipy.spatial.transform.Rotation.from_euler("xyz", turn_deg, degrees=True)
-    turn = rotation.as_matrix().astype(np.float32)
+    matrix = scipy.spatial.transform.Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
+    turn = matrix.astype(np.float32)
     reach = np.sqrt((turn**2) @ np.square(radii))
 
     def distance(x: Field, y: Field, z: Field) -> Field:
@@ -129,12 +160,13 @@ def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Body:
         k1 = np.sqrt(sum((q / (r * r)) ** 2 for q, r in zip(local, radii, strict=True)))
         return k0 * (k0 - 1.0) / np.maximum(k1, 1e-6)
 
-    return Body(distance, np.subtract(centre, reach), np.add(centre, reach))
+    form = Form(ELLIPSOID, matrix.T, -matrix.T @ np.array(centre), radii)
+    return Solid(distance, np.subtract(centre, reach), np.add(centre, reach), form)
 
 
 def rod(
     a: Point, b: Point, radius_a: float, radius_b: float | None = None, flatten: Point = (1, 1, 1)
-) -> Body:
+) -> Solid:
     """Return a tapered rod with round ends; ``flatten`` > 1 makes it thinner along that axis."""
     radius_b = radius_a if radius_b is None else radius_b
     stretch = np.asarray(flatten, dtype=np.float32)
@@ -151,18 +183,28 @@ def rod(
         return (gap - (radius_a + t * (radius_b - radius_a))) / shrink
 
     ends = np.array([a, b])
-    return Body(distance, ends.min(axis=0) - big / stretch, ends.max(axis=0) + big / stretch)
+    low, high = ends.min(axis=0) - big / stretch, ends.max(axis=0) + big / stretch
+    # The kernels compute in double precision, canvases in single precision.
+    exact = np.asarray(flatten, dtype=float)
+    way = (np.subtract(b, a) * exact).tolist()
+    numbers = (*way, radius_a, radius_b, float(exact.max()))
+    return Solid(distance, low, high, Form(ROD, np.diag(exact), -(np.array(a) * exact), numbers))
 
 
-def chain(points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)) -> Body:
+def rods(
+    points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)
+) -> tuple[Solid, ...]:
     """Return tapered rods from point to point."""
-    body = rod(points[0], points[1], radii[0], radii[1], flatten)
-    for i in range(1, len(points) - 1):
-        body = body.joined(rod(points[i], points[i + 1], radii[i], radii[i + 1], flatten))
-    return body
+    pairs = zip(points[:-1], points[1:], radii[:-1], radii[1:], strict=True)
+    return tuple(rod(a, b, p, q, flatten) for a, b, p, q in pairs)
 
 
-def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float = 1.0) -> Body:
+def chain(points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)) -> Solid:
+    """Return tapered rods from point to point as one formula."""
+    return reduce(Solid.joined, rods(points, radii, flatten))
+
+
+def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float = 1.0) -> Solid:
     """Return a box with rounded edges, turned about z."""
     c, s = np.cos(np.radians(turn_z_deg)), np.sin(np.radians(turn_z_deg))
     core = [max(h - rounding, 0.0) for h in half]
@@ -177,7 +219,9 @@ def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float =
         inside = np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0)
         return outside + inside - rounding
 
-    return Body(distance, np.subtract(centre, reach), np.add(centre, reach))
+    matrix = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    form = Form(BLOCK, matrix, -matrix @ np.array(centre), (*core, rounding))
+    return Solid(distance, np.subtract(centre, reach), np.add(centre, reach), form)
 
 
 def wall(
@@ -186,7 +230,7 @@ def wall(
     half_height: ArrayLike,
     half_width: ArrayLike,
     rounding: float = 3.0,
-) -> Body:
+) -> Solid:
     """Return an upright plate along a path in (x, y), with height and width at its corners."""
     corners = np.asarray(path, dtype=np.float32)
     table = np.array([middle_z, half_height, half_width], dtype=np.float32)
@@ -210,6 +254,6 @@ def wall(
         return outside + np.minimum(np.maximum(across, up), 0) - rounding
 
     reach = float(np.max(half_width))
-    low = [*(corners.min(axis=0) - reach), float(np.min(table[0] - table[1]))]
-    high = [*(corners.max(axis=0) + reach), float(np.max(table[0] + table[1]))]
-    return Body(distance, low, high)
+    low = np.array([*(corners.min(axis=0) - reach), float(np.min(table[0] - table[1]))])
+    high = np.array([*(corners.max(axis=0) + reach), float(np.max(table[0] + table[1]))])
+    return Solid(distance, low, high)

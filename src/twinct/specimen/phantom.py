@@ -1,6 +1,6 @@
 """The built-in grey phantom: a head and a trunk in HU, sampled at any points and on any grid.
 
-It is made of implicit bodies with continuous HU (``phantom_bodies``). Its frame: x to the patient's
+It is made of organs with continuous HU (``organs``). Its frame: x to the patient's
 right, y to the front, z up, mm.
 """
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.specimen.ct_image import CtImage
-from twinct.specimen.phantom_bodies import Organ, Table, label_names, table
+from twinct.specimen.organs import Organ, Table, label_names, table
 from twinct.specimen.phantom_head import head_organs
 from twinct.specimen.phantom_trunk import trunk_organs
 

@@ -11,9 +11,10 @@ from functools import lru_cache
 import numpy as np
 
 from twinct.core.draws import scan_rng
+from twinct.specimen.canvas import Canvas
 from twinct.specimen.head import MIDDLE, airways, brain_canvas, head_canvas
-from twinct.specimen.implicit import Canvas, Point
-from twinct.specimen.phantom_bodies import Organ, Solid, ball, brick, drawn, oval, tube, tubes
+from twinct.specimen.implicit import Point, Solid, ball, block, ellipsoid, rod, rods
+from twinct.specimen.organs import Organ
 from twinct.specimen.skull import (
     HIGHEST,
     LOWER_CROWN_Z,
@@ -63,7 +64,7 @@ def head_organs(seed: int) -> tuple[Organ, ...]:
             wavelength_mm=9,
             edge_mm=2.0,
         ),
-        Organ("ventricles", 7, _both(oval((9, 6, 19), (5, 24, 8), (-12, 0, 0))), edge_mm=1.0),
+        Organ("ventricles", 7, _both(ellipsoid((9, 6, 19), (5, 24, 8), (-12, 0, 0))), edge_mm=1.0),
         *_lesions(seed),
         Organ("cerebral_vessels", 190, _vessels(), "cerebrospinal_fluid", edge_mm=0.6),
         Organ(
@@ -92,14 +93,11 @@ def head_organs(seed: int) -> tuple[Organ, ...]:
 def _drawn() -> tuple[Solid, Solid, Solid, Solid]:
     """Return skin, brain, skull and airways."""
     air = Canvas(SKULL_STEP_MM, np.subtract(LOWEST, (0, 0, 20)), np.add(HIGHEST, (0, 20, 0)))
-    for body in airways():
-        air.add(body, 2)
-    return (
-        drawn(head_canvas(SOFT_STEP_MM), MIDDLE),
-        drawn(brain_canvas(SOFT_STEP_MM), MIDDLE),
-        drawn(skull_canvas(SKULL_STEP_MM, margin_mm=2 * SKULL_STEP_MM), MIDDLE),
-        drawn(air, MIDDLE),
-    )
+    air.draw(*(airway.blended(2) for airway in airways()))
+    skull = skull_canvas(SKULL_STEP_MM, margin_mm=2 * SKULL_STEP_MM)
+    canvases = head_canvas(SOFT_STEP_MM), brain_canvas(SOFT_STEP_MM), skull, air
+    skin, brain, bone, hollows = (canvas.solid(MIDDLE) for canvas in canvases)
+    return skin, brain, bone, hollows
 
 
 def _design(x: float, y: float, z: float) -> Point:
@@ -108,24 +106,18 @@ def _design(x: float, y: float, z: float) -> Point:
 
 
 def _both(solid: Solid) -> tuple[Solid, Solid]:
-    """Return a body and its mirror image."""
-    mirror = np.diag([-1.0, 1.0, 1.0])
-    low, high = solid.low * (-1, 1, 1), solid.high * (-1, 1, 1)
-    twin = Solid(
-        *(solid.kind, solid.matrix @ mirror, solid.offset, solid.numbers),
-        *(np.minimum(low, high), np.maximum(low, high)),
-    )
-    return solid, twin
+    """Return a solid and its mirror image."""
+    return solid, solid.mirrored()
 
 
 def _eyes() -> tuple[Organ, ...]:
-    fat = tube((29, 66, 5), (14, 36, 6), 17, 5)
-    nerve = tube((28, 56, 5), (14, 34, 6), 2.5, 2.0)
+    fat = rod((29, 66, 5), (14, 36, 6), 17, 5)
+    nerve = rod((28, 56, 5), (14, 34, 6), 2.5, 2.0)
     return (
         Organ("orbital_fat", -85, _both(fat), "skin", 5.0, texture_hu=8, wavelength_mm=5),
         Organ("optic_nerve", 35, _both(nerve)),
         Organ("eye", 10, _both(ball((31, 68.3, 5), 12)), shell_mm=1.0, core_hu=6.0),
-        Organ("eye_lens", 75, _both(oval((31, 75.3, 5), (4.5, 2, 4.5)))),
+        Organ("eye_lens", 75, _both(ellipsoid((31, 75.3, 5), (4.5, 2, 4.5)))),
     )
 
 
@@ -135,7 +127,7 @@ def _lesions(seed: int) -> tuple[Organ, ...]:
     places = np.array(LESION_PLACES) + rng.uniform(-6, 6, (4, 3))
     radii = np.array([7.0, 10.0, 8.0, 5.0])[:, None] * rng.uniform(0.8, 1.2, (4, 3))
     bodies = [
-        oval(tuple(p), tuple(r)) for p, r in zip(places.tolist(), radii.tolist(), strict=True)
+        ellipsoid(tuple(p), tuple(r)) for p, r in zip(places.tolist(), radii.tolist(), strict=True)
     ]
     return (
         Organ("lesion_bleeding", 66, (bodies[0],), texture_hu=3, wavelength_mm=4, edge_mm=1.5),
@@ -152,20 +144,20 @@ def _vessels() -> tuple[Solid, ...]:
     middle: list[Point] = [(5, 22, 6), (18, 24, 4), (32, 18, 8), (44, 6, 18), (52, -12, 30)]
     front: list[Point] = [(2, 26, 6), (2, 46, 14), (2, 54, 34), (2, 40, 56)]
     paired = [
-        *tubes(middle, [1.6, 1.5, 1.3, 1.0, 0.7]),
-        *tubes(front, [1.2, 1.1, 0.9, 0.7]),
+        *rods(middle, [1.6, 1.5, 1.3, 1.0, 0.7]),
+        *rods(front, [1.2, 1.1, 0.9, 0.7]),
     ]
     return (
-        tube((0, 4, -36), (0, 14, 0), 1.7),
-        *tubes(sinus, [3.5] * len(sinus)),
+        rod((0, 4, -36), (0, 14, 0), 1.7),
+        *rods(sinus, [3.5] * len(sinus)),
         *(twin for solid in paired for twin in _both(solid)),
     )
 
 
 def _crowns() -> tuple[Solid, ...]:
-    """Return the slabs in which the skull's body is teeth."""
+    """Return the slabs in which the skull is teeth."""
     slabs: list[Solid] = []
     for z0, z1 in (UPPER_CROWN_Z, LOWER_CROWN_Z):
         half = abs(z1 - z0) / 2
-        slabs.append(brick(_design(0, 62, (z0 + z1) / 2), (42, 32, half), 0.5))
+        slabs.append(block(_design(0, 62, (z0 + z1) / 2), (42, 32, half), rounding=0.5))
     return tuple(slabs)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.specimen.implicit import Point
-from twinct.specimen.phantom_bodies import Organ, Solid, brick, oval, tube, tubes
+from twinct.specimen.implicit import Point, Solid, block, ellipsoid, rod, rods
+from twinct.specimen.organs import Organ
 
 LOWEST_MM = -196.0
 """Height of the middle of the lowest vertebra, L4."""
@@ -40,7 +40,7 @@ def spine() -> tuple[Organ, ...]:
     for level, z, spacing in zip(LEVELS, middles, spacings, strict=True):
         size = spacing / 31.0
         y = _middle_y(z)
-        discs.append(oval((0, y, z - spacing / 2), (23 * size, 17 * size, 5.5 * size)))
+        discs.append(ellipsoid((0, y, z - spacing / 2), (23 * size, 17 * size, 5.5 * size)))
         solids = tuple(solid.moved((0, y, z)) for solid in _vertebra(size))
         bones.append(
             Organ(
@@ -58,8 +58,8 @@ def spine() -> tuple[Organ, ...]:
             )
         )
     return (
-        Organ("spinal_canal", 12, tubes(line, [8.5] * count), "fat", 5.0, edge_mm=1.5),
-        Organ("spinal_cord", 40, tubes(line, [5.0] * count), "fat", 5.0, edge_mm=1.5),
+        Organ("spinal_canal", 12, rods(line, [8.5] * count), "fat", 5.0, edge_mm=1.5),
+        Organ("spinal_cord", 40, rods(line, [5.0] * count), "fat", 5.0, edge_mm=1.5),
         Organ("disc", 85, tuple(discs), "fat", 5.0, shell_mm=4, core_hu=65, edge_mm=1.0),
         *bones,
     )
@@ -68,21 +68,21 @@ def spine() -> tuple[Organ, ...]:
 def _vertebra(size: float) -> tuple[Solid, ...]:
     """Return a vertebra about the middle of its body; ``size`` 1 is L1."""
     s, back = size, -CANAL_BACK_MM
-    body = tube((0, 0, -11.5 * s), (0, 0, 11.5 * s), 20.5 * s, 20.5 * s, (1, 1.3, 1))
-    slab = brick((0, 0, 0), (26 * s, 20 * s, 13 * s), 2.5).keep(2.5)
-    waist = [oval((x * 27 * s, 0, 0), (6 * s, 14 * s, 7 * s)).cut(4) for x in (-1, 1)]
+    body = rod((0, 0, -11.5 * s), (0, 0, 11.5 * s), 20.5 * s, 20.5 * s, (1, 1.3, 1))
+    slab = block((0, 0, 0), (26 * s, 20 * s, 13 * s), rounding=2.5).keep(2.5)
+    waist = [ellipsoid((x * 27 * s, 0, 0), (6 * s, 14 * s, 7 * s)).cut(4) for x in (-1, 1)]
     arch = list[Solid]()
     for x in (-1, 1):
         arch += [
-            tube((x * 14 * s, -9 * s, 3 * s), (x * 15 * s, back, 2 * s), 5.2 * s, 5.0 * s),
-            tube((x * 15 * s, back, 2 * s), (0, back - 14 * s, -3 * s), 4.6 * s, 4.4 * s),
-            tube((x * 15 * s, back, 2 * s), (x * 36 * s, back - 6, 4 * s), 4.4 * s, 3.2 * s),
-            tube((x * 15 * s, back - 2, -8 * s), (x * 15 * s, back - 2, 13 * s), 5 * s, 5 * s),
+            rod((x * 14 * s, -9 * s, 3 * s), (x * 15 * s, back, 2 * s), 5.2 * s, 5.0 * s),
+            rod((x * 15 * s, back, 2 * s), (0, back - 14 * s, -3 * s), 4.6 * s, 4.4 * s),
+            rod((x * 15 * s, back, 2 * s), (x * 36 * s, back - 6, 4 * s), 4.4 * s, 3.2 * s),
+            rod((x * 15 * s, back - 2, -8 * s), (x * 15 * s, back - 2, 13 * s), 5 * s, 5 * s),
         ]
-    spinous = tube(
+    spinous = rod(
         (0, back - 13 * s, -3 * s), (0, back - 32 * s, -12 * s), 4.5 * s, 5 * s, (1.5, 1, 1)
     )
-    canal = tube((0, back + 1, -40), (0, back + 1, 40), 9.5).cut(2)
+    canal = rod((0, back + 1, -40), (0, back + 1, 40), 9.5).cut(2)
     return (body, slab, *waist, *(solid.blended(4) for solid in arch), spinous.blended(4), canal)
 
 
@@ -100,7 +100,7 @@ def ribs() -> tuple[Organ, ...]:
                 Organ(
                     f"rib_{name}_{number}",
                     820,
-                    tubes(path, radii, (1.0, 1.0, 0.85)),
+                    rods(path, radii, (1.0, 1.0, 0.85)),
                     shell_mm=1.3,
                     core_hu=260.0,
                     texture_hu=80,
@@ -110,11 +110,10 @@ def ribs() -> tuple[Organ, ...]:
             if number <= 9:
                 x, y, z = path[-1]
                 front = (side * 12.0, _front_y(12.0), max(z + 18.0 * number / 9, -20.0))
-                cartilage += tubes([(x, y, z), front], [5.4, 5.0], (1.0, 1.0, 0.85))
-    breastbone = tubes([(0, 86, -20), (0, 88, 60), (0, 84, 112)], [15, 16, 22], (1, 3, 1))
+                cartilage += rods([(x, y, z), front], [5.4, 5.0], (1.0, 1.0, 0.85))
+    breastbone = rods([(0, 86, -20), (0, 88, 60), (0, 84, 112)], [15, 16, 22], (1, 3, 1))
     collar = [
-        tubes([(s * 20, 74, 128), (s * 70, 62, 140), (s * 120, 30, 150)], [7, 6, 7])
-        for s in (1, -1)
+        rods([(s * 20, 74, 128), (s * 70, 62, 140), (s * 120, 30, 150)], [7, 6, 7]) for s in (1, -1)
     ]
     bone = {"shell_mm": 1.3, "core_hu": 200.0, "texture_hu": 70, "wavelength_mm": 1.8}
     return (

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from twinct.core.draws import scan_rng
-from twinct.specimen.implicit import Point
-from twinct.specimen.phantom_bodies import Organ, Solid, ball, brick, oval, tube, tubes
+from twinct.specimen.implicit import Point, Solid, ball, block, ellipsoid, rod, rods
+from twinct.specimen.organs import Organ
 from twinct.specimen.phantom_spine import ribs, spine
 
 HALF_LENGTH_MM = 235.0
@@ -26,11 +26,11 @@ def trunk_organs(seed: int) -> tuple[Organ, ...]:
 
 def _wall() -> tuple[Organ, ...]:
     """Return skin, fat, muscle, and the cavity that the organs lie in."""
-    ends = brick((0, 0, 0), (180, 130, HALF_LENGTH_MM), 25).keep(20)
-    skin = tube((0, 0, -400), (0, 0, 400), 165, 165, (1, 1.45, 1))
-    muscle = tube((0, -3, -400), (0, -1, 400), 149, 152, (1, 1.45, 1))
-    cavity = tube((0, 6, -260), (0, 2, 190), 138, 108, (1, 1.5, 1))
-    back = [tube((x, -76, -230), (x * 0.8, -80, 230), 25, 22, (1, 1.25, 1)) for x in (-36, 36)]
+    ends = block((0, 0, 0), (180, 130, HALF_LENGTH_MM), rounding=25).keep(20)
+    skin = rod((0, 0, -400), (0, 0, 400), 165, 165, (1, 1.45, 1))
+    muscle = rod((0, -3, -400), (0, -1, 400), 149, 152, (1, 1.45, 1))
+    cavity = rod((0, 6, -260), (0, 2, 190), 138, 108, (1, 1.5, 1))
+    back = [rod((x, -76, -230), (x * 0.8, -80, 230), 25, 22, (1, 1.25, 1)) for x in (-36, 36)]
     return (
         Organ("skin", 25, (skin, ends), texture_hu=4, wavelength_mm=4),
         Organ("fat", -100, (), "skin", 2.2, texture_hu=12, wavelength_mm=9, edge_mm=1.0),
@@ -42,22 +42,25 @@ def _wall() -> tuple[Organ, ...]:
 
 def _chest(seed: int) -> tuple[Organ, ...]:
     """Return lungs with branches, nodules and airways, heart, and great vessels."""
-    dome = oval((58, 8, -128), (84, 88, 118)).cut(4), oval((-58, 8, -140), (80, 84, 112)).cut(4)
-    middle = tube((0, 15, -220), (0, -5, 230), 30, 22, (1, 0.6, 1)).cut(10)
-    right = (oval((68, -2, 55), (58, 84, 165)), *dome, middle)
-    left = (oval((-68, -2, 55), (56, 82, 165)), *dome, middle)
+    dome = (
+        ellipsoid((58, 8, -128), (84, 88, 118)).cut(4),
+        ellipsoid((-58, 8, -140), (80, 84, 112)).cut(4),
+    )
+    middle = rod((0, 15, -220), (0, -5, 230), 30, 22, (1, 0.6, 1)).cut(10)
+    right = (ellipsoid((68, -2, 55), (58, 84, 165)), *dome, middle)
+    left = (ellipsoid((-68, -2, 55), (56, 82, 165)), *dome, middle)
     rng = scan_rng(seed, "phantom lesions of the lungs")
     spots = rng.uniform((-1, -30, 20), (1, 40, 120), (4, 3)) * (22, 1, 1) + (62, 0, 0)
     spots[1::2, 0] *= -1
     radii = rng.uniform(3, 9, 4).tolist()
     nodules = [ball(tuple(p), r) for p, r in zip(spots.tolist(), radii, strict=True)]
     air = [
-        *tubes([(0, 2, 260), (0, -8, 100), (28, -12, 66), (48, -14, 40)], [8.5, 8.5, 6, 3.5]),
-        *tubes([(0, -8, 100), (-30, -14, 62), (-50, -16, 36)], [8.5, 5.5, 3.2]),
+        *rods([(0, 2, 260), (0, -8, 100), (28, -12, 66), (48, -14, 40)], [8.5, 8.5, 6, 3.5]),
+        *rods([(0, -8, 100), (-30, -14, 62), (-50, -16, 36)], [8.5, 5.5, 3.2]),
     ]
     walls = [
-        *tubes([(0, 2, 260), (0, -8, 100), (28, -12, 66), (48, -14, 40)], [10, 10, 7.2, 4.4]),
-        *tubes([(0, -8, 100), (-30, -14, 62), (-50, -16, 36)], [10, 6.8, 4.2]),
+        *rods([(0, 2, 260), (0, -8, 100), (28, -12, 66), (48, -14, 40)], [10, 10, 7.2, 4.4]),
+        *rods([(0, -8, 100), (-30, -14, 62), (-50, -16, 36)], [10, 6.8, 4.2]),
     ]
     lung = {
         "gradient": (0.0, -0.7, 0.0),
@@ -86,13 +89,16 @@ def _chest(seed: int) -> tuple[Organ, ...]:
 
 def _heart() -> tuple[Organ, ...]:
     """Return the heart in its fat, its chambers, and the great vessels."""
-    rim = oval((-22, 32, 2), (56, 44, 58), (0, 0, -25)), oval((8, 18, 30), (34, 32, 38)).blended(15)
-    flesh = oval((-22, 32, 2), (51, 39, 53), (0, 0, -25)), oval((8, 18, 30), (30, 28, 34))
+    rim = (
+        ellipsoid((-22, 32, 2), (56, 44, 58), (0, 0, -25)),
+        ellipsoid((8, 18, 30), (34, 32, 38)).blended(15),
+    )
+    flesh = ellipsoid((-22, 32, 2), (51, 39, 53), (0, 0, -25)), ellipsoid((8, 18, 30), (30, 28, 34))
     chambers = (
-        oval((-38, 26, -6), (24, 18, 34), (15, 20, -20)),
-        oval((2, 50, -6), (24, 14, 32), (0, -20, -10)),
-        oval((18, 26, 32), (16, 18, 20)),
-        oval((-8, 2, 34), (20, 13, 18)),
+        ellipsoid((-38, 26, -6), (24, 18, 34), (15, 20, -20)),
+        ellipsoid((2, 50, -6), (24, 14, 32), (0, -20, -10)),
+        ellipsoid((18, 26, 32), (16, 18, 20)),
+        ellipsoid((-8, 2, 34), (20, 13, 18)),
     )
     aorta: list[Point] = [(-6, 24, 28), (-2, 28, 60), (-6, 18, 92), (-14, -4, 106)]
     aorta += [(-20, -28, 98), (-22, -40, 70), (-20, -42, -40), (-8, -36, -120), (-4, -34, -260)]
@@ -104,33 +110,41 @@ def _heart() -> tuple[Organ, ...]:
         Organ("heart_fat", -90, rim, "cavity", 3, texture_hu=14, wavelength_mm=8, edge_mm=2),
         Organ("heart", 95, flesh, "cavity", 4, texture_hu=6, wavelength_mm=8, edge_mm=2),
         Organ("heart_chambers", CONTRAST_HU, chambers, edge_mm=2),
-        Organ("vena_cava", 130, tubes(hollow, [11, 11.5, 11, 10, 9.5, 9]), "muscle", edge_mm=0.8),
-        Organ("aorta", 60, tubes(aorta, aorta_radii), "muscle", shell_mm=2, core_hu=CONTRAST_HU),
+        Organ("vena_cava", 130, rods(hollow, [11, 11.5, 11, 10, 9.5, 9]), "muscle", edge_mm=0.8),
+        Organ("aorta", 60, rods(aorta, aorta_radii), "muscle", shell_mm=2, core_hu=CONTRAST_HU),
         Organ("calcification", 520, tuple(ball(p, 2.2) for p in calcified), edge_mm=1.0),
     )
 
 
 def _belly(seed: int) -> tuple[Organ, ...]:
     """Return liver with branches and lesions, spleen, stomach, kidneys, and bowel."""
-    liver = oval((62, 6, -92), (74, 76, 78)), oval((-14, 40, -74), (56, 34, 34)).blended(20)
+    liver = (
+        ellipsoid((62, 6, -92), (74, 76, 78)),
+        ellipsoid((-14, 40, -74), (56, 34, 34)).blended(20),
+    )
     flesh = {"texture_hu": 7, "wavelength_mm": 8, "edge_mm": 1.5}
     rng = scan_rng(seed, "phantom lesions of the liver")
     spots = np.array([[70, 10, -60], [90, -20, -100], [40, 40, -95], [60, -10, -130]], float)
     spots += rng.uniform(-8, 8, spots.shape)
     lesions = [ball(tuple(p), r) for p, r in zip(spots.tolist(), (9, 6, 4, 12), strict=True)]
-    kidneys = oval((56, -48, -150), (30, 24, 52)), oval((-56, -50, -136), (30, 24, 52))
-    pelvis = oval((44, -46, -150), (14, 10, 28)), oval((-44, -48, -136), (14, 10, 28))
+    kidneys = ellipsoid((56, -48, -150), (30, 24, 52)), ellipsoid((-56, -50, -136), (30, 24, 52))
+    pelvis = ellipsoid((44, -46, -150), (14, 10, 28)), ellipsoid((-44, -48, -136), (14, 10, 28))
     bowel: list[Point] = [(70, 40, -195), (30, 55, -180), (-20, 50, -200), (-75, 40, -175)]
     return (
-        Organ("bowel", 30, tubes(bowel, [26, 24, 26, 24]), "cavity", 6, shell_mm=4, core_hu=10),
+        Organ("bowel", 30, rods(bowel, [26, 24, 26, 24]), "cavity", 6, shell_mm=4, core_hu=10),
         Organ("liver", 100, liver, "cavity", 5, (0.05, 0.02, 0.1), (62, 6, -92), **flesh),
         Organ("liver_vessels", 160, _tree((20, 0, -96), 1, seed + 1), "liver", 3, edge_mm=1),
         Organ("liver_lesion", 30, tuple(lesions), "liver", 2, shell_mm=5, core_hu=12, edge_mm=2.5),
         Organ(
-            "spleen", 112, (oval((-88, -36, -84), (38, 30, 54), (0, 20, 0)),), "cavity", 5, **flesh
+            "spleen",
+            112,
+            (ellipsoid((-88, -36, -84), (38, 30, 54), (0, 20, 0)),),
+            "cavity",
+            5,
+            **flesh,
         ),
-        Organ("stomach", 30, (oval((-52, 30, -92), (44, 42, 56), (0, 25, 0)),), "cavity", 7),
-        Organ("stomach_gas", -960, (oval((-56, 48, -88), (26, 16, 32)),), "stomach", 4),
+        Organ("stomach", 30, (ellipsoid((-52, 30, -92), (44, 42, 56), (0, 25, 0)),), "cavity", 7),
+        Organ("stomach_gas", -960, (ellipsoid((-56, 48, -88), (26, 16, 32)),), "stomach", 4),
         Organ("kidney", 175, kidneys, shell_mm=14, core_hu=110, edge_mm=1.5),
         Organ("kidney_pelvis", 8, pelvis, edge_mm=5),
     )
@@ -162,7 +176,7 @@ def _tree(root: Point, side: int, seed: int, generations: int = 5) -> tuple[Soli
                 way /= np.linalg.norm(way)
                 thin = radius * share ** (1 / 3)
                 end = start + way * rng.uniform(5.5, 8.5) * thin
-                solids.append(tube(tuple(start.tolist()), tuple(end.tolist()), thin, thin * 0.85))
+                solids.append(rod(tuple(start.tolist()), tuple(end.tolist()), thin, thin * 0.85))
                 grown.append((end, way, thin * 0.85))
         tips = grown
     return tuple(solids)

@@ -11,7 +11,7 @@ about 130, orbits 39 x 34, nasal aperture 25 wide, foramen magnum 30 x 35 mm.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,18 +22,9 @@ from numpy.typing import NDArray
 
 from twinct.core.disk_cache import made_once
 from twinct.geometry import Floats
-from twinct.specimen.implicit import (
-    Body,
-    Canvas,
-    Field,
-    Point,
-    block,
-    chain,
-    ellipsoid,
-    rod,
-    wall,
-)
-from twinct.specimen.surface import isosurface, surface
+from twinct.specimen.canvas import Canvas
+from twinct.specimen.implicit import Field, Point, Solid, block, chain, ellipsoid, rod, wall
+from twinct.specimen.surface import surface
 
 if TYPE_CHECKING:
     import trimesh
@@ -46,7 +37,7 @@ WALL_MM = 6.3
 """Thickness of the vault's wall, before sutures and ridges."""
 
 
-SOURCES = ("skull.py", "implicit.py", "surface.py")
+SOURCES = ("skull.py", "implicit.py", "canvas.py", "surface.py")
 """Files of this package that make the surface."""
 
 
@@ -70,8 +61,7 @@ def _arrays(mesh: trimesh.Trimesh) -> dict[str, NDArray[Any]]:
 
 
 def _made(scale: float, resolution_mm: float) -> trimesh.Trimesh:
-    head = skull_canvas(resolution_mm / scale)
-    mesh = _without_crumbs(isosurface(-head.mirrored, 0.0, head.affine))
+    mesh = _without_crumbs(skull_canvas(resolution_mm / scale).surface())
     vertices = (mesh.vertices - mesh.bounds.mean(axis=0)) * scale
     return surface(vertices, mesh.faces)
 
@@ -89,10 +79,10 @@ def skull_surface(scale: float = 1.0, resolution_mm: float = 1.0) -> trimesh.Tri
 def skull_canvas(step: float, margin_mm: float = 0.0) -> Canvas:
     """Return the adult skull on half a lattice with cells of ``step`` mm, in the design frame."""
     low, high = np.subtract(LOWEST, (0, margin_mm, margin_mm)), np.add(HIGHEST, margin_mm)
-    head = Canvas(step, low, high)
-    for add in (_braincase, _base, _face, _cheeks, _openings, _jaw, _teeth):
-        add(head)
-    return head
+    canvas = Canvas(step, low, high)
+    for part in (_braincase, _base, _face, _cheeks, _openings, _jaw, _teeth):
+        canvas.draw(*part())
+    return canvas
 
 
 UPPER_ARCH = (29.5, 50.0)
@@ -108,7 +98,7 @@ LOWER_CROWN_Z = (-99.0, -108.5)
 """Z range of the crowns, mm: upper neck and edge, lower edge and neck. The teeth do not touch."""
 
 
-def vault() -> Body:
+def vault() -> Solid:
     """Return the braincase's outer surface with its floor; the inner one is WALL_MM inside."""
     back = ellipsoid((0, -14, 2), (71.5, 76, 65))
     front = ellipsoid((0, 24, 4), (58, 63, 57))
@@ -122,11 +112,11 @@ def vault() -> Body:
         return 1.0 / (1 + 9 * np.cosh(np.clip((y - 4) / 9, -9, 9)) ** -4 * 0.4)
 
     box_low, box_high = egg.low - 6, egg.high + 6
-    above = Body(lambda x, y, z: (floor(y) - z) * slope(y) + 0 * x, box_low, box_high)
+    above = Solid(lambda x, y, z: (floor(y) - z) * slope(y) + 0 * x, box_low, box_high)
     return egg.within(above, 14)
 
 
-def _braincase(head: Canvas) -> None:
+def _braincase() -> Iterator[Solid]:
     outer = vault()
 
     def sutures(x: Field, y: Field, z: Field) -> Field:
@@ -144,31 +134,31 @@ def _braincase(head: Canvas) -> None:
         d = outer(x, y, z)
         return np.maximum(d + 0.9 * sutures(x, y, z), -(d + WALL_MM))
 
-    head.add(Body(shell, outer.low - 3, outer.high + 3))
+    yield Solid(shell, outer.low - 3, outer.high + 3)
     # Brow ridges and glabella, temporal lines, occipital protuberance with its nuchal line.
     brow = [(0, 84, -17), (8, 85, -14.5), (16, 85, -12), (26, 82.5, -10)]
     brow += [(36, 77, -10), (48, 66, -15)]
-    head.add(chain(brow, [4.5, 4.8, 4.8, 4.4, 4.2, 4.6]), 10)
+    yield chain(brow, [4.5, 4.8, 4.8, 4.4, 4.2, 4.6]).blended(10)
     line = [(49, 63, -14), (52, 56, -4), (54.5, 47, 8), (57, 35, 20), (58, 19, 28), (57, 3, 32)]
-    head.add(chain(line, [2.2, 1.6, 1.2, 0.8, 0.4, 0.1]), 7)
-    head.add(ellipsoid((0, -70, -40), (8, 7, 5)), 12)
+    yield chain(line, [2.2, 1.6, 1.2, 0.8, 0.4, 0.1]).blended(7)
+    yield ellipsoid((0, -70, -40), (8, 7, 5)).blended(12)
     nuchal = [(0, -73, -40), (14, -71, -40), (28, -64, -41), (40, -54, -42), (50, -40, -43)]
-    head.add(chain(nuchal, [1.5, 1.5, 1.5, 1.5, 2.0]), 7)
+    yield chain(nuchal, [1.5, 1.5, 1.5, 1.5, 2.0]).blended(7)
 
 
-def _base(head: Canvas) -> None:
+def _base() -> Iterator[Solid]:
     # Petrous ridges, clivus and sphenoid body, mastoids, condyles, styloid processes.
-    head.add(rod((20, 6, -45), (54, -16, -44), 7, 10), 8)
-    head.add(rod((0, -2, -57), (0, 26, -41), 9, 11, (0.8, 1, 1)), 8)
-    head.add(rod((53, -22, -47), (51, -15, -70), 12, 6.5), 9)
-    head.add(ellipsoid((18, -13, -63), (6, 11, 6), (0, 0, 25)), 4)
-    head.add(rod((41, -7, -55), (37, 4, -82), 3.0, 1.3), 4)
+    yield rod((20, 6, -45), (54, -16, -44), 7, 10).blended(8)
+    yield rod((0, -2, -57), (0, 26, -41), 9, 11, (0.8, 1, 1)).blended(8)
+    yield rod((53, -22, -47), (51, -15, -70), 12, 6.5).blended(9)
+    yield ellipsoid((18, -13, -63), (6, 11, 6), (0, 0, 25)).blended(4)
+    yield rod((41, -7, -55), (37, 4, -82), 3.0, 1.3).blended(4)
     # Pterygoid plates behind the maxilla, greater wing towards the orbit.
-    head.add(rod((13, 36, -44), (15, 33, -76), 4, 2.5, (1.6, 0.6, 1)), 4)
-    head.add(rod((22, 30, -38), (44, 44, -30), 7, 5), 7)
+    yield rod((13, 36, -44), (15, 33, -76), 4, 2.5, (1.6, 0.6, 1)).blended(4)
+    yield rod((22, 30, -38), (44, 44, -30), 7, 5).blended(7)
 
 
-def orbit(grow: float = 0.0) -> Body:
+def orbit(grow: float = 0.0) -> Solid:
     """Return the cone of one orbit: rim at the front outside, apex at the back inside."""
     rim, apex = np.array([33.5, 77.0, -31.0]), np.array([17.0, 38.0, -28.0])
     ahead = rim + (rim - apex) * 0.6
@@ -177,68 +167,70 @@ def orbit(grow: float = 0.0) -> Body:
     return cone if grow else cone.joined(mouth, 3)
 
 
-def ear_canal(grow: float = 0.0) -> Body:
+def ear_canal(grow: float = 0.0) -> Solid:
     """Return the canal from outside into the petrous ridge."""
     return rod((62, -9, -50), (40, -5, -48), 3.6 + grow, 2.8 + grow)
 
 
-def _face(head: Canvas) -> None:
-    in_front = Body(
+def _face() -> Iterator[Solid]:
+    in_front = Solid(
         lambda x, y, z: y - (86.0 - 0.012 * x * x) + 0 * z, (-90, -90, -150), (90, 90, 90)
     )
-    head.add(orbit(3.2).within(in_front, 4), 5)
+    yield orbit(3.2).within(in_front, 4).blended(5)
     # Maxilla, its frontal process and the nasal bones, ethmoid block between the orbits.
-    head.add(ellipsoid((19, 62, -64), (20, 22, 20)), 8)
-    head.add(rod((0, 62, -30), (0, 60, -60), 13, 16, (1, 0.75, 1)), 5)
+    yield ellipsoid((19, 62, -64), (20, 22, 20)).blended(8)
+    yield rod((0, 62, -30), (0, 60, -60), 13, 16, (1, 0.75, 1)).blended(5)
     process = [(9.5, 81, -20), (11, 81.5, -32), (14, 80, -46), (17, 77, -62)]
-    head.add(chain(process, [4, 4.2, 5, 7]), 8)
-    head.add(rod((4, 83, -18), (4.2, 90.5, -41), 4.0, 2.9, (0.75, 1, 1)), 6)
+    yield chain(process, [4, 4.2, 5, 7]).blended(8)
+    yield rod((4, 83, -18), (4.2, 90.5, -41), 4.0, 2.9, (0.75, 1, 1)).blended(6)
     a, b = UPPER_ARCH
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
-    head.add(wall(path, np.full(20, -79.0), np.full(20, 9.5), np.full(20, 5.5), 3.5), 6)
-    head.add(ellipsoid((0, 87, -71), (5, 5, 5)), 5)
+    yield wall(path, np.full(20, -79.0), np.full(20, 9.5), np.full(20, 5.5), 3.5).blended(6)
+    yield ellipsoid((0, 87, -71), (5, 5, 5)).blended(5)
 
 
-def _cheeks(head: Canvas) -> None:
-    head.add(ellipsoid((45, 64, -56), (13, 11, 11), (0, 0, -35)), 7)
-    head.add(rod((44, 66, -58), (28, 66, -70), 8, 7), 7)
-    head.add(chain([(49, 66, -14), (52, 63, -28), (51, 63, -42), (48, 64, -54)], [5, 4.3, 5, 8]), 6)
+def _cheeks() -> Iterator[Solid]:
+    yield ellipsoid((45, 64, -56), (13, 11, 11), (0, 0, -35)).blended(7)
+    yield rod((44, 66, -58), (28, 66, -70), 8, 7).blended(7)
+    yield chain(
+        [(49, 66, -14), (52, 63, -28), (51, 63, -42), (48, 64, -54)], [5, 4.3, 5, 8]
+    ).blended(6)
     arch = [(52, 58, -55), (60, 47, -54), (64.5, 33, -52)]
     arch += [(65, 18, -50), (61, 4, -48), (55, -8, -45)]
-    head.add(chain(arch, [7.5, 6.2, 5.4, 5.0, 5.4, 7], (1.7, 1.2, 1)), 6)
+    yield chain(arch, [7.5, 6.2, 5.4, 5.0, 5.4, 7], (1.7, 1.2, 1)).blended(6)
 
 
-def _openings(head: Canvas) -> None:
-    head.cut(orbit(), 2)
+def _openings() -> Iterator[Solid]:
+    yield orbit().cut(2)
     # Optic canal and superior fissure lead from the apex into the skull.
-    head.cut(rod((17, 40, -28), (11, 22, -27), 2.4), 2)
+    yield rod((17, 40, -28), (11, 22, -27), 2.4).cut(2)
     # Nasal cavity: pear-shaped in front, a chamber behind, choanae at the back.
     pear = chain([(0, 100, -43), (2.8, 100, -55), (6.5, 100, -64.5)], [4.0, 5.8, 6.6])
-    front = Body(
+    front = Solid(
         lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y, (-14, 66, -75), (14, 110, -38)
     )
     slab = block((0, 90, -55), (20, 26, 30), 0, 1)
-    head.cut(front.within(slab), 2)
+    yield front.within(slab).cut(2)
     cavity = ellipsoid((6, 52, -52), (8, 23, 17))
-    head.cut(cavity, 3)
-    head.cut(rod((6.5, 62, -60), (6.5, 22, -60), 6, 6.5), 3)
-    head.cut(ellipsoid((27, 63, -63), (9.5, 13, 10)), 2)
+    yield cavity.cut(3)
+    yield rod((6.5, 62, -60), (6.5, 22, -60), 6, 6.5).cut(3)
+    yield ellipsoid((27, 63, -63), (9.5, 13, 10)).cut(2)
     # Septum and conchae.
-    head.add(block((0, 46, -51), (0.9, 18, 19), 0, 0.8), 2)
-    head.add(rod((11.5, 64, -62), (11.5, 40, -61), 2.2, 1.8), 2)
-    head.add(rod((10.5, 62, -50), (10.5, 40, -50), 2.0, 1.6), 2)
+    yield block((0, 46, -51), (0.9, 18, 19), 0, 0.8).blended(2)
+    yield rod((11.5, 64, -62), (11.5, 40, -61), 2.2, 1.8).blended(2)
+    yield rod((10.5, 62, -50), (10.5, 40, -50), 2.0, 1.6).blended(2)
     # Palate: concave from below.
-    head.cut(ellipsoid((0, 56, -89), (23.5, 27, 13)), 4)
+    yield ellipsoid((0, 56, -89), (23.5, 27, 13)).cut(4)
     # Infra-orbital and supra-orbital foramina, ear canal, jugular and carotid foramina.
-    head.cut(rod((25, 92, -56), (25, 74, -53), 1.8), 1)
-    head.cut(ear_canal(), 2)
-    head.cut(rod((27, -10, -68), (25, -8, -50), 4), 2)
+    yield rod((25, 92, -56), (25, 74, -53), 1.8).cut(1)
+    yield ear_canal().cut(2)
+    yield rod((27, -10, -68), (25, -8, -50), 4).cut(2)
     # Foramen magnum, with its passage up into the braincase.
-    head.cut(ellipsoid((0, -24, -60), (15, 17.5, 40)).within(block((0, -24, -60), (30, 30, 22))), 3)
+    yield ellipsoid((0, -24, -60), (15, 17.5, 40)).within(block((0, -24, -60), (30, 30, 22))).cut(3)
 
 
-def _jaw(head: Canvas) -> None:
+def _jaw() -> Iterator[Solid]:
     a, b = LOWER_ARCH
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
@@ -265,7 +257,7 @@ def _jaw(head: Canvas) -> None:
     jaw = jaw.joined(ellipsoid((50, -3, -55.5), (9.5, 4.4, 4.0), (0, 0, -12)), 4)
     jaw = jaw.without(ellipsoid((48, 11.5, -57), (14, 9.5, 13.5)), 4)
     jaw = jaw.without(rod((30, 78, -121), (24, 62, -121), 1.8), 1)
-    head.add(jaw)
+    yield jaw
 
 
 def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[float, float]]:
@@ -276,7 +268,7 @@ def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[floa
     return [(float(x), float(y)) for x, y in spline(at)]
 
 
-def _teeth(head: Canvas) -> None:
+def _teeth() -> Iterator[Solid]:
     for arch, widths, (z0, z1), depths in (
         (UPPER_ARCH, UPPER_TEETH, UPPER_CROWN_Z, (6.5, 6, 7.5, 8.5, 8.5, 10.5, 10.5)),
         (LOWER_ARCH, LOWER_TEETH, LOWER_CROWN_Z, (5.5, 5.8, 7, 7.5, 8, 10, 10)),
@@ -294,8 +286,8 @@ def _teeth(head: Canvas) -> None:
             neck = z0 if up else z1
             root = neck + (7.0 if up else -7.0)
             middle_z, half = (edge + neck) / 2, abs(edge - neck) / 2
-            head.add(block((x, y, middle_z), (width / 2 - 0.45, depth / 2, half), turn, 1.9))
-            head.add(rod((x, y, middle_z), (x, y, root), min(width, depth) / 2 - 1.1, 1.8), 0.8)
+            yield block((x, y, middle_z), (width / 2 - 0.45, depth / 2, half), turn, 1.9)
+            yield rod((x, y, middle_z), (x, y, root), min(width, depth) / 2 - 1.1, 1.8).blended(0.8)
 
 
 def _without_crumbs(mesh: trimesh.Trimesh, smallest_mm3: float = 200.0) -> trimesh.Trimesh:

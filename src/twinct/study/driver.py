@@ -18,7 +18,7 @@ from twinct.study.inputs import Inputs
 from twinct.study.rows import Rows
 from twinct.study.timings import TrialTimings
 from twinct.study.trial import START, TrialSpec, scan_name, take_scan, try_trial
-from twinct.workers import Done, Failed, Pool, Work, map_over
+from twinct.workers import Done, Failed, Pool, Work
 
 log = logging.getLogger(__name__)
 
@@ -91,7 +91,7 @@ class Driver:
         self._share(firsts)
         by_key = {one.key: one for one in firsts}
         released: deque[Trial] = deque()
-        for event in map_over(None, self._works(firsts, released), pool=self.pool):
+        for event in self.pool.results(self._works(firsts, released)):
             self._running -= 1
             if event.key.startswith(_SCAN):
                 released.extend(self._scanned(event.key.removeprefix(_SCAN), event))
@@ -194,7 +194,7 @@ class Driver:
             self._fail(waiting, event)
             return []
         path = self.folder.scans / digest[:32]
-        event.artifacts["scan"].save(path)
+        self.pool.save(event, "scan", path)
         self.pool.offer(scan_name(digest), path)
         shared.there = True
         shared.seconds = event.value
@@ -212,7 +212,7 @@ class Driver:
                 "volume": ("volume", f"trials/{one.key}.nii"),
             }.get(self.design.study.keep, ("", ""))
             if artifact:
-                event.artifacts[artifact].save(self.folder.path / name)
+                self.pool.save(event, artifact, self.folder.path / name)
                 report = f"{name}/report.html" if artifact == "run" else name
             shared = self._scans.get(one.scan)
             before = shared.take_seconds() if shared else {}

@@ -50,7 +50,7 @@ from twinct.study.estimate import bytes_below
 from twinct.study.sections import packed_sections
 from twinct.study.trial_figures import flat_figures
 from twinct.workers import Place
-from twinct.workers.artifact import LocalArtifact, remove
+from twinct.workers.artifact import remove, save_linked
 from twinct.xray.build import effective_energy_kev
 
 if TYPE_CHECKING:
@@ -279,7 +279,7 @@ def _whole_run(
     seconds: _Seconds,
 ) -> dict[str, Any]:
     if shared_scan is not None and not (folder / "scan.zarr").exists():
-        LocalArtifact(shared_scan).save(folder / "scan.zarr")
+        save_linked(shared_scan, folder / "scan.zarr")
     cache = Cache(place.folder)
     specimen = _specimen(scenario, cache, seconds)
     plan = None if shared_scan else _plan(scenario, specimen, cache, seconds)

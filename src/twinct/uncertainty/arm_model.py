@@ -1,40 +1,11 @@
-"""Arm with errors: the poses of its tool, and their derivatives.
-
-The frames of base, joints and tool are displaced, and each joint deviates behind its encoder. Drawn
-errors, propagation and calibrated arms all use this model.
-"""
+"""Derivatives of the poses of an arm's tool by the deviations of its parts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
-from twinct.geometry import Chain, Floats, Misfit, exp_matrices
-from twinct.uncertainty.error_terms import Place, Shift, ToolMotion
-
-
-def shifted_tools(chain: Chain, joints: Floats, shifts: Iterable[Shift]) -> Floats:
-    """Return ``world_from_tool`` of an arm with deviations, which add up in their order.
-
-    Args:
-        chain: nominal arm.
-        joints: encoder readings, (views, joints), rad.
-        shifts: deviations, with any number of axes before that of the views.
-
-    Returns:
-        (..., views, 4, 4), mm.
-    """
-    base, links, tool = np.zeros(6), np.zeros((len(chain), 6)), np.zeros(6)
-    behind: Floats | None = None
-    for shift in shifts:
-        base = base if shift.base is None else base + shift.base
-        links = links if shift.links is None else links + shift.links
-        tool = tool if shift.tool is None else tool + shift.tool
-        for turn in shift.joints:
-            behind = turn if behind is None else behind + turn
-    here = joints if behind is None else joints + behind
-    return chain.tools(here, Misfit(base=base, links=links, tool=tool))
+from twinct.geometry import Floats, exp_matrices
+from twinct.uncertainty.error_terms import Place, ToolMotion
 
 
 def derivatives(motion: ToolMotion) -> dict[Place, Floats]:

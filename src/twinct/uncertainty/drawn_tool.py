@@ -10,13 +10,11 @@ import numpy as np
 
 from twinct.core.draws import scan_rng
 from twinct.core.errors import InputError
-from twinct.geometry import Chain, Floats
-from twinct.uncertainty.arm_model import shifted_tools
+from twinct.geometry import Chain, Floats, Misfit
 from twinct.uncertainty.error_terms import (
     CONSTANT,
     ArmShift,
     ErrorTerm,
-    Shift,
     Spread,
     ToolMotion,
     ViewDraws,
@@ -66,16 +64,16 @@ class DrawnTool:
 
     def deviations(
         self, motion: ToolMotion, of_views: ViewDraws
-    ) -> tuple[list[Shift], list[Floats]]:
+    ) -> tuple[list[Misfit], list[Floats]]:
         """Return deviations of the arm at some views, and twists (v, w) of the executed poses.
 
         The twists are in the tool's axes, (draws, views, 6), mm and rad.
         """
-        shifts: list[Shift] = []
+        misfits: list[Misfit] = []
         twists: list[Floats] = []
         for term, settings, drawn in self._terms:
             if drawn is not None:
-                shifts.append(drawn(motion, of_views))
+                misfits.append(drawn(motion, of_views))
                 continue
             for spread, purpose in keyed_spreads(term, settings, motion):
                 value = self._drawn(spread, purpose, motion, of_views)
@@ -85,8 +83,8 @@ class DrawnTool:
                     twists.append(value)
                 else:
                     own: Any = {spread.place: (value,) if spread.place == "joints" else value}
-                    shifts.append(Shift(**own))
-        return shifts, twists
+                    misfits.append(Misfit(**own))
+        return misfits, twists
 
     def executed(
         self, motion: ToolMotion, of_views: ViewDraws
@@ -96,11 +94,10 @@ class DrawnTool:
         The twists are not in the poses, (draws or 1, views, 4, 4), mm. They are None without an
         arm, or if it does not deviate.
         """
-        shifts, twists = self.deviations(motion, of_views)
-        deviates = any(_given(part) for shift in shifts for part in shift)
-        if motion.chain is None or not deviates:
+        misfits, twists = self.deviations(motion, of_views)
+        if motion.chain is None or not any(misfits):
             return None, twists
-        return shifted_tools(motion.chain, motion.joints, shifts), twists
+        return motion.chain.tools(motion.joints, *misfits), twists
 
     def _drawn(
         self, spread: Spread, purpose: str, motion: ToolMotion, of_views: ViewDraws
@@ -157,7 +154,3 @@ def by_view(spread: Spread) -> Floats:
     """Return the standard deviations with an axis of views first."""
     sigma, axes = np.asarray(spread.sigma, np.float64), 3 if spread.place == "links" else 2
     return sigma.reshape((1,) * (axes - sigma.ndim) + sigma.shape)
-
-
-def _given(part: Floats | tuple[Floats, ...] | None) -> bool:
-    return part is not None and len(part) > 0

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic.fields import FieldInfo
 
 from twinct.core.settings import Section, setting
+from twinct.geometry import Misfit
 
 Array = NDArray[np.float64]
 
@@ -92,22 +93,6 @@ class Spread(NamedTuple):
     draws: Literal["each", "side", "all", "none"] = "each"
 
 
-class Shift(NamedTuple):
-    """Deviation of an arm at some views; the axes of draws and views come first.
-
-    Attributes:
-        base: twists of the base, (draws, views, 6), mm and rad.
-        links: twists of the joints' frames, (draws, views, joints, 6).
-        tool: twists of the tool, (draws, views, 6).
-        joints: deviations of the joints behind their encoders, each (draws, views, joints), rad.
-    """
-
-    base: Array | None = None
-    links: Array | None = None
-    tool: Array | None = None
-    joints: tuple[Array, ...] = ()
-
-
 class ViewDraws(Protocol):
     """Standard normal draws of some views."""
 
@@ -130,7 +115,8 @@ class ScanDraws(Protocol):
         ...
 
 
-ArmShift = Callable[[ToolMotion, ViewDraws], Shift]
+ArmShift = Callable[[ToolMotion, ViewDraws], Misfit]
+"""Deviation of an arm at some views; first axes: draws and views."""
 
 
 @dataclass(frozen=True, eq=False)

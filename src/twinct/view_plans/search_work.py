@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any, TypeVar
 
 from twinct.scan import SimulationBuilder
-from twinct.workers import Place, Pool, map_over
+from twinct.workers import Place, Pool
 
 GB = 1.5
 """Assumed peak memory of a piece, GB."""
@@ -41,7 +41,7 @@ def spread(
         return
     scenario = pickle.dumps(builder.scenario)
     arguments = ((scenario, function, piece) for piece in pieces)
-    yield from map_over(_there, arguments, pool=pool, memory_bytes=int(GB * 1e9))
+    yield from pool.map(_there, arguments, memory_bytes=int(GB * 1e9))
 
 
 def _there(

@@ -7,30 +7,9 @@ import errno
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
-from twinct.core.files.private import private_folder
-from twinct.core.files.writing import storage_errors
-
-
-@dataclass(frozen=True)
-class LocalArtifact:
-    """Artifact that is already on this machine."""
-
-    path: Path
-
-    def save(self, path: Path) -> None:
-        """Hard-link its files to a path, or copy them to another disk.
-
-        Raises:
-            StorageError: the path cannot be written.
-        """
-        with arriving(path) as draft:
-            if self.path.is_dir():
-                shutil.copytree(self.path, draft, symlinks=True, copy_function=_link)
-            else:
-                _link(self.path, draft)
+from twinct.core.files.writing import complete, storage_errors
 
 
 @contextlib.contextmanager
@@ -42,12 +21,23 @@ def arriving(path: Path) -> Iterator[Path]:
     """
     with storage_errors(path, "nothing was written there"):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with private_folder(path.parent) as folder:
-            draft = folder / path.name
+        with complete(path) as draft:
             yield draft
             if path.is_dir():  # a folder with content cannot be replaced, nor a link by a folder
-                path.rename(folder / ".old")
-            draft.replace(path)
+                path.rename(draft.with_name(".old"))
+
+
+def save_linked(source: Path, path: Path) -> None:
+    """Hard-link a file, or all files of a folder, to a path, or copy them to another disk.
+
+    Raises:
+        StorageError: the path cannot be written.
+    """
+    with arriving(path) as draft:
+        if source.is_dir():
+            shutil.copytree(source, draft, symlinks=True, copy_function=_link)
+        else:
+            _link(source, draft)
 
 
 def remove(path: Path) -> None:

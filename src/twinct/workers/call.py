@@ -6,13 +6,11 @@ import io
 import pickle
 import time
 import traceback
-from collections.abc import Container
 from dataclasses import replace
 from typing import Any
 
-from twinct.core.errors import InputError, MemoryShortageError, TwinctError
-from twinct.workers.artifact import LocalArtifact
-from twinct.workers.work import Done, Failed, Place, Pool, Work
+from twinct.core.errors import InputError, TwinctError
+from twinct.workers.work import Done, Failed, Place, Work
 
 
 class _ByNames(pickle.Pickler):
@@ -27,29 +25,12 @@ class _ByNames(pickle.Pickler):
         return NotImplemented
 
 
-def sent(work: Work, pool: Pool, keys: Container[str], offers: Container[str]) -> bytes:
-    """Pickle function and argument of work, for a worker's ``call``.
-
-    Args:
-        work: the work.
-        pool: the pool that takes it.
-        keys: keys of the work that the pool has.
-        offers: names that were offered to the pool.
+def pickled(work: Work) -> bytes:
+    """Return function and argument of work as a request for ``call`` in a worker.
 
     Raises:
         InputError: another process cannot import the function, or a class of its argument.
-        MemoryShortageError: the work needs more memory than the pool has for it.
-        ValueError: the pool has work of this key, or an input was not offered.
     """
-    if work.memory_bytes > (most := pool.most_memory_bytes):
-        raise MemoryShortageError(
-            f"work {work.key!r} needs {work.memory_bytes / 2**30:.2f} GiB of memory, but no worker "
-            f"has more than {most / 2**30:.2f} GiB"
-        )
-    if work.key in keys:
-        raise ValueError(f"{work.key!r}: submitted twice")
-    if missing := [name for name in work.inputs if name not in offers]:
-        raise ValueError(f"not offered to the pool: {', '.join(missing)}")
     stream = io.BytesIO()
     try:
         _ByNames(stream, pickle.HIGHEST_PROTOCOL).dump((work.function, work.argument))
@@ -65,7 +46,8 @@ def call(request: bytes, place: Place) -> Done | Failed:
     """Execute a request; exceptions of the function are a failure, not raised.
 
     Returns:
-        The event, with local artifacts, and a value that any process can receive, as it is pickled.
+        The event, with the paths of attached files and folders, and a value that any process can
+        receive, as it is pickled.
     """
     begun = time.monotonic()
     key, task = pickle.loads(request)
@@ -73,11 +55,11 @@ def call(request: bytes, place: Place) -> Done | Failed:
         function, argument = pickle.loads(task)
         value = function(argument, place)
         seconds = time.monotonic() - begun
-        artifacts = {name: LocalArtifact(path.absolute()) for name, path in place.attached.items()}
-        for name, artifact in artifacts.items():
-            if not artifact.path.exists():
-                raise FileNotFoundError(f"{artifact.path}, returned as {name!r}, does not exist")
-        return Done(key, pickle.dumps(value, pickle.HIGHEST_PROTOCOL), artifacts, seconds)
+        paths = {name: path.absolute() for name, path in place.attached.items()}
+        for name, path in paths.items():
+            if not path.exists():
+                raise FileNotFoundError(f"{path}, returned as {name!r}, does not exist")
+        return Done(key, pickle.dumps(value, pickle.HIGHEST_PROTOCOL), paths, seconds)
     except BaseException as error:  # includes SystemExit of the function
         return _failed(key, error, time.monotonic() - begun)
 

@@ -21,8 +21,10 @@ from twinct.core.files.writing import remove_folder, storage_errors
 from twinct.core.interruption import postponed
 from twinct.core.memory import available_bytes
 from twinct.core.threads import SETTING
-from twinct.workers.call import received, sent
-from twinct.workers.work import Died, Done, Event, Failed, Pool, Work
+from twinct.workers.artifact import save_linked
+from twinct.workers.call import received
+from twinct.workers.pool import Pool
+from twinct.workers.work import Died, Done, Event, Failed, Work
 
 MOST_PASSED = 16
 """Number of pieces of work that may overtake the first in line while it waits for memory."""
@@ -100,10 +102,10 @@ def _name(number: int) -> str:
 class LocalPool(Pool):
     """Processes of this machine, started on demand; see ``twinct.workers.Pool``.
 
-    Only one thread at a time may use the pool. Work starts in the order of submission; while the
-    first in line waits for memory, at most 16 others that fit may overtake it. Idle workers stay
-    warm unless running work may need their memory. The kernel kills the workers when this process
-    ends, however it ends.
+    Work starts in the order of submission; while the first in line waits for memory, at most 16
+    others that fit may overtake it. Idle workers stay warm unless running work may need their
+    memory. The kernel kills the workers when this process ends, however it ends. Work uses offers
+    at their own paths, without a copy.
     """
 
     def __init__(
@@ -124,14 +126,12 @@ class LocalPool(Pool):
         data = {"workers": workers, "threads": threads, "memory_bytes": most}
         if problems := [f"{k}={v}: must be at least 1" for k, v in data.items() if v < 1]:
             raise InputError(problems)
+        super().__init__()
         self.folder = Path(folder).absolute()
         self._slots, self._threads, self._memory = workers, threads, int(min(most, 2**62))
-        self._offered: dict[str, Path] = {}
         self._queue: deque[Work] = deque()
         self._passed = 0
-        self._keys: set[str] = set()
         self._workers: list[_Worker] = []
-        self._closed = False
 
     @property
     def slots(self) -> int:
@@ -143,30 +143,20 @@ class LocalPool(Pool):
         """Memory limit of the whole pool."""
         return self._memory
 
-    def offer(self, name: str, path: Path) -> None:
-        """Offer a path under a name; workers use this path itself, not a copy."""
-        self._offered[name] = Path(path).absolute()
+    def save(self, done: Done, name: str, path: Path) -> None:
+        """Hard-link a file or folder that work attached to a path, or copy it to another disk."""
+        save_linked(done.artifacts[name], path)
 
-    def withdraw(self, name: str) -> None:
-        """Withdraw an offer; work that was submitted before can still use it."""
-        self._offered.pop(name, None)
-
-    def submit(self, work: Work) -> None:
-        """Submit work; see ``twinct.workers.Pool``."""
-        if self._closed:
-            raise ValueError("the pool is closed")
-        request = sent(work, self, self._keys, self._offered)
-        inputs = {name: self._offered[name] for name in work.inputs}
-        self._keys.add(work.key)
+    def _start(self, work: Work, request: bytes) -> None:
+        inputs = {name: self._offers[name] for name in work.inputs}
         self._queue.append(replace(work, argument=pickle.dumps((request, inputs))))
         self._start_what_fits()
 
-    def wait(self, timeout_s: float | None = None) -> list[Event]:
-        """Wait for events; see ``twinct.workers.Pool``."""
+    def _events(self, timeout_s: float | None) -> list[Event]:
         until = None if timeout_s is None else time.monotonic() + timeout_s
         events: list[Event] = []
         self._start_what_fits()
-        while self._keys and not events:
+        while not events:
             left = None if until is None else max(until - time.monotonic(), 0.0)
             ready = wait([worker.connection for worker in self._workers], left)
             for worker in [w for w in self._workers if w.connection in ready]:
@@ -174,13 +164,12 @@ class LocalPool(Pool):
             self._start_what_fits()
             if not ready:
                 break
-        self._keys -= {e.key for e in events}
         return events
 
     @postponed()
     def close(self, *, clear: bool = False) -> None:
         """End all processes; running work is not reported any more."""
-        self._closed = True
+        self.closed = True
         self._queue.clear()
         self._keys.clear()
         while self._workers:

@@ -1,30 +1,28 @@
-"""Interfaces of a pool: work, its place, its results and the pool itself."""
+"""Work for a pool, its place, and its results."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any
 
 
-class Place(Protocol):
-    """Place of work, which a function receives in addition to its argument."""
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Place of work, which a function receives in addition to its argument.
 
-    @property
-    def folder(self) -> Path:
-        """Folder of this node, shared by the node's workers only; it outlives a worker."""
-        ...
+    Attributes:
+        folder: folder of this node, shared by the node's workers only; it outlives a worker.
+        threads: number of threads that the work may use; its process is limited to them.
+        find: returns the path of an input of the work from its name.
+        attached: files and folders that are sent back, by their name.
+    """
 
-    @property
-    def threads(self) -> int:
-        """Number of threads of the work, which is already limited to them."""
-        ...
-
-    @property
-    def attached(self) -> Mapping[str, Path]:
-        """Files and folders that are sent back, by their name."""
-        ...
+    folder: Path
+    threads: int
+    find: Callable[[str], Path]
+    attached: dict[str, Path] = field(default_factory=dict[str, Path])
 
     def fetch(self, name: str) -> Path:
         """Return the path of an offered file or folder, which is read-only.
@@ -32,11 +30,15 @@ class Place(Protocol):
         Raises:
             KeyError: the name is not among the inputs of the work.
         """
-        ...
+        return self.find(name)
 
     def attach(self, name: str, path: Path) -> None:
         """Send a file or folder back with the result, once the function returns."""
-        ...
+        self.attached[name] = path
+
+
+Function = Callable[[Any, Place], Any]
+"""Function of an argument and the place of work, which can be imported by its name."""
 
 
 @dataclass(frozen=True)
@@ -45,29 +47,17 @@ class Work:
 
     Attributes:
         key: unique key among all work in the pool.
-        function: ``function(argument, place)``, which can be imported by its name.
+        function: ``function(argument, place)``.
         argument: any object that can be pickled.
         memory_bytes: peak memory of the call.
         inputs: names of offers that the call may fetch; see ``Pool.offer``.
     """
 
     key: str
-    function: Callable[[Any, Place], Any]
+    function: Function
     argument: Any
     memory_bytes: int = 0
     inputs: tuple[str, ...] = ()
-
-
-class Artifact(Protocol):
-    """A file or folder that work has created."""
-
-    def save(self, path: Path) -> None:
-        """Write the artifact to a path, completely or not at all.
-
-        Raises:
-            StorageError: the path cannot be written.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -77,13 +67,14 @@ class Done:
     Attributes:
         key: key of the work.
         value: result of the function, pickled on its way from the worker to the pool.
-        artifacts: files and folders that the function attached, by their name.
+        artifacts: files and folders that the function attached, by their name, in the form that
+            the pool has them; ``Pool.save`` writes them.
         seconds: duration of the call.
     """
 
     key: str
     value: Any
-    artifacts: Mapping[str, Artifact]
+    artifacts: Mapping[str, Any]
     seconds: float
 
 
@@ -122,54 +113,3 @@ class Died:
 
 
 Event = Done | Failed | Died
-
-
-class Pool(Protocol):
-    """Worker processes, each with one piece of work at a time; a context manager that ends them."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self.close()
-
-    @property
-    def slots(self) -> int:
-        """Largest number of concurrent pieces of work, apart from memory limits."""
-        ...
-
-    @property
-    def most_memory_bytes(self) -> int:
-        """Memory limit of one piece of work; larger work would never start."""
-        ...
-
-    def offer(self, name: str, path: Path) -> None:
-        """Offer a file or folder of this machine under a name; its content must not change."""
-        ...
-
-    def withdraw(self, name: str) -> None:
-        """Withdraw the offer of a name."""
-        ...
-
-    def submit(self, work: Work) -> None:
-        """Queue work; it starts, in order of submission, when a worker and memory are free.
-
-        Its inputs must have been offered before.
-
-        Raises:
-            InputError: another process cannot import the function or the argument.
-            MemoryShortageError: the work needs more than ``most_memory_bytes``.
-            ValueError: the pool has work of this key, or an input was not offered.
-        """
-        ...
-
-    def wait(self, timeout_s: float | None = None) -> list[Event]:
-        """Return the events since the last call; wait for the first one, or until the timeout.
-
-        Return an empty list at once if the pool has no work.
-        """
-        ...
-
-    def close(self, *, clear: bool = False) -> None:
-        """End all processes, even busy ones; ``clear`` also removes the nodes' folders."""
-        ...

@@ -10,32 +10,13 @@ import os
 import pickle
 import signal
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 from twinct.core.threads import limit_threads
 from twinct.workers.call import call
 from twinct.workers.lifeline import end_with
-
-
-@dataclass(frozen=True)
-class LocalPlace:
-    """Place of work on this machine; offers are used at their original paths."""
-
-    folder: Path
-    threads: int
-    inputs: Mapping[str, Path]
-    attached: dict[str, Path] = field(default_factory=dict[str, Path])
-
-    def fetch(self, name: str) -> Path:
-        """Return the path of an offer."""
-        return self.inputs[name]
-
-    def attach(self, name: str, path: Path) -> None:
-        """Send a file or folder back."""
-        self.attached[name] = path
+from twinct.workers.work import Place
 
 
 def main() -> None:
@@ -48,7 +29,7 @@ def main() -> None:
     pool = Connection(connection)
     while True:
         request, inputs = pickle.loads(pool.recv_bytes())
-        event = call(request, LocalPlace(Path(sys.argv[4]), threads, inputs))
+        event = call(request, Place(Path(sys.argv[4]), threads, inputs.__getitem__))
         pool.send_bytes(pickle.dumps(event))
         del request, event
 

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from twinct.geometry import Chain, Floats
+from twinct.geometry import Chain, Floats, Misfit
 from twinct.uncertainty.error_terms import (
     ArmShift,
     ErrorTerm,
     Place,
     ScanDraws,
-    Shift,
     Spread,
     ToolMotion,
 )
@@ -47,8 +46,8 @@ def _term(
             shape = (len(chain), 6) if place == "links" else (6,)
             normals = draws.rng(f"{name} {place}").normal(size=(draws.count, *shape))
             parts[place] = sigma * normals[:, None]
-        shift = Shift(**parts)
-        return lambda motion, of_views: shift
+        misfit = Misfit(**parts)
+        return lambda motion, of_views: misfit
 
     return ErrorTerm(name, ArmErrors, spreads, places, "arms", drawn)
 

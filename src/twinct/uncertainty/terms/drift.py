@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.geometry import Chain, Floats
-from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
+from twinct.geometry import Chain, Floats, Misfit
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Spread, ToolMotion
 from twinct.uncertainty.sections import ArmErrors
 
 S_PER_MIN = 60.0
@@ -30,13 +30,13 @@ def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
 def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
     grown = section.drift_mm * draws.rng("drift").normal(size=(draws.count, len(chain), 3))
 
-    def shift(motion: ToolMotion, _: object) -> Shift:
+    def misfit(motion: ToolMotion, _: object) -> Misfit:
         if not section.drift_mm:
-            return Shift()
+            return Misfit()
         missing = coldness(section, motion.time_s)[:, None, None] * grown[:, None]
-        return Shift(links=np.concatenate([-missing, np.zeros_like(missing)], axis=-1))
+        return Misfit(links=np.concatenate([-missing, np.zeros_like(missing)], axis=-1))
 
-    return shift
+    return misfit
 
 
 def _prior(section: ArmErrors) -> dict[str, Floats]:

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.geometry import Chain, Floats
-from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
+from twinct.geometry import Chain, Floats, Misfit
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Spread, ToolMotion
 from twinct.uncertainty.sections import ArmErrors
 
 
@@ -41,7 +41,7 @@ def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
 
 def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
     own = amplitudes(section, chain, draws)
-    return lambda motion, _: Shift(joints=waves(own, section.gear_periods, motion.joints))
+    return lambda motion, _: Misfit(joints=waves(own, section.gear_periods, motion.joints))
 
 
 GEAR = ErrorTerm("gear", ArmErrors, _spreads, ("joints",), "arms", _drawn, prior=lambda section: {})

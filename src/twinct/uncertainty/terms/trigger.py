@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, Shift, Spread, ToolMotion, ViewDraws
+from twinct.geometry import Misfit
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, Spread, ToolMotion, ViewDraws
 from twinct.uncertainty.sections import ArmErrors
 
 S_PER_MS = 1e-3
@@ -19,14 +20,14 @@ def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
 
 
 def _drawn(section: ArmErrors, chain: object, draws: object) -> ArmShift:
-    def shift(motion: ToolMotion, of_views: ViewDraws) -> Shift:
+    def misfit(motion: ToolMotion, of_views: ViewDraws) -> Misfit:
         late_ms = section.trigger_delay_ms
         jitter = of_views("trigger", 1, 0.0)
         if jitter is not None:
             late_ms = late_ms + section.trigger_jitter_ms * jitter
-        return Shift(joints=(late_ms * S_PER_MS * motion.speeds,))
+        return Misfit(joints=(late_ms * S_PER_MS * motion.speeds,))
 
-    return shift
+    return misfit
 
 
 TRIGGER = ErrorTerm("trigger", ArmErrors, _spreads, ("joints",), "arms", _drawn)

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from twinct.geometry import Chain, Floats
-from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Shift, Spread, ToolMotion
+from twinct.geometry import Chain, Floats, Misfit
+from twinct.uncertainty.error_terms import ArmShift, ErrorTerm, ScanDraws, Spread, ToolMotion
 from twinct.uncertainty.sections import ArmErrors
 
 
@@ -46,7 +46,7 @@ def _spreads(section: ArmErrors, motion: ToolMotion) -> Iterator[Spread]:
 
 def _drawn(section: ArmErrors, chain: Chain, draws: ScanDraws) -> ArmShift:
     own = compliances(section, chain, draws)
-    return lambda motion, _: Shift(joints=(deflections(own, chain, motion.joints),))
+    return lambda motion, _: Misfit(joints=(deflections(own, chain, motion.joints),))
 
 
 WINDUP = ErrorTerm(

@@ -10,8 +10,7 @@ import shutil
 import socket
 import stat
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from twinct.version import __version__
 from twinct.workers.call import call
 from twinct.workers.cluster.content import Bytes, pack, unpack
 from twinct.workers.lifeline import end_with
-from twinct.workers.work import Done, Failed
+from twinct.workers.work import Done, Failed, Place
 
 
 def ray_module() -> Any:
@@ -59,35 +58,21 @@ class Terms:
     lifeline: Path | None
 
 
-@dataclass(frozen=True)
-class NodePlace:
-    """Place of work on a node; each offer is unpacked once into its folder."""
-
-    folder: Path
-    threads: int
-    tickets: Mapping[str, Ticket]
-    attached: dict[str, Path] = field(default_factory=dict[str, Path])
-
-    def fetch(self, name: str) -> Path:
-        """Return the path of an offer; unpack it unless another worker has already done so."""
-        ticket = self.tickets[name]
-        path = self.folder / "inputs" / ticket.digest / ticket.name
-        if path.exists():
-            return path
-        content = ray_module().get(ticket.references[0])
-        path.parent.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with complete(path.parent) as draft:
-                draft.mkdir()
-                unpack(content, draft / ticket.name)
-        except OSError:
-            if not path.exists():  # otherwise another worker was faster
-                raise
+def _unpacked(ticket: Ticket, folder: Path) -> Path:
+    """Return the path of an offer; unpack it unless another worker has already done so."""
+    path = folder / "inputs" / ticket.digest / ticket.name
+    if path.exists():
         return path
-
-    def attach(self, name: str, path: Path) -> None:
-        """Send a file or folder back."""
-        self.attached[name] = path
+    content = ray_module().get(ticket.references[0])
+    path.parent.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with complete(path.parent) as draft:
+            draft.mkdir()
+            unpack(content, draft / ticket.name)
+    except OSError:
+        if not path.exists():  # otherwise another worker was faster
+            raise
+    return path
 
 
 @cache
@@ -145,13 +130,13 @@ def work(
 ) -> tuple[Done | Failed, dict[str, Bytes]]:
     """Execute a request; return its event without artifacts, and their content."""
     _prepare(terms)
-    place = NodePlace(folder(terms.pool), terms.threads, tickets)
-    place.folder.mkdir(parents=True, exist_ok=True)
-    event = call(request, place)
+    here = folder(terms.pool)
+    here.mkdir(parents=True, exist_ok=True)
+    event = call(request, Place(here, terms.threads, lambda name: _unpacked(tickets[name], here)))
     if isinstance(event, Failed):
         return event, {}
     try:
-        content = {name: pack(path) for name, path in place.attached.items()}
+        content = {name: pack(path) for name, path in event.artifacts.items()}
     except OSError as error:
         problem = f"the result cannot be read: {error}"
         return Failed(event.key, type(error).__name__, (problem,), "", event.seconds), {}

@@ -11,7 +11,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,12 @@ from twinct.core.extras import require
 from twinct.core.memory import available_bytes
 from twinct.core.threads import available_threads
 from twinct.workers.artifact import arriving
-from twinct.workers.call import received, sent
+from twinct.workers.call import received
 from twinct.workers.cluster import node
 from twinct.workers.cluster.content import Bytes, pack, unpack
 from twinct.workers.cluster.local import LocalRay, set_environment, start
-from twinct.workers.work import Died, Done, Event, Failed, Pool, Work
+from twinct.workers.pool import Pool
+from twinct.workers.work import Died, Done, Event, Failed, Work
 
 ANSWER_S = 10.0
 """Timeout for a connection to a cluster."""
@@ -34,26 +35,6 @@ ASK_S = 300.0
 
 LOOK_S = 2.0
 """Interval at which a waiting pool checks that Ray still answers."""
-
-
-@dataclass(frozen=True)
-class _Come:
-    """Artifact in Ray's store on this machine, independent of the node that made it."""
-
-    content: Bytes
-    pool: RayPool
-
-    def save(self, path: Path) -> None:
-        """Unpack the artifact to a path.
-
-        Raises:
-            StorageError: the path cannot be written.
-            ValueError: the pool is closed, and Ray's store with it.
-        """
-        if self.pool.closed:
-            raise ValueError(f"{path}: the pool is closed")
-        with arriving(path) as draft:
-            unpack(self.content, draft)
 
 
 def _require_valid(cluster: str | None, name: str, numbers: dict[str, int | None]) -> None:
@@ -73,12 +54,10 @@ def _require_valid(cluster: str | None, name: str, numbers: dict[str, int | None
 class RayPool(Pool):
     """Processes on all nodes of a Ray cluster; see ``twinct.workers.Pool``.
 
-    Only one thread at a time may use the pool, and a process may have only one pool. Each piece of
-    work is a task of Ray: it starts on a node with free processors and memory, in a process of its
-    own, which stays warm for the next piece. Artifacts can be saved until the pool is closed.
-
-    Attributes:
-        closed: True once the pool is closed.
+    A process may have only one pool of this kind. Each piece of work is a task of Ray: it starts
+    on a node with free processors and memory, in a process of its own, which stays warm for the
+    next piece. An offer is sent when work first needs it, once to each node. What work attached
+    lies in Ray's store on this machine, independent of its node, until the pool is closed.
     """
 
     def __init__(
@@ -121,8 +100,7 @@ class RayPool(Pool):
         self._lost = failures.RaySystemError, failures.LocalRayletDiedError, failures.RpcError
         self._threads = threads
         self._head: LocalRay | None = None
-        self.closed = False
-        self._paths: dict[str, Path] = {}
+        super().__init__()
         self._tickets: dict[str, node.Ticket] = {}
         self._running: dict[Any, tuple[str, Any]] = {}
         self._size = (-1.0, 1, 0)
@@ -153,34 +131,31 @@ class RayPool(Pool):
         """Memory of the largest node since the pool was created."""
         return self._measured()[2]
 
-    def offer(self, name: str, path: Path) -> None:
-        """Offer a path under a name; it is sent when work first needs it, once to each node."""
-        self.withdraw(name)
-        self._paths[name] = Path(path).absolute()
-
     def withdraw(self, name: str) -> None:
         """Withdraw an offer; work that was submitted before can still use it."""
-        self._paths.pop(name, None)
+        super().withdraw(name)
         self._tickets.pop(name, None)
 
-    def submit(self, work: Work) -> None:
-        """Submit work; see ``twinct.workers.Pool``."""
+    def save(self, done: Done, name: str, path: Path) -> None:
+        """Unpack a file or folder that work attached to a path; see ``twinct.workers.Pool``.
+
+        Raises:
+            StorageError: the path cannot be written.
+            ValueError: the pool is closed, and Ray's store with it.
+        """
         if self.closed:
-            raise ValueError("the pool is closed")
-        request = sent(work, self, [key for key, _ in self._running.values()], self._paths)
+            raise ValueError(f"{path}: the pool is closed")
+        with arriving(path) as draft:
+            unpack(done.artifacts[name], draft)
+
+    def _start(self, work: Work, request: bytes) -> None:
         with self._speaking():
             tickets = {name: self._ticket(name) for name in work.inputs}
             task = self._work.options(memory=work.memory_bytes or None, name="twinct")
             event, content = task.remote(request, tickets, self._terms)
         self._running[event] = (work.key, content)
 
-    def wait(self, timeout_s: float | None = None) -> list[Event]:
-        """Wait for events; see ``twinct.workers.Pool``.
-
-        Raises:
-            InputError: a new node has another version of twinct, Ray or Python.
-            LinkError: the whole cluster is gone.
-        """
+    def _events(self, timeout_s: float | None) -> list[Event]:
         until = float("inf") if timeout_s is None else time.monotonic() + timeout_s
         while self._running:
             left = max(until - time.monotonic(), 0.0)
@@ -207,6 +182,7 @@ class RayPool(Pool):
             if clear:
                 self._each_node(node.clear, self._terms.pool)
         self._running.clear()
+        self._keys.clear()
         self._tickets.clear()
         try:
             self._ray.shutdown()
@@ -226,7 +202,7 @@ class RayPool(Pool):
 
     def _ticket(self, name: str) -> node.Ticket:
         if name not in self._tickets:
-            path = self._paths[name]
+            path = self._offers[name]
             content = pack(path)
             digest = hashlib.sha256(content.data).hexdigest()[:32]
             self._tickets[name] = node.Ticket(digest, path.name, [self._ray.put(content)])
@@ -234,6 +210,7 @@ class RayPool(Pool):
 
     def _event(self, reference: Any) -> Event:
         key, content = self._running.pop(reference)
+        self._keys.discard(key)  # also if the whole pool fails
         failures = self._ray.exceptions
         try:
             event: Done | Failed = self._ray.get(reference)
@@ -250,9 +227,7 @@ class RayPool(Pool):
         except failures.RayError as error:  # full disk or store: limit the retries
             return Died(key, f"Ray gave up on it: {_line(error)}")
         event = received(event)
-        if isinstance(event, Failed):
-            return event
-        return replace(event, artifacts={n: _Come(one, self) for n, one in packed.items()})
+        return event if isinstance(event, Failed) else replace(event, artifacts=packed)
 
     def _compare(self) -> None:
         """Raise if a node has other versions."""
