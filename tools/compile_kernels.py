@@ -171,8 +171,8 @@ def _cast_shadows() -> None:
 def _cross() -> None:
     from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
     from twinct.specimen import GreyField, GreyPart
+    from twinct.specimen.grey_caster import GreyCaster
     from twinct.specimen.materials import material
-    from twinct.xray.grey import GreyCaster
     from twinct.xray.mesh import MeshEngine
 
     panel, (x, y, z) = Panel(8, 9, 10.0, 10.0), np.eye(3)[:, None]

@@ -32,7 +32,6 @@ from twinct.evaluation.region_voxels import (
     centres,
     cuboid,
     cylinder,
-    part_of,
     shell,
     whole,
 )
@@ -71,7 +70,6 @@ __all__ = [
     "edges_of",
     "image_figures",
     "noise_power_spectrum",
-    "part_of",
     "pose_errors",
     "region_depth",
     "region_of_interest",

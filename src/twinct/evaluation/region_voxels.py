@@ -101,15 +101,6 @@ def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:
     return z, y, x
 
 
-def part_of(grid: VolumeGrid, box: Box) -> VolumeGrid:
-    """Return the voxels of a box as a separate grid."""
-    low, high = (np.array([getattr(s, end) for s in box[::-1]]) for end in ("start", "stop"))
-    middle = grid.first_voxel_mm + ((low + high - 1) / 2) * grid.voxel
-    pose = grid.world_from_grid
-    shape = [s.stop - s.start for s in box]
-    return VolumeGrid(shape, grid.voxel, Pose(pose.apply(middle), pose.quat))
-
-
 def centres(grid: VolumeGrid, box: Box, frame: Pose | None = None) -> Floats:
     """Return the voxel centres of a box, (z, y, x, 3), mm, in the world or in ``frame``.
 

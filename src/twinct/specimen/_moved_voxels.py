@@ -8,7 +8,7 @@ Maps are those of ``recon.moving``: shifts on a coarse lattice, linear between i
 import numpy as np
 from numba import njit, prange
 
-from twinct.recon._moving import OPTIONS, place
+from twinct.recon.moving_kernels import OPTIONS, place
 
 
 @njit(**OPTIONS)

@@ -80,7 +80,8 @@ def _folder() -> Path:
 
 def _digest() -> str:
     """Return the digest of everything that compiled kernels depend on."""
-    sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_linear.py", _HERE.parent / "_plain.py"])
+    others = (_HERE.parent / f"{name}.py" for name in ("_linear", "_plain", "joseph"))
+    sources = sorted([*_HERE.glob("*.py"), *others])
     parts = [source.read_bytes() for source in sources]
     # numba also distinguishes sources by their location.
     machine = (str(_HERE), sys.version, numba.__version__, llvmlite.__version__, config.OPT, EDGE)
