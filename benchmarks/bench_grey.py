@@ -33,8 +33,8 @@ def main() -> None:
     parser.add_argument("--voxels", type=int, default=512, help="along each edge")
     options = parser.parse_args()
     limit_threads(options.threads)  # before anything loads a library
+    from twinct.specimen.grey_caster import GreyCaster
     from twinct.xray.engines import engine_named
-    from twinct.xray.grey import GreyCaster
 
     geometry, bodies, _ = scene(options.scenario, options.views)
     panel = geometry.panel

@@ -6,7 +6,7 @@
 
 Both engines hold the scene in one process and take each view in turn. Processor time counts all
 threads of the process, those of the renderer included. The views are the commanded ones of the
-scenario. The kernel of ``recon.shadow``, which is another one, judges the images.
+scenario. The kernel of ``rays``, which is another one, judges the images.
 """
 
 from __future__ import annotations
@@ -107,9 +107,9 @@ def compared(
 
 
 def refereed(geometry: ScanGeometry, bodies: Sequence[SceneBody], view: int) -> NDArray[np.float64]:
-    """Return line integrals of one view by the kernel of ``recon.shadow``, (rows, columns)."""
+    """Return line integrals of one view by the kernel of ``rays``, (rows, columns)."""
     from twinct.geometry import Pose
-    from twinct.recon.shadow import Body, Rays
+    from twinct.rays import Body, Rays
 
     total = np.zeros(geometry.panel.shape)
     for body in bodies:

@@ -20,7 +20,7 @@ import numpy as np
 
 from twinct import run
 from twinct.scenario import Scenario, parse_scenario
-from twinct.xray.grey import GreyCaster
+from twinct.specimen.grey_caster import GreyCaster
 
 STATUS = Path("/proc/self/status")
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
-from twinct.specimen import GreyField, GreyPart, build_specimen
+from twinct.specimen import BuiltPart, GreyField, GreyPart, build_specimen
 from twinct.specimen.materials import Material, material
 from twinct.specimen.voxels import volume_fractions
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import PathRenderer
 
 if TYPE_CHECKING:
     import trimesh
@@ -61,7 +61,7 @@ def skull(views: list[ScanGeometry], finest: float, sharp: bool) -> None:
     for voxel in (one for one in (2.0, 1.0, 0.5) if one >= finest):
         part = voxels({bone: [(mesh, 1.0)]}, mesh, voxel)
         part = replace(part, field=replace(part.field, sharp=sharp))
-        with PathRenderer([], PANEL, greys=[part]) as renderer:
+        with PathRenderer([part], PANEL) as renderer:
             errors = [
                 errors_of(renderer.render(view, Pose.identity())[0], lengths)
                 for view, lengths in zip(views, exact, strict=True)
@@ -97,7 +97,9 @@ def surfaces(views: list[ScanGeometry], finest: float) -> None:
 
 def lines_of(mesh: trimesh.Trimesh, views: list[ScanGeometry]) -> list[NDArray[np.float32]]:
     """Return the path lengths of a mesh."""
-    with PathRenderer([Body(mesh, material("bone"))], PANEL, engine="mesh") as renderer:
+    with PathRenderer(
+        [BuiltPart("skull", material("bone"), mesh)], PANEL, engine="mesh"
+    ) as renderer:
         return [renderer.render(view, Pose.identity())[0] for view in views]
 
 
@@ -122,15 +124,15 @@ def rod(views: list[ScanGeometry]) -> None:
     metal.apply_translation([10.0, 5.0, -3.0])
     mus = {m: m.mu_per_mm(70.0) for m in (titanium, water, bone)}
     solids = [(metal, titanium, 1), (body, water, 1), (inner, water, -1), (inner, bone, 0.6)]
-    bodies = [Body(mesh, substance) for mesh, substance, _ in solids]
+    bodies = [BuiltPart(substance.name, substance, mesh) for mesh, substance, _ in solids]
     with PathRenderer(bodies[:1], PANEL, engine="mesh") as renderer:
         of_rod = [renderer.render(view, Pose.identity())[0] for view in views]
     exact = np.array(lines_of_meshes(views, solids, metal, mus))
     largest = mus[titanium] * max(lengths.max() for lengths in of_rod)
     for voxel in (1.0, 0.5):
         mixtures = {water: [(body, 1.0), (inner, -1.0)], bone: [(inner, 0.6)]}
-        part = voxels(mixtures, body, voxel).displaced([metal])
-        with PathRenderer(bodies[:1], PANEL, engine="mesh", greys=[part]) as renderer:
+        part = voxels(mixtures, body, voxel).without([metal])
+        with PathRenderer([*bodies[:1], part], PANEL, engine="mesh") as renderer:
             mu = np.array([mus[m] for m in renderer.materials])
             seen = [np.tensordot(mu, renderer.render(v, Pose.identity()), 1) for v in views]
         error = np.sqrt(np.mean((np.array(seen) - exact) ** 2))
@@ -154,7 +156,9 @@ def lines_of_meshes(
     total = [np.zeros(PANEL.shape) for _ in views]
     for mesh, substance, weight in solids:
         hollow = mesh if mesh is metal else trimesh.boolean.difference([mesh, metal])
-        with PathRenderer([Body(hollow, substance)], PANEL, engine="mesh") as renderer:
+        with PathRenderer(
+            [BuiltPart(substance.name, substance, hollow)], PANEL, engine="mesh"
+        ) as renderer:
             for lines, view in zip(total, views, strict=True):
                 lines += weight * mus[substance] * renderer.render(view, Pose.identity())[0]
     return total

@@ -18,6 +18,7 @@ from shell import Shell
 
 from twinct.core.extensions import Registry
 from twinct.core.settings import Section
+from twinct.specimen import material
 from twinct.view_planning import task as task_section
 from twinct.view_planning.objectives import LessIsBetter, Mean, Objective
 from twinct.view_planning.objectives.registry import BUILT_IN
@@ -223,7 +224,14 @@ def test_an_objective_that_does_not_fit_the_task_is_left_out(
 
 
 @pytest.mark.parametrize(
-    ("module", "page"), [("tails", "own_figure"), ("ring", "own_part"), ("sag", "own_error")]
+    ("module", "page"),
+    [
+        ("tails", "own_figure"),
+        ("ring", "own_part"),
+        ("egg", "own_part"),
+        ("foam", "own_part"),
+        ("sag", "own_error"),
+    ],
 )
 def test_the_page_shows_the_code_that_is_tested(module: str, page: str) -> None:
     code = (HERE / "extension" / "twinct_tiny" / f"{module}.py").read_text(encoding="utf-8")
@@ -367,6 +375,68 @@ def test_a_foreign_part_is_checked_imaged_and_judged(twinct: Shell, tmp_path: Pa
     volume = truth.get_fdata().sum() / truth.get_fdata().max() * np.prod(truth.header.get_zooms())
     assert volume == pytest.approx(2 * np.pi**2 * 30 * 10**2, rel=POLYGON)
     assert "ring" in (out / "report.html").read_text(encoding="utf-8")
+
+
+OWN_PARTS = f"""\
+extends: {HERE}/same_bytes/small.yaml
+trajectory: {{views: 3}}
+cell: {{kind: gantry}}
+source: {{focal_spot: {{kind: gaussian, sigma_mm: 0.3, samples: 2}}}}
+specimen:
+  parts:
+  - {{name: foam, shape: {{kind: foam, radius_mm: 20, bone: 0.1}}, material: bone}}
+  - name: pin
+    shape: {{kind: box, size_mm: [9, 9, 9]}}
+    material: bone
+    position_mm: [0, -38, 0]
+  - name: egg
+    shape: {{kind: egg, radius_mm: 10, height_mm: 14}}
+    material: water
+    position_mm: [0, 38, 0]
+"""
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+@pytest.mark.parametrize("engine", ["gvxr", "analytic"])
+def test_foreign_voxels_and_solids_are_cast_beside_any_engine(
+    twinct: Shell, tmp_path: Path, engine: str
+) -> None:
+    file, out = tmp_path / "own.yaml", tmp_path / "out"
+    file.write_text(OWN_PARTS + f"xray: {{engine: {engine}}}\n")
+    words = f"rendered by {engine}; foam, egg by rays of their own"
+    checked = twinct("check", file)
+    assert checked.returncode == 0, checked.stderr
+    assert words in " ".join(checked.stdout.replace("│", " ").split())
+    done = twinct("run", file, "--out", out, "--link", "local")
+    assert done.returncode == 0, done.stderr
+    assert words in (out / "report.html").read_text(encoding="utf-8")
+    # The truth has the attenuation of each part, by its own formulas.
+    truth = nibabel.load(out / "truth.nii")
+    values, cell = truth.get_fdata(), np.prod(truth.header.get_zooms())
+    y = truth.affine[1, 3] + truth.affine[1, 1] * np.arange(values.shape[1])
+    water, bone = (material(name).mu_per_mm(80.0) for name in ("water", "bone"))
+    for part, mu_mm3 in (
+        (y > 25, water * 4 / 3 * np.pi * 10 * 10 * 14),
+        (abs(y) < 25, 4 * np.pi * 20**3 * (5 / 24 * water + 0.1 / 3 * bone)),
+        (y < -25, bone * 9**3),
+    ):
+        assert values[:, part].sum() * cell == pytest.approx(mu_mm3, rel=0.02)
+    assert json.loads((out / "metrics.json").read_text())["image"]["rmse_bone_rel"] > 0
+
+
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_no_later_part_is_cut_out_of_a_foreign_solid(twinct: Shell, tmp_path: Path) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(
+        OWN_PARTS + "  - {shape: {kind: sphere, radius_mm: 3}, position_mm: [0, 38, 0]}\n"
+    )
+    refused = twinct("check", file)
+    assert refused.returncode == 2
+    assert "part 'egg' of kind egg is cast by its own rays, out of which no later" in (
+        refused.stderr
+    )
 
 
 SAG_STUDY = """\

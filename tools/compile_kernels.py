@@ -158,7 +158,7 @@ def _paint() -> None:
 
 def _cast_shadows() -> None:
     from twinct.geometry import Panel, Pose
-    from twinct.recon.shadow import Body, Rays
+    from twinct.rays import Body, Rays
     from twinct.trajectory import CircleTrajectory, commanded_views
 
     mesh = _specimen().parts[0].mesh
@@ -172,8 +172,8 @@ def _cast_shadows() -> None:
 def _cross() -> None:
     from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
     from twinct.specimen import GreyField, GreyPart
+    from twinct.specimen.grey_caster import GreyCaster
     from twinct.specimen.materials import material
-    from twinct.xray.grey import GreyCaster
     from twinct.xray.mesh import MeshEngine
 
     panel, (x, y, z) = Panel(8, 9, 10.0, 10.0), np.eye(3)[:, None]

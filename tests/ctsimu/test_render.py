@@ -18,9 +18,10 @@ from twinct.ctsimu.scene import Sample
 from twinct.ctsimu.solids import Solids
 from twinct.ctsimu.writing import material_entry, quantity, vector
 from twinct.geometry import Pose
+from twinct.specimen import BuiltPart
 from twinct.specimen import material as substance
 from twinct.specimen.surface import refined
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import PathRenderer
 
 PATH_MM = 0.01
 """gVXR's path lengths through faces that are refined."""
@@ -250,7 +251,7 @@ def test_long_faces_along_the_beam_are_refined(data, write):
     exact[np.abs(rays[..., 2]) * 150 > 5] = np.nan  # crosses top or bottom: not looked at
     off = {}
     for name, mesh in (("coarse", bar), ("fine", fine)):
-        with PathRenderer([Body(mesh, substance("Al"))], frame.panel) as renderer:
+        with PathRenderer([BuiltPart("step", substance("Al"), mesh)], frame.panel) as renderer:
             off[name] = np.nanmax(np.abs(renderer.render(frame.view, pose)[0] - exact))
     assert off["fine"] < PATH_MM < 1 < off["coarse"]
     assert refined(bar, 200.0) is bar

@@ -15,8 +15,8 @@ from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify, samples
 from twinct.ctsimu.suite.cases import WEDGE_PANEL_MM, WEDGE_PITCH_MM, cases
 from twinct.ctsimu.suite.verdicts import verdicts
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.specimen import material
-from twinct.xray.paths import Body, PathRenderer
+from twinct.specimen import BuiltPart, material
+from twinct.xray.paths import PathRenderer
 
 ALUMINIUM = material("aluminium")
 
@@ -24,7 +24,7 @@ ALUMINIUM = material("aluminium")
 def paths(mesh, panel_mm, panel):
     """Path lengths of a mesh in the world, row 0 on top."""
     view = ScanGeometry([[0, 0, 0]], [[panel_mm, 0, 0]], [[0, -1, 0]], [[0, 0, 1]], panel)
-    with PathRenderer([Body(mesh, ALUMINIUM)], panel) as renderer:
+    with PathRenderer([BuiltPart("block", ALUMINIUM, mesh)], panel) as renderer:
         return renderer.render(view, Pose.identity())[0][::-1]
 
 

@@ -346,7 +346,8 @@ def test_kernels_on_disk_go_by_all_their_sources(tmp_path, monkeypatch):
 
     package = tmp_path / "_vector"
     package.mkdir()
-    engine = package / "march.py", tmp_path / "_linear.py", tmp_path / "_plain.py"
+    others = (tmp_path / f"{name}.py" for name in ("_linear", "_plain", "joseph"))
+    engine = (package / "march.py", *others)
     for source in (*engine, package / "rays.py"):
         source.write_text("old")
     monkeypatch.setattr(cache, "_HERE", package)

@@ -8,9 +8,9 @@ import trimesh
 
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
+from twinct.rays import Body, Rays
 from twinct.recon import Projector, sart
 from twinct.recon.known_components import Implant, OneEnergy, without_implants
-from twinct.recon.shadow import Body, Rays
 
 TISSUE, BONE, METAL = 0.02, 0.05, 0.3
 HEAD, BONES = ((0, 0, 0), (22, 20, 18)), ((2, 3, -1), (13, 9, 7))

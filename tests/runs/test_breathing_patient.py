@@ -77,7 +77,7 @@ def test_a_moved_body_is_that_of_a_specimen_that_stands_in_this_state(scan: Scan
     assert np.array_equal(image, scan.transmission[5])
     lung = "lung_right"
     before, after = (
-        one.greys[0].points(lung, 10**6, np.random.default_rng(0))[:, 2].mean()
+        one.mixtures[0].points(lung, 10**6, np.random.default_rng(0))[:, 2].mean()
         for one in (built, built.at(Breath(0.5)))
     )
     assert after < before - 2, "the lung goes down"

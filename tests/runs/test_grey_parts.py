@@ -22,7 +22,6 @@ from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
-from twinct.specimen.cut_rays import cut_share
 from twinct.specimen.materials import BUILT_IN
 from twinct.trajectory import CircleTrajectory, commanded_views
 from twinct.view_plans.patient import Patient
@@ -138,17 +137,17 @@ def test_rays_through_a_cut_are_counted(grey: Maker, tmp_path: Path) -> None:
     whole = head()
     cut = write(tmp_path / "cut.nii", Truth(whole.values[..., 14:], whole.affine.copy()))
     builder = SimulationBuilder(grey(shape="extend_mm: 0", path=cut))
-    (part,) = builder.specimen.greys
+    (part,) = builder.specimen.mixtures
     assert [face.name for face in part.cuts] == ["-z"]
     circle = CircleTrajectory(kind="circle", views=4, sod_mm=600, sdd_mm=900)
     across = commanded_views(circle, Panel(40, 40, 4.0, 4.0))
     along = Pose.from_euler((0, 0, 0), (0, 90, 0)) @ across[:1]
     low = Pose.from_euler((0, 0, 14 * SPACING[2]), (0, 0, 0)) @ across
     # Half of the views' rays pass below the body, where the cone spreads.
-    assert cut_share(part, low).max() < 0.02
+    assert part.cut_share(low).max() < 0.02
     box = np.prod(part.field.grid.size_mm[:2])
     area = part.cuts[0].tissue.sum() * np.prod(part.field.grid.voxel[:2])
-    assert cut_share(part, along)[0] == pytest.approx(area / box, rel=0.15)
+    assert part.cut_share(along)[0] == pytest.approx(area / box, rel=0.15)
     (told,) = [w for w in check_sight(builder) if "cross the cut" in w]
     assert told.startswith("part 'patient': its CT cuts the body (-z); in 10 views")
 

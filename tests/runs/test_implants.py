@@ -6,8 +6,8 @@ from still_scans import chords, still_scan, views_of
 
 from twinct.core.errors import InputError
 from twinct.geometry import Pose
+from twinct.rays import Rays
 from twinct.recon.known_components import FittedImplant
-from twinct.recon.shadow import Rays
 from twinct.runs import reconstruct, require_feasible
 from twinct.runs.implants import WithoutImplants, check_implants, known_implants
 from twinct.runs.volumes import memory_needed

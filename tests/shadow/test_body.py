@@ -6,7 +6,7 @@ import trimesh
 
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.recon.shadow import Body, Rays
+from twinct.rays import Body, Rays
 
 PANEL = Panel(21, 31, 2.0, 1.5)
 

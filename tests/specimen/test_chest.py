@@ -24,7 +24,7 @@ def test_a_chest_keeps_its_tissues_and_loses_its_couch(
     labels = {"path": str(CHEST / "mask.nii.gz"), "names": NAMES}
     shape = {"kind": "volume", "path": str(CHEST / "cxr.nii.gz"), "keep": "body", "labels": labels}
     section = Specimen.model_validate({"parts": [{"shape": shape}]}, strict=False)
-    (part,) = build_specimen(section).greys
+    (part,) = build_specimen(section).mixtures
     assert "its field of view cuts the body: 157 cm2" in caplog.text
     assert [face.name for face in part.cuts] == ["-x", "+x", "-z", "+z"]
     water = BUILT_IN["water"].mu_per_mm(71.6)

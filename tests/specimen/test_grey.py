@@ -47,7 +47,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def grey_of(built: BuiltSpecimen) -> GreyPart:
-    (part,) = built.greys
+    (part,) = built.mixtures
     return part
 
 
@@ -334,7 +334,7 @@ def test_a_volume_of_a_program(file: Path) -> None:
     hu = head().values.transpose(2, 1, 0).astype(np.float32)
     scenario = load_scenario(DEMO, {"specimen": Volume(hu, grid_of_ct())})
     (part,) = scenario.specimen.parts
-    assert part.shape.kind == "volume" and part.is_grey
+    assert part.shape.kind == "volume" and not part.homogeneous
     built = build_specimen(scenario.specimen)
     wanted = build(file, keep="all", centre=True)
     assert built.digest == wanted.digest

@@ -51,7 +51,7 @@ def test_negative_voxels_stay_and_nothing_at_all_is_refused() -> None:
     with pytest.raises(SpecimenError, match="no voxel attenuates"):
         grey_specimen(values, GRID, WATER, KEV, "volume")
     values[5, 5, 5], values[5, 5, 7] = 0.02, -0.01
-    field = grey_specimen(values, GRID, WATER, KEV, "volume").greys[0].field
+    field = grey_specimen(values, GRID, WATER, KEV, "volume").mixtures[0].field
     assert field.mu_per_mm(KEV).min() == pytest.approx(-0.01, rel=1e-5)
     assert field.mu_per_mm(KEV).max() == pytest.approx(0.02, rel=1e-5)
     assert np.argwhere(field.amounts[..., 0])[0].tolist() == [6, 6, 6]

@@ -148,7 +148,7 @@ def test_a_scenario_scans_the_phantom_with_its_labels(trunk):
     told = {"kind": "volume", "phantom": "trunk", "voxel_mm": 4, "seed": 1, "centre": False}
     section = Specimen.model_validate({"parts": [{"shape": told}], "reference": "vertebrae_L1"})
     specimen = build_specimen(section)
-    (part,) = specimen.greys
+    (part,) = specimen.mixtures
     grid = part.field.grid
     hu, labels = trunk.at(centres(grid))
     assert part.labels is not None

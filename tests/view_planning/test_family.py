@@ -8,7 +8,7 @@ import trimesh
 
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.recon.shadow import Body
+from twinct.rays import Body
 from twinct.trajectory import CircleTrajectory, commanded_views
 from twinct.view_planning import best_parameters, metal_paths
 

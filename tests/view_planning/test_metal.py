@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.rays import Body
 from twinct.recon import Projector
-from twinct.recon.shadow import Body
 from twinct.trajectory import panel_axes
 from twinct.view_planning import metal_paths, spectral_shift, starved_share
 from twinct.view_planning.objectives.metal_paths import lengths_in_metal, metal_lengths

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from xray_scenes import random_pose, random_view, specimen
+from xray_scenes import body, random_pose, random_view, specimen
 
 from twinct.core.errors import InputError, TwinctError
 from twinct.core.extensions import Registry
@@ -19,7 +19,7 @@ from twinct.specimen.materials import material
 from twinct.xray import Imager, engines
 from twinct.xray.engine import EngineChoice, SceneBody
 from twinct.xray.gvxr import GVXR
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import PathRenderer
 
 HERE = Path(__file__).parent
 DEMO = HERE.parents[1] / "scenarios" / "demo.yaml"
@@ -59,7 +59,7 @@ def compared(mine: np.ndarray, theirs: np.ndarray) -> tuple[float, float]:
 
 @pytest.mark.parametrize("other", ["analytic", "mesh"])
 def test_path_lengths_of_two_engines_agree(analytic: str, other: str, figure) -> None:
-    bodies = [Body(wedge(), material("bone")), Body(wedge(), material("titanium"))]
+    bodies = [body(wedge(), material("bone")), body(wedge(), material("titanium"))]
     rng = np.random.default_rng(8)
     views = [random_view(rng, PANEL, np.zeros(3)) for _ in range(5)]
     poses = [[random_pose(rng, 20), random_pose(rng, 20)] for _ in views]
@@ -91,7 +91,7 @@ def test_images_of_two_engines_agree(analytic: str, other: str, figure) -> None:
 
 
 def test_all_engines_share_one_scene(analytic: str) -> None:
-    bodies = [Body(wedge(), material("bone"))]
+    bodies = [body(wedge(), material("bone"))]
     with PathRenderer(bodies, PANEL, engine=analytic):
         with pytest.raises(TwinctError, match="another X-ray imager is still open"):
             PathRenderer(bodies, PANEL)

@@ -9,8 +9,8 @@ from xray_scenes import random_pose, random_view
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.recon import Projector
 from twinct.specimen import GreyField
+from twinct.specimen.grey_caster import GreyCaster
 from twinct.specimen.materials import material
-from twinct.xray.grey import GreyCaster
 
 NAMES = "water", "bone", "titanium", "brain", "air", "aluminium", "steel"
 PANEL = Panel(19, 37, 7.0, 8.0)

@@ -12,7 +12,7 @@ from twinct.scenario import Detector, FileSpectrum, GaussianSpot, IntegratingRes
 from twinct.specimen import BuiltPart, BuiltSpecimen, GreyField, GreyPart
 from twinct.specimen.materials import material
 from twinct.xray import Imager
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import PathRenderer
 
 PANEL = Panel(24, 32, 6.0, 6.0)
 DETECTOR = Detector(columns=32, rows=24, pixel_pitch_mm=6.0)
@@ -112,14 +112,13 @@ def test_meshes_and_voxels_add_up_in_an_ideal_image(engine):
 @pytest.mark.parametrize("engine", ["gvxr", "mesh"])
 def test_meshes_and_voxels_add_up_in_path_lengths(engine):
     _, ball, body = mixed()
-    bodies = [Body(ball.mesh, ball.material)]
     one, two = Pose.identity(), Pose(np.array([4.0, 3.0, 2.0]), np.array([0.0, 0.0, 0.0, 1.0]))
-    with PathRenderer(bodies, PANEL, 2, engine=engine, greys=[body]) as renderer:
+    with PathRenderer([ball, body], PANEL, 2, engine=engine) as renderer:
         assert [m.name for m in renderer.materials] == ["titanium", "water", "bone"]
         paths = renderer.render(view(), [one, two])
-    with PathRenderer(bodies, PANEL, 2, engine=engine) as renderer:
+    with PathRenderer([ball], PANEL, 2, engine=engine) as renderer:
         of_ball = renderer.render(view(), one)[0]
-    with PathRenderer([], PANEL, 2, engine=NO_ENGINE, greys=[body]) as renderer:
+    with PathRenderer([body], PANEL, 2, engine=NO_ENGINE) as renderer:
         of_body = renderer.render(view(), two)
     assert paths.shape == (3, 48, 64)
     np.testing.assert_array_equal(paths[0], of_ball + of_body[2])

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from twinct.geometry import Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.scenario import Specimen
 from twinct.specimen import BuiltPart, GreyField, GreyPart, build_specimen, volume_fractions
+from twinct.specimen.grey_caster import GreyCaster
 from twinct.xray.engine import SceneBody
-from twinct.xray.grey import GreyCaster
 from twinct.xray.mesh import MeshEngine
 
 PANEL = Panel(96, 128, 2.5, 2.5)
@@ -35,7 +35,7 @@ ROD = {
 @cache
 def parts(rod: bool) -> tuple[BuiltPart, ...]:
     told = [BODY, CORE, ROD] if rod else [BODY, CORE]
-    return build_specimen(Specimen.model_validate({"parts": told})).solids
+    return build_specimen(Specimen.model_validate({"parts": told})).pure
 
 
 def voxels(edge: float) -> GreyPart:
@@ -47,7 +47,7 @@ def voxels(edge: float) -> GreyPart:
     ]
     field = GreyField(tuple(p.material for p in solids), np.stack(amounts, axis=-1), grid)
     body = GreyPart("body", solids[1].material, solids[0].mesh, field)
-    return body.displaced([parts(rod=True)[2].mesh])
+    return body.without([parts(rod=True)[2].mesh])
 
 
 def lengths(view: ScanGeometry) -> np.ndarray:

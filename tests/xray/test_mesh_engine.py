@@ -20,12 +20,13 @@ from xray_scenes import random_view, specimen
 from twinct.core.card import DEVICE_VARIABLE
 from twinct.core.errors import SpecimenError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.rays import Surface, _crossings
+from twinct.rays.mesh_rays import frame_of
 from twinct.scenario import Detector, Source, Specimen
 from twinct.specimen import build_specimen
-from twinct.xray import Imager, _crossings
+from twinct.xray import Imager
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import engine_named
-from twinct.xray.mesh import MeshEngine, frame_of
 
 EXACT_MM = 0.01
 """Required, for the worst ray."""
@@ -314,9 +315,7 @@ def test_results_do_not_depend_on_the_bands_of_threads() -> None:
     rng = np.random.default_rng(4)
     ball = trimesh.creation.icosphere(subdivisions=4, radius=40.0)
     view = random_view(rng, PANEL, np.zeros(3))
-    engine, found = MeshEngine(), []
-    engine.acquire([SceneBody(ball.vertices, ball.faces)], PANEL)
-    frame, body = frame_of(view), engine._bodies[0]
+    frame, body, found = frame_of(view), Surface.of(ball.vertices, ball.faces), []
     places = np.empty((len(body.vertices), 3))
     _crossings.project(body.vertices, frame.seen, places)
     for limits in ([0, 120], [0, 1, 60, 60, 61, 120], list(range(121))):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import ndimage
-from xray_scenes import box, chords, front_view, random_pose, random_view, specimen, sphere
+from xray_scenes import body, box, chords, front_view, random_pose, random_view, specimen, sphere
 
 from twinct.core.errors import SpecimenError, TwinctError
 from twinct.geometry import Panel, Pose, ScanGeometry
@@ -18,7 +18,7 @@ from twinct.specimen.materials import material
 from twinct.xray import Imager
 from twinct.xray import paths as paths_module
 from twinct.xray._placement import longest_edge
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import PathRenderer
 
 BONE, TITANIUM, WATER = (material(name) for name in ("bone", "titanium", "water"))
 CHORD_MM = 0.02
@@ -33,7 +33,7 @@ def test_each_body_moves_by_itself_and_paths_are_chords():
     panel = Panel(120, 160, 1.5, 1.6)
     radii = (30.0, 18.0, 12.0)
     bodies = [
-        Body(sphere((0, 0, 0), r, 6), m) for r, m in zip(radii, (BONE, TITANIUM, BONE), strict=True)
+        body(sphere((0, 0, 0), r, 6), m) for r, m in zip(radii, (BONE, TITANIUM, BONE), strict=True)
     ]
     rng = np.random.default_rng(1)
     with PathRenderer(bodies, panel) as renderer:
@@ -60,7 +60,7 @@ def test_slabs_are_as_thick_as_they_are(figure):
     worst = 0.0
     for thickness in (0.01, 0.1, 1.0, 10.0, 100.0, 400.0):
         slab = box((0, 0, 0), (thickness, 2, 2))
-        with PathRenderer([Body(slab, BONE)], panel) as renderer:
+        with PathRenderer([body(slab, BONE)], panel) as renderer:
             for shift in (0.0, 7.3, -41.9):
                 pose = Pose.from_euler((shift, 0, 0), (0, 0, 0))
                 off = np.abs(renderer.render(view, pose)[0] - thickness * oblique).max()
@@ -71,7 +71,7 @@ def test_slabs_are_as_thick_as_they_are(figure):
 
 def test_samples_lie_at_the_centres_of_the_parts_of_a_pixel():
     panel, fine = Panel(30, 40, 3.0, 2.0), Panel(90, 120, 1.0, 2 / 3)
-    bodies = [Body(sphere((3, 4, 5), 20, 4), BONE)]
+    bodies = [body(sphere((3, 4, 5), 20, 4), BONE)]
     with PathRenderer(bodies, panel, samples=3) as renderer:
         sampled = renderer.render(front_view(panel), Pose.identity())
     with PathRenderer(bodies, fine) as renderer:
@@ -82,7 +82,7 @@ def test_samples_lie_at_the_centres_of_the_parts_of_a_pixel():
 
 def test_a_large_panel_is_taken_in_tiles(monkeypatch):
     panel = Panel(50, 40, 3.0, 3.0)
-    bodies = [Body(sphere((3, 4, 5), 20, 4), BONE), Body(sphere((0, -30, 5), 9, 3), BONE)]
+    bodies = [body(sphere((3, 4, 5), 20, 4), BONE), body(sphere((0, -30, 5), 9, 3), BONE)]
     with PathRenderer(bodies, panel) as renderer:
         whole = renderer.render(front_view(panel), Pose.identity())
     monkeypatch.setattr(paths_module, "LARGEST_TILE", 13)
@@ -105,7 +105,7 @@ def test_large_triangles_are_split(figure):
     inside = ndimage.binary_erosion(truth > 0, iterations=2)
 
     def error(edge):
-        with PathRenderer([Body(box((0, 0, 0), size), BONE)], panel, 1, edge) as renderer:
+        with PathRenderer([body(box((0, 0, 0), size), BONE)], panel, 1, edge) as renderer:
             found = renderer.render(view, Pose.identity())[0]
         return np.sqrt(np.mean((found - truth)[inside] ** 2))
 
@@ -120,7 +120,7 @@ def test_paths_agree_with_the_imager():
     ball, block = sphere((10, -4, 6), 25, 5), box((-30, 5, 0), (20, 15, 30))
     view = random_view(np.random.default_rng(5), panel, np.zeros(3))
     with PathRenderer(
-        [Body(ball, BONE), Body(block, TITANIUM)], panel, 1, longest_edge(150)
+        [body(ball, BONE), body(block, TITANIUM)], panel, 1, longest_edge(150)
     ) as renderer:
         bone, titanium = renderer.render(view, Pose.identity()).astype(float)
     detector = Detector(columns=160, rows=120, pixel_pitch_mm=1.5)
@@ -137,11 +137,11 @@ def test_what_cannot_be_rendered_is_refused():
     open_mesh = ball.copy()
     open_mesh.update_faces(np.arange(len(ball.faces)) > 0)
     with pytest.raises(SpecimenError, match="part .water. is an open mesh"):
-        PathRenderer([Body(ball, BONE), Body(open_mesh, WATER)], panel)
+        PathRenderer([body(ball, BONE), body(open_mesh, WATER)], panel)
     with pytest.raises(SpecimenError, match="nothing to image"):
         PathRenderer([], panel)
-    with PathRenderer([Body(ball, BONE)], panel) as renderer:
-        with pytest.raises(ValueError, match="2 poses for 1 bodies"):
+    with PathRenderer([body(ball, BONE)], panel) as renderer:
+        with pytest.raises(ValueError, match="2 poses for 1 parts"):
             renderer.render(front_view(panel), [Pose.identity()] * 2)
         with pytest.raises(TwinctError, match="source is inside"):
             renderer.render(front_view(panel), Pose.from_euler((300, 0, 0), (0, 0, 0)))
@@ -155,11 +155,11 @@ def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode(figure):
     code = """
     import numpy as np
     from gvxrPython3 import gvxr
-    from xray_scenes import box, front_view, sphere
+    from xray_scenes import body, box, front_view, sphere
     from twinct.geometry import Panel, Pose
     from twinct.specimen.materials import material
     from twinct.xray.gvxr import GVXR
-    from twinct.xray.paths import Body, PathRenderer
+    from twinct.xray.paths import PathRenderer
     from twinct.xray.response import PhotonResponse
     from twinct.xray.signal import Signal
     from twinct.xray.spectrum import PhotonSpectrum
@@ -171,7 +171,7 @@ def test_a_spectrum_agrees_with_gvxr_in_its_own_polychromatic_mode(figure):
     view = front_view(panel)
     meshes = {"bone": sphere((0, -20, 6), 25, 5), "titanium": box((0, 25, 0), (20, 15, 30))}
     for names in (["bone"], ["bone", "titanium"]):
-        bodies = [Body(meshes[name], material(name)) for name in names]
+        bodies = [body(meshes[name], material(name)) for name in names]
         with PathRenderer(bodies, panel) as renderer:
             paths = renderer.render(view, Pose.identity())
             signal = Signal(spectrum, renderer.materials, PhotonResponse.integrating())

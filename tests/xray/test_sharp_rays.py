@@ -8,9 +8,9 @@ from xray_scenes import random_view
 
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.specimen import GreyField
+from twinct.specimen.grey_caster import GreyCaster
 from twinct.specimen.materials import material
 from twinct.specimen.voxels import volume_fractions
-from twinct.xray.grey import GreyCaster
 
 NAMES = "water", "bone", "titanium"
 PANEL = Panel(17, 23, 6.0, 6.0)

@@ -10,6 +10,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.specimen import BuiltPart, Material
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Part:
     name: str
     mesh: trimesh.Trimesh
     material: FixedMaterial
+    own_rays: bool = False
 
 
 @dataclass(frozen=True)
@@ -34,12 +36,12 @@ class Parts:
     """What an imager needs of a built specimen."""
 
     parts: tuple[Part, ...]
-    greys: tuple[()] = ()
     motion: None = None
 
-    @property
-    def solids(self) -> tuple[Part, ...]:
-        return self.parts
+
+def body(mesh: trimesh.Trimesh, material: Material) -> BuiltPart:
+    """A part with the name of its material."""
+    return BuiltPart(material.name, material, mesh)
 
 
 def specimen(*bodies: tuple[trimesh.Trimesh, float]) -> Parts:

@@ -17,9 +17,9 @@ from twinct.ctsimu.sampling import Sampling, sampling
 from twinct.ctsimu.scene import Frame, Layer, Tube
 from twinct.ctsimu.solids import Solids
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.specimen import Material
+from twinct.specimen import BuiltPart, Material
 from twinct.xray.beam import fall_off
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import PathRenderer
 from twinct.xray.response import PhotonResponse
 from twinct.xray.signal import Signal
 from twinct.xray.spectrum import PhotonSpectrum
@@ -101,7 +101,11 @@ class Camera:
     ) -> tuple[tuple[Material, ...], PathRenderer | None]:
         if not solids:
             return (), None
-        bodies = [Body(mesh, b.material) for b, mesh in solids if b.material is not None]
+        bodies = [
+            BuiltPart(b.material.name, b.material, mesh)
+            for b, mesh in solids
+            if b.material is not None
+        ]
         key = panel, samples, [(id(body.mesh), body.material) for body in bodies]
         if key != self._uploaded or self._renderer is None:
             self.close()

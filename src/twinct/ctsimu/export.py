@@ -72,9 +72,9 @@ def export_scan(
         ScanExistsError: the folder already holds an export.
         StorageError: the folder cannot be written.
     """
-    if specimen.greys:
+    if specimen.mixtures:
         raise InputError(
-            f"specimen: part {quoted(specimen.greys[0].name)} has grey voxels; CTSimU describes "
+            f"specimen: part {quoted(specimen.mixtures[0].name)} has grey voxels; CTSimU describes "
             "samples by meshes of one material each"
         )
     known = scan.poses(geometry)
@@ -108,7 +108,7 @@ def _scenario(
     source = _moving(known.source, scan.executed.source)
     substances: list[Json] = []
     samples = []
-    for index, part in enumerate(specimen.solids):
+    for index, part in enumerate(specimen.parts):
         file = folder / f"{name}_{index}_{part.name}.obj"
         middle = write_mesh(part.mesh, file)
         shift = Pose(middle, np.array([0.0, 0.0, 0.0, 1.0]))

@@ -17,8 +17,8 @@ from twinct.core.errors import SpecimenError
 from twinct.core.files.meshes import open_edges, read_triangles
 from twinct.ctsimu.scene import Sample
 from twinct.geometry import Floats, Pose
-from twinct.specimen.surface import subtract, surface
-from twinct.xray._placement import corners, longest_edge, split
+from twinct.specimen.surface import corners, subtract, surface
+from twinct.xray._placement import longest_edge, split
 
 OVERLAP = 1e-9
 """Shares of a volume below this are rounding errors of two touching faces."""

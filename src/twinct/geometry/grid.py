@@ -73,6 +73,14 @@ class VolumeGrid:
         local[:3, 3] = self.first_voxel_mm
         return self.world_from_grid.matrix @ local
 
+    def part(self, box: tuple[slice, slice, slice]) -> VolumeGrid:
+        """Return the voxels of a box (z, y, x) as a separate grid."""
+        low, high = (np.array([getattr(s, end) for s in box[::-1]]) for end in ("start", "stop"))
+        middle = self.first_voxel_mm + ((low + high - 1) / 2) * self.voxel
+        pose = self.world_from_grid
+        shape = [s.stop - s.start for s in box]
+        return VolumeGrid(shape, self.voxel, Pose(pose.apply(middle), pose.quat))
+
     def with_voxels(self, voxel_mm: float | Floats, margin_mm: ArrayLike = 0.0) -> VolumeGrid:
         """Return a grid of other voxels, larger by a margin, with voxel borders along this one's.
 

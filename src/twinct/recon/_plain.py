@@ -13,11 +13,9 @@ import sys
 import numpy as np
 from numba import njit, prange
 
+from twinct.rays.joseph import OPTIONS, ray_of
 from twinct.recon.blocks import EDGE, EVERYWHERE
 from twinct.recon.slabs import lower_in_slabs
-
-OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
-"""Options of all kernels, without fast mathematics: sums keep their order."""
 
 OTHERS = ((1, 2), (0, 2), (0, 1))
 """The two other axes for each of x, y, z."""
@@ -54,25 +52,6 @@ def leave_out(length, mask):
 
 
 @njit(**OPTIONS)
-def _ray(rays, row, column):
-    """Return a ray's source, vector to its pixel, fastest axis, and mm per plane.
-
-    Source and vector are in voxel indices (x, y, z).
-    """
-    source = rays[0, 0], rays[0, 1], rays[0, 2]
-    pixel = rays[1] + row * rays[3] + column * rays[2]
-    way = pixel[0] - source[0], pixel[1] - source[1], pixel[2] - source[2]
-    axis = 0
-    for other in (1, 2):
-        if abs(way[other]) > abs(way[axis]):
-            axis = other
-    mm = np.sqrt(
-        (way[0] * rays[4, 0]) ** 2 + (way[1] * rays[4, 1]) ** 2 + (way[2] * rays[4, 2]) ** 2
-    )
-    return source, way, axis, mm / abs(way[axis])
-
-
-@njit(**OPTIONS)
 def _cell(source, way, axis, plane, other, size):
     """Return a ray's lower voxel in a plane along another axis, and the upper voxel's weight.
 
@@ -100,7 +79,7 @@ def _forward(x, rays, out):
     sizes, strides, voxels = (nx, ny, nz), (1, nx, nx * ny), x.reshape(-1)
     for row in prange(out.shape[0]):
         for column in range(out.shape[1]):
-            source, way, axis, mm = _ray(rays, row, column)
+            source, way, axis, mm = ray_of(rays, row, column)
             b, c = OTHERS[axis]
             total = 0.0
             for plane in range(sizes[axis]):
@@ -123,7 +102,7 @@ def adjoint(y, rays, out):
     sizes, strides, voxels = (nx, ny, nz), (1, nx, nx * ny), out.reshape(-1)
     for row in range(y.shape[0]):
         for column in range(y.shape[1]):
-            source, way, axis, mm = _ray(rays, row, column)
+            source, way, axis, mm = ray_of(rays, row, column)
             b, c = OTHERS[axis]
             value = mm * y[row, column]
             for plane in range(sizes[axis]):
@@ -145,7 +124,7 @@ def chords(rays, shape, out):
     sizes = shape[2], shape[1], shape[0]
     for row in prange(out.shape[0]):
         for column in range(out.shape[1]):
-            source, way, axis, mm = _ray(rays, row, column)
+            source, way, axis, mm = ray_of(rays, row, column)
             near, far = -np.inf, np.inf
             for other in range(3):
                 to_faces = -0.5 - source[other], sizes[other] - 0.5 - source[other]

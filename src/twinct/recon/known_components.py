@@ -2,7 +2,7 @@
 
 Two steps alternate, as in Stayman, Otake, Prince, Khanna and Siewerdsen (IEEE Trans Med Imaging 31,
 2012). With the background fixed, Gauss-Newton steps with exact derivatives
-(``twinct.recon.shadow``) estimate the implants' poses and densities from the residuals about their
+(``twinct.rays``) estimate the implants' poses and densities from the residuals about their
 shadows. With the implants fixed, ``sart`` reconstructs the background from line integrals without
 the implants. Unlike in the paper, the background is not part of one objective function, so that any
 algorithm can continue with the line integrals afterwards.
@@ -30,12 +30,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry
+from twinct.rays import Body, Box, Rays
 from twinct.recon.checks import Checks, Mask, mask_of
 from twinct.recon.engine import Singles
 from twinct.recon.memory import SPARE_BYTES, advice, refuse_if_short
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
-from twinct.recon.shadow import Body, Box, Rays
 from twinct.recon.steps import Callback
 
 STARVED = 7.0

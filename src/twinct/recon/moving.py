@@ -57,7 +57,7 @@ class Moved:
 
 def _kernels() -> Any:
     """Return the kernels, which load numba: only where they are needed."""
-    return import_module("twinct.recon._moving")
+    return import_module("twinct.recon.moving_kernels")
 
 
 def refuse_card() -> None:

@@ -24,7 +24,7 @@ from twinct.report.physics import physics_in_words
 from twinct.report.pose_words import named_pose_errors
 from twinct.report.style import Picture
 from twinct.report.template import rendered
-from twinct.scenario import AnyCell, GantryCell, Part
+from twinct.scenario import AnyCell, GantryCell
 
 PAPER = (
     "Freiling, Schaar, Stille, Kundrat: A Twin Robotic CT System Simulation using MuJoCo and gVXR "
@@ -199,12 +199,6 @@ def _machine(cell: AnyCell) -> dict[str, str]:
     return {"Arms": f"{cell.source_arm.label} (source), {cell.detector_arm.label} (detector)"}
 
 
-def _made_of(part: Part) -> str:
-    if part.is_grey:
-        return "grey voxels"
-    return part.material if isinstance(part.material, str) else "own material"
-
-
 def _setting(report: ReportData) -> dict[str, str]:
     """Return the experiment in a few lines."""
     scenario = report.scenario
@@ -212,7 +206,7 @@ def _setting(report: ReportData) -> dict[str, str]:
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
     apart = {**report.metrics, "warnings": ()}  # they stand above the figures
     return {
-        "Specimen": ", ".join(f"{p.label} ({_made_of(p)})" for p in scenario.specimen.parts),
+        "Specimen": ", ".join(f"{p.label} ({p.made_of})" for p in scenario.specimen.parts),
         **({"Motion": report.motion} if report.motion else {}),
         "Trajectory": f"{scenario.trajectory.kind}, {counted(report.metrics['views'], 'view')}",
         **_machine(scenario.cell),

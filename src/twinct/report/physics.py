@@ -33,8 +33,7 @@ def physics_in_words(
     photons = _photons(scenario, source, panel, float(loads[0]))
     if photons is not None:
         words.append(f"{photons:.3g} photons per pixel in the free beam")
-    if scenario.xray.engine != sections.Xray().engine:
-        words.append(f"rendered by {scenario.xray.engine}")
+    words += _rendered(scenario)
     lattice, n = scenario.detector.panel, scenario.detector.binning
     size = f"{lattice.columns} × {lattice.rows} px of {lattice.pitch_u:g} × {lattice.pitch_v:g} mm"
     size += f", each binned from {n} × {n}" if n > 1 else ""
@@ -42,6 +41,16 @@ def physics_in_words(
         "Source": "; ".join(words),
         "Detector": "; ".join([size, *_signal(scenario), *_raw(scenario.detector)]),
     }
+
+
+def _rendered(scenario: Scenario) -> Iterator[str]:
+    """Say who renders what, unless the usual engine renders all."""
+    own = [part.label for part in scenario.specimen.parts if part.own_rays]
+    if scenario.engine not in (None, sections.Xray().engine) or (own and scenario.engine):
+        yield f"rendered by {scenario.engine}"
+    if own:
+        apart = f"{', '.join(own)} by " if scenario.engine else "rendered by "
+        yield f"{apart}rays of {'its' if len(own) == 1 else 'their'} own"
 
 
 def _photons(scenario: Scenario, source: Pose, panel: Pose, mas: float) -> float | None:
@@ -105,7 +114,7 @@ def _signal(scenario: Scenario) -> Iterator[str]:
         yield f"{n} × {n} samples a pixel"
     if detector.scatter is not None:
         yield f"scatter × {detector.scatter.scale:g}"
-    elif any(part.is_grey for part in scenario.specimen.parts):
+    elif not all(part.homogeneous for part in scenario.specimen.parts):
         yield "without scatter"
     if detector.lag:
         yield f"lag {100 * detector.lag:g} %"

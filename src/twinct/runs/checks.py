@@ -27,7 +27,6 @@ from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario, stage_digests
-from twinct.specimen.cut_rays import cut_share
 from twinct.specimen.size import SpecimenSize, specimen_size
 
 MOST_CUT = 0.01
@@ -113,11 +112,11 @@ def _size(builder: SimulationBuilder) -> SpecimenSize:
 
 
 def _cut(builder: SimulationBuilder) -> list[str]:
-    """Return a warning for each grey part that the edge of its CT cuts within the views."""
+    """Return a warning for each part that the edge of its CT cuts within the views."""
     specimen, warnings = builder.specimen, list[str]()
     seen = specimen.world_from_specimen.inverse() @ builder.commanded
-    for part in specimen.greys:
-        shares = cut_share(part, seen)
+    for part in specimen.parts:
+        shares = part.cut_share(seen)
         views = tuple(np.flatnonzero(shares > MOST_CUT).tolist())
         if views:
             faces = ", ".join(face.name for face in part.cuts)

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose, ScanGeometry
+from twinct.rays import Body
 from twinct.recon.known_components import Beam, FittedImplant, Implant, outside, without_implants
 from twinct.recon.metal import without_metal
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
-from twinct.recon.shadow import Body
 from twinct.recon.steps import Callback
 from twinct.recon.surroundings import without_surroundings
 from twinct.recon.volume import Volume

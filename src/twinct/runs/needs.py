@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 from twinct.core.errors import MemoryShortageError
 from twinct.core.foreign_text import quoted
@@ -13,39 +12,14 @@ from twinct.core.threads import threads
 from twinct.runs.acquisition import Link
 from twinct.runs.volumes import memory_needed
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Brain, CtVolume, GreyVolume, Head, MeshFile, Scenario, Shape, Skull
-from twinct.specimen.shapes import triangles
+from twinct.scenario import Scenario
+from twinct.specimen.memory import moved_bytes, part_bytes, specimen_bytes
 
 PROCESS_BYTES = 400 * 2**20
 """Memory of a process with its libraries and kernels, without any data of the scan."""
 
 ROOM_BYTES = 250 * 2**20
 """Memory of the room's model with both arms."""
-
-SKULL_BYTES_PER_CELL = 40
-SKULL_MM = 220.0
-"""Edge of the lattice of the built-in skull; the lattice of the brain is smaller."""
-HEAD_MM = 320.0
-"""Edge of the lattice of the built-in head."""
-
-FILE_FACTOR = 24
-"""Peak bytes in memory for each byte of a mesh file or a compressed CT volume."""
-
-PACKED = (".gz", ".inv3")
-PACKED_GREY_FACTOR, GREY_FACTOR = 36, 10
-"""Peak bytes in memory for each byte of a CT volume that stays grey, in such a file or another.
-
-Measured: 1.2 GiB for 35 MB of .nii.gz, 2.5 GiB for 268 MB of .nii.
-"""
-
-PHANTOM_BYTES_PER_VOXEL = 60
-BYTES_PER_GREY_VOXEL = 12
-"""Amounts of a voxel: the default's three basis materials, float32."""
-PHANTOM_MM3 = {"head": 162.0 * 210.0 * 222.0, "trunk": 338.0 * 238.0 * 480.0}
-"""Volume of the built-in grey phantom's box, mm^3."""
-
-BYTES_PER_TRIANGLE = 200
-"""Bytes of a generated body, its library's share included; measured with ``ball_helix``."""
 
 REPORT_BYTES = 300 * 2**20
 
@@ -85,8 +59,8 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"
-    specimen = PROCESS_BYTES + _specimen_bytes(scenario)
-    moved = _moved_bytes(scenario)
+    specimen = PROCESS_BYTES + specimen_bytes(scenario.specimen)
+    moved = moved_bytes(scenario.specimen)
     room = ROOM_BYTES if scenario.cell.kind == "arms" else 0
     engine = engine_named(scenario.engine).memory_bytes if scenario.engine else 0
     simulations = room + engine + 16 * image
@@ -118,7 +92,7 @@ def require_memory(scenario: Scenario) -> None:
     pixels, grid = math.prod(panel.shape), scenario.reconstruction.volume_grid
     zoomed = scenario.reconstruction.zoom is not None
     data = {
-        f"specimen.parts.{i}.shape: part {quoted(part.label)}": _part_bytes(part.shape)
+        f"specimen.parts.{i}.shape: part {quoted(part.label)}": part_bytes(part.shape)
         for i, part in enumerate(scenario.specimen.parts)
     }
     data |= {
@@ -134,44 +108,3 @@ def require_memory(scenario: Scenario) -> None:
             f"{available / 2**30:.2f} GiB are available ({limit})"
             for what, size in short.items()
         )
-
-
-def _specimen_bytes(scenario: Scenario) -> int:
-    return sum(_part_bytes(part.shape) for part in scenario.specimen.parts)
-
-
-def _moved_bytes(scenario: Scenario) -> int:
-    """Return the bytes of the voxels of a breathing patient in the state of a view."""
-    if scenario.specimen.motion is None:
-        return 0
-    shapes = [part.shape for part in scenario.specimen.parts]
-    voxels = [_grey_voxels(shape) for shape in shapes if isinstance(shape, GreyVolume)]
-    return BYTES_PER_GREY_VOXEL * max(voxels, default=0)
-
-
-def _grey_voxels(shape: GreyVolume) -> int:
-    """Estimate the number of voxels of a grey part; packed files hold about one in each byte."""
-    if shape.phantom:
-        return int(PHANTOM_MM3[shape.phantom] / shape.voxel_mm**3)
-    assert shape.path is not None
-    return _file_bytes(shape.path) // (1 if shape.path.suffix in PACKED else 2)
-
-
-def _file_bytes(path: Path) -> int:
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())
-
-
-def _part_bytes(shape: Shape) -> int:
-    if isinstance(shape, Skull | Head | Brain):
-        edge = HEAD_MM if isinstance(shape, Head) else SKULL_MM
-        return int(SKULL_BYTES_PER_CELL * (edge * shape.scale / shape.mesh_resolution_mm) ** 3)
-    if isinstance(shape, GreyVolume) and shape.phantom:
-        return int(PHANTOM_BYTES_PER_VOXEL * PHANTOM_MM3[shape.phantom] / shape.voxel_mm**3)
-    if isinstance(shape, MeshFile | CtVolume | GreyVolume):
-        assert shape.path is not None
-        factor = FILE_FACTOR
-        if isinstance(shape, GreyVolume):
-            factor = PACKED_GREY_FACTOR if shape.path.suffix in PACKED else GREY_FACTOR
-        return factor * _file_bytes(shape.path)
-    return BYTES_PER_TRIANGLE * triangles(shape)

@@ -21,10 +21,10 @@ SIDES = ("-x", "+x", "-y", "+y")
 
 
 def larger_than_table(builder: SimulationBuilder) -> list[str]:
-    """Return a warning for each grey part that reaches beyond a table on which it lies."""
+    """Return a warning for each patient, a mixture of materials, beyond the edge of a table."""
     specimen, warnings = builder.specimen, list[str]()
     place = specimen.world_from_specimen
-    for patient in specimen.greys:
+    for patient in specimen.mixtures:
         body = _bounds(place.apply(np.asarray(patient.mesh.vertices)))
         for name, table in _tables(builder):
             over = _overhang(body, table)
@@ -47,7 +47,7 @@ def larger_than_table(builder: SimulationBuilder) -> list[str]:
 def _tables(builder: SimulationBuilder) -> Iterator[tuple[str, Floats]]:
     """Yield name and bounds (2, 3) in the world of everything that may carry a patient."""
     place = builder.specimen.world_from_specimen
-    for part in builder.specimen.solids:
+    for part in builder.specimen.pure:
         yield quoted(part.name), _bounds(place.apply(np.asarray(part.mesh.vertices)))
     cell = builder.scenario.cell
     if isinstance(cell, Cell) and cell.table.present:

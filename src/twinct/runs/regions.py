@@ -23,9 +23,9 @@ from twinct.evaluation import (
     shell,
     whole,
 )
-from twinct.geometry import Pose, VolumeGrid, part_of
+from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import Evaluation, Scenario
-from twinct.specimen import BuiltSpecimen, GreyPart
+from twinct.specimen import BuiltSpecimen
 from twinct.specimen.voxels import volume_fractions
 
 
@@ -69,8 +69,8 @@ class Places:
     def part(self, name: str) -> Voxels:
         """Return all voxels that a part fills, even partly, or that a label fills by half."""
         part = self.specimen.named(name, "evaluation")
-        if part.name != name and isinstance(part, GreyPart):
-            return whole(part.label_on(name, self.grid, self.world_from_specimen))
+        if label := part.label_of(name):
+            return whole(part.label_on(label, self.grid, self.world_from_specimen))
         mesh = part.mesh
         low, high = np.asarray(mesh.bounds)
         middle = Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
@@ -78,7 +78,7 @@ class Places:
         box = cuboid(self.grid, place @ middle, high - low + 2 * self.grid.voxel.max()).box
         if not all(side.stop > side.start for side in box):
             return Voxels(box, np.zeros([s.stop - s.start for s in box], dtype=np.bool_))
-        grid = part_of(self.grid, box)
+        grid = self.grid.part(box)
         return Voxels(box, volume_fractions(mesh.vertices, mesh.faces, grid, place) > 0)
 
     def body(self, name: str) -> RoundBody:

@@ -30,7 +30,7 @@ from twinct.observers import Audience
 from twinct.recon.volume import Volume
 from twinct.runs.known_motion import as_reconstructed
 from twinct.scan import Scan, SimulationBuilder
-from twinct.specimen import BuiltSpecimen, GreyPart, material
+from twinct.specimen import BuiltSpecimen, material
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +53,7 @@ class Truth:
         executed: executed geometry of the views, relative to the specimen.
         note: note in the volume's file, which identifies it.
         mu_water: attenuation of water at the energy of the volume, 1/mm.
-        body: voxels that count as bone, (z, y, x), bool, if the reference is grey.
+        body: voxels that count as bone, (z, y, x), bool, if the reference is a mixture.
     """
 
     volume: NDArray[np.float32]
@@ -137,9 +137,9 @@ def truth_of(
             step()
         mu = specimen.reference_mu(energy)
         if file:  # little else reads the voxels
-            for part in (*specimen.greys, *builder.specimen.greys):
-                part.field.spill(file.parent)
-        body = grey_body(specimen, volume, mu, grid, scan.stands)
+            for part in (*specimen.parts, *builder.specimen.parts):
+                part.spill(file.parent)
+        body = bone_voxels(specimen, volume, mu, grid, scan.stands)
         water = material("water").mu_per_mm(energy)
         return Truth(volume, region, mu, grid, executed, note, water, body)
 
@@ -150,7 +150,7 @@ def truth_of(
     for array in (executed.source, executed.detector, executed.u, executed.v):
         views.update(np.ascontiguousarray(array).data)
     inputs = [note, views.hexdigest(), repr(executed.panel), specimen.reference_mu(energy)]
-    inputs += [specimen.reference] if specimen.greys else []
+    inputs += [specimen.reference] if specimen.mixtures else []
     return once("truth", json.dumps(inputs), make)
 
 
@@ -163,14 +163,16 @@ def _is_large(grid: VolumeGrid) -> bool:
     return 5 * math.prod(grid.shape) > _MOST_KEPT
 
 
-def grey_body(
+def bone_voxels(
     specimen: BuiltSpecimen,
     volume: NDArray[np.float32],
     mu_reference: float,
     grid: VolumeGrid,
     world_from_specimen: Pose,
 ) -> NDArray[np.bool_] | None:
-    """Return the voxels that count as bone if the reference is grey: of its label, or dense ones.
+    """Return the voxels that count as bone in a mixture: of the reference label, or dense ones.
+
+    None if the reference is a part of one material.
 
     Args:
         specimen: specimen with its reference.
@@ -179,7 +181,7 @@ def grey_body(
         grid: grid of the volume.
         world_from_specimen: pose of the specimen.
     """
-    if not isinstance(specimen.reference_part, GreyPart):
+    if specimen.reference_part.homogeneous:
         return None
     label = specimen.reference_voxels(grid, world_from_specimen)
     return volume >= BONE_SHARE * mu_reference if label is None else label
@@ -190,7 +192,7 @@ def _digest(
 ) -> str:
     """Return the SHA-256 of all inputs of a true volume."""
     mu = [part.material.mu_per_mm(energy_kev) for part in specimen.parts]
-    mu += [m.mu_per_mm(energy_kev) for part in specimen.greys for m in part.field.materials]
+    mu += [m.mu_per_mm(energy_kev) for part in specimen.mixtures for m in part.materials]
     poses = [
         [*pose.position.tolist(), *pose.quat.tolist()]
         for pose in (world_from_specimen, grid.world_from_grid)

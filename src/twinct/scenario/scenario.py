@@ -205,9 +205,9 @@ class Scenario(Section):
 
     @property
     def engine(self) -> str | None:
-        """Name of the X-ray engine; None for grey parts alone, which need none."""
-        grey = all(part.is_grey for part in self.specimen.parts)
-        return None if grey else self.xray.engine
+        """Name of the X-ray engine; None if all parts are cast by rays of their own."""
+        own = all(part.own_rays for part in self.specimen.parts)
+        return None if own else self.xray.engine
 
     @property
     def believed_seed(self) -> int:

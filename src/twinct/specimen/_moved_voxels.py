@@ -10,7 +10,7 @@ value of its border.
 import numpy as np
 from numba import njit, prange
 
-OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
+from twinct.rays.joseph import OPTIONS
 
 
 @njit(**OPTIONS)

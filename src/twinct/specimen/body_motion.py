@@ -25,6 +25,7 @@ from twinct.specimen.deformation import Deformation
 from twinct.specimen.displacement_map import Map, map_of
 from twinct.specimen.grey import GreyField
 from twinct.specimen.grey_part import GreyPart, VoxelLabels
+from twinct.specimen.part import Part
 
 if TYPE_CHECKING:
     import trimesh
@@ -197,7 +198,7 @@ def _read_fields(section: sections.Fields) -> PhaseFields:
     return PhaseFields(vectors.transpose(0, 3, 2, 1, 4), affine)
 
 
-def require_possible(motion: BodyMotion, parts: tuple[GreyPart, ...]) -> None:
+def require_possible(motion: BodyMotion, parts: tuple[Part, ...]) -> None:
     """Check that a motion does not fold its part in a usual breath.
 
     Raises:

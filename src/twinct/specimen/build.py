@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy
@@ -14,17 +14,25 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
-from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.geometry import Floats, Panel, Pose, VolumeGrid
 from twinct.specimen import sections
 from twinct.specimen.body_motion import body_motion, require_possible
 from twinct.specimen.breathing import Breath
-from twinct.specimen.colours import SKIN, colour_of
 from twinct.specimen.convex_parts import convex_parts
 from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
+from twinct.specimen.own_parts import own_part
+from twinct.specimen.part import Caster, Part, add_mesh
 from twinct.specimen.shapes import shape_surface
-from twinct.specimen.surface import enclosed_volume, joined, solids_once, subtract, surface
+from twinct.specimen.surface import (
+    ToSolid,
+    joined,
+    solids_once,
+    subtract,
+    surface,
+    to_manifold,
+)
 from twinct.specimen.voxels import volume_fractions
 
 if TYPE_CHECKING:
@@ -49,43 +57,19 @@ FLATTEST = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class BuiltPart:
-    """One body of one material, with its name for messages.
-
-    ``mesh`` is its closed surface in the specimen's frame, mm, counter-clockwise seen from outside.
-    """
+class BuiltPart(Part):
+    """One body of one material within a closed mesh, which X-ray engines render."""
 
     name: str
     material: Material
     mesh: trimesh.Trimesh
+    own_rays: ClassVar[bool] = False
 
-    @property
-    def volume_mm3(self) -> float:
-        """Enclosed volume, mm^3."""
-        return enclosed_volume(self.mesh)
+    def caster(self, panel: Panel) -> Caster:
+        """Return rays through the mesh, for bodies that stand beside the engine's scene."""
+        from twinct.specimen.mesh_caster import MeshCaster
 
-    @property
-    def bulk(self) -> Material:
-        """Material with the largest mass."""
-        return self.material
-
-    def mean_mu(self, energy_kev: float) -> float:
-        """Return the attenuation at a photon energy, 1/mm."""
-        return self.material.mu_per_mm(energy_kev)
-
-    def mixture(self) -> Material:
-        """Return the material."""
-        return self.material
-
-    @property
-    def in_words(self) -> str:
-        """Name of the material."""
-        return self.material.name
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Names of labels within the part: none."""
-        return ()
+        return MeshCaster(self.mesh, panel)
 
     def add_truth(
         self,
@@ -94,7 +78,7 @@ class BuiltPart:
         world_from_specimen: Pose,
         out: NDArray[np.float32],
     ) -> None:
-        """Add the mean attenuation in each voxel of a grid, 1/mm, to ``out`` (nz, ny, nx)."""
+        """Add the attenuation where the mesh is; see ``Part``."""
         mu, mesh = self.material.mu_per_mm(energy_kev), self.mesh
         volume_fractions(mesh.vertices, mesh.faces, grid, world_from_specimen, weight=mu, out=out)
 
@@ -106,14 +90,13 @@ class BuiltPart:
         share = volume_fractions(mesh.vertices, mesh.faces, grid, world_from_specimen)
         return [(self.material, share)]
 
+    def without(self, meshes: Sequence[trimesh.Trimesh], solid: ToSolid = to_manifold) -> BuiltPart:
+        """Return the part outside closed meshes."""
+        return replace(self, mesh=subtract(self.mesh, meshes, self.name, solid))
+
     def update(self, digest: hashlib._Hash) -> None:
         """Feed the surface to a digest."""
-        for array in (self.mesh.vertices, self.mesh.faces):
-            digest.update(repr((array.shape, array.dtype.str)).encode())
-            digest.update(np.ascontiguousarray(array).data)
-
-
-AnyPart = BuiltPart | GreyPart
+        add_mesh(digest, self.mesh)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +104,10 @@ class BuiltSpecimen:
     """A specimen ready to be imaged: images and true volume come from the same bodies.
 
     Its parts are disjoint. Where two overlapped in the scenario, the overlap belongs to the later
-    one. Parts of one material are closed meshes; grey parts are voxels. A part that moves is in its
-    reference state, full exhalation.
+    one. A part that moves is in its reference state, full exhalation.
     """
 
-    parts: tuple[AnyPart, ...]
+    parts: tuple[Part, ...]
     world_from_specimen: Pose
     reference: str = ""
     motion: BodyMotion | None = None
@@ -137,14 +119,14 @@ class BuiltSpecimen:
         return np.stack([corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)])
 
     @property
-    def solids(self) -> tuple[BuiltPart, ...]:
-        """Parts of one material, whose meshes are imaged."""
-        return tuple(part for part in self.parts if isinstance(part, BuiltPart))
+    def pure(self) -> tuple[Part, ...]:
+        """Parts of one material."""
+        return tuple(part for part in self.parts if part.homogeneous)
 
     @property
-    def greys(self) -> tuple[GreyPart, ...]:
-        """Parts of voxels, whose fields are imaged."""
-        return tuple(part for part in self.parts if isinstance(part, GreyPart))
+    def mixtures(self) -> tuple[Part, ...]:
+        """Parts of several materials, such as patients of voxels."""
+        return tuple(part for part in self.parts if not part.homogeneous)
 
     def at(self, breath: Breath) -> BuiltSpecimen:
         """Return the specimen at rest in a state of breathing; itself if no part moves."""
@@ -159,17 +141,17 @@ class BuiltSpecimen:
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """All materials that attenuate: of solids, then basis materials, each once."""
-        basis = (m for part in self.greys for m in part.field.materials)
-        return tuple(dict.fromkeys([*(part.material for part in self.solids), *basis]))
+        """All materials that attenuate: of pure parts, then of mixtures, each once."""
+        parts = (*self.pure, *self.mixtures)
+        return tuple(dict.fromkeys(one for part in parts for one in part.materials))
 
     @property
-    def largest_part(self) -> AnyPart:
+    def largest_part(self) -> Part:
         """The part with the largest volume."""
         return max(self.parts, key=lambda part: part.volume_mm3)
 
     @property
-    def reference_part(self) -> AnyPart:
+    def reference_part(self) -> Part:
         """The part for relative figures of merit: the named one, or the largest.
 
         A label names its part.
@@ -199,7 +181,7 @@ class BuiltSpecimen:
         if self.reference:
             self.named(self.reference, "specimen.reference")
 
-    def named(self, name: str, key: str) -> AnyPart:
+    def named(self, name: str, key: str) -> Part:
         """Return the part with a name, or with a label of this name.
 
         Raises:
@@ -213,9 +195,9 @@ class BuiltSpecimen:
             )
         return part
 
-    def labelled(self, label: str) -> GreyPart | None:
-        """Return the grey part with a label, if any."""
-        return next((part for part in self.greys if label in part.label_names), None)
+    def labelled(self, label: str) -> Part | None:
+        """Return the part with a label, if any."""
+        return next((part for part in self.parts if label in part.label_names), None)
 
     @cached_property
     def digest(self) -> str:
@@ -232,7 +214,6 @@ class BuiltSpecimen:
         """
         part = self.reference_part
         if self._by_label:
-            assert isinstance(part, GreyPart)
             return part.mean_mu(energy_kev, self.reference)
         return part.material.mu_per_mm(energy_kev)
 
@@ -241,7 +222,7 @@ class BuiltSpecimen:
     ) -> NDArray[np.bool_] | None:
         """Return the voxels of the label that is the reference; None if a part is."""
         part = self.reference_part
-        if not self._by_label or not isinstance(part, GreyPart):
+        if not self._by_label:
             return None
         return part.label_on(self.reference, grid, world_from_specimen)
 
@@ -269,19 +250,19 @@ class BuiltSpecimen:
     def hulls(self) -> tuple[trimesh.Trimesh, ...]:
         """Convex bodies that hold all parts together, in the specimen's frame, mm, for collision.
 
-        The skin of a grey part becomes several, in all states of breathing. Without grey parts,
-        the whole specimen is one.
+        The skin of a mixture becomes several, in all states of breathing. Without mixtures, the
+        whole specimen is one.
         """
-        if not self.greys:
+        if not self.mixtures:
             return (self.hull,)
         convex: list[trimesh.Trimesh] = []
-        for part in self.greys:
+        for part in self.mixtures:
             for points in convex_parts(part.mesh):
                 if self.motion is not None and part.name == self.motion.part:
                     points = np.concatenate([points, *self._breathing(points)])
                 convex.append(_hull(points))
-        solids = (_hull(np.asarray(solid.mesh.vertices)) for solid in self.solids)
-        return (*convex, *(one for one in solids if not any(_holds(skin, one) for skin in convex)))
+        pure = (_hull(np.asarray(part.mesh.vertices)) for part in self.pure)
+        return (*convex, *(one for one in pure if not any(_holds(skin, one) for skin in convex)))
 
     def _breathing(self, points: Floats) -> Iterator[Floats]:
         """Yield points of the moving part in deep breaths."""
@@ -301,8 +282,7 @@ class BuiltSpecimen:
     @property
     def colour(self) -> Rgb:
         """Colour of the largest part in pictures of the room."""
-        largest = self.largest_part
-        return SKIN if isinstance(largest, GreyPart) else colour_of(largest.material)
+        return self.largest_part.colour
 
     def truth(
         self, grid: VolumeGrid, energy_kev: float, world_from_specimen: Pose | None = None
@@ -332,7 +312,7 @@ def build_specimen(section: sections.Specimen) -> BuiltSpecimen:
             part, has an unusable file, or moves what lies around a part that stands still.
     """
     problems: list[str] = []
-    built: list[AnyPart] = []
+    built: list[Part] = []
     for i, part in enumerate(section.parts):
         key = f"specimen.parts.{i}"
         try:
@@ -358,23 +338,24 @@ def build_specimen(section: sections.Specimen) -> BuiltSpecimen:
 
 def _in_motion(specimen: BuiltSpecimen, section: sections.Specimen) -> BuiltSpecimen:
     motion = body_motion(section)
-    require_possible(motion, specimen.greys)
-    for part in specimen.solids:
+    require_possible(motion, specimen.mixtures)
+    for part in specimen.pure:
         motion.require_apart(part.name, part.mesh)
     return replace(specimen, motion=motion)
 
 
-def _made(part: sections.Part, substance: Material | None, key: str) -> AnyPart | None:
+def _made(part: sections.Part, substance: Material | None, key: str) -> Part | None:
     """Return a part in the specimen's frame; None if its material is unknown."""
     pose = part.specimen_from_part
+    known = substance or BUILT_IN["bone"]  # the file's own problems are reported, too
     if isinstance(part.shape, sections.GreyVolume):
-        known = substance or BUILT_IN["bone"]  # the file's own problems are reported, too
-        grey = grey_part(part.shape, part.label, known, pose, key)
-        return None if substance is None else grey
-    mesh = shape_surface(part.shape, part.label)
-    if substance is None:
-        return None
-    return BuiltPart(part.label, substance, surface(pose.apply(mesh.vertices), mesh.faces))
+        made: Part = grey_part(part.shape, part.label, known, pose, key)
+    elif (own := own_part(part.shape, part.label, known, pose)) is not None:
+        made = own
+    else:
+        mesh = shape_surface(part.shape, part.label)
+        made = BuiltPart(part.label, known, surface(pose.apply(mesh.vertices), mesh.faces))
+    return None if substance is None else made
 
 
 def _no_body(mesh: trimesh.Trimesh) -> str:
@@ -444,21 +425,16 @@ def _sphere_directions(count: int) -> Floats:
     return np.concatenate([spiral, np.eye(3), -np.eye(3)])
 
 
-def _disjoint(parts: list[AnyPart]) -> tuple[AnyPart, ...]:
-    """Return parts without the volume of later ones; grey parts lose voxels, not their skin."""
-    disjoint: list[AnyPart] = []
+def _disjoint(parts: list[Part]) -> tuple[Part, ...]:
+    """Return parts without the volume of later ones; mixtures lose voxels, not their skin."""
+    disjoint: list[Part] = []
     problems: list[str] = []
     solid = solids_once()
     for i, part in enumerate(parts):
         later = [other.mesh for other in parts[i + 1 :]]
-        if isinstance(part, GreyPart):
-            rest: AnyPart = part.displaced(later)
-            empty = rest is not part and not rest.field.amounts.any()
-        else:
-            mesh = subtract(part.mesh, later, part.name, solid)
-            rest, empty = replace(part, mesh=mesh), not len(mesh.faces)
+        rest = part.without(later, solid)
         disjoint.append(rest)
-        if empty:
+        if rest is not part and rest.is_empty:
             problems.append(
                 f"part {quoted(part.name)} is empty: later parts cover it completely. Where parts "
                 "overlap, the later one wins; list the outer part first"

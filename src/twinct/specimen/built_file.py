@@ -18,10 +18,13 @@ from twinct.core.files.arrays import read_npz
 from twinct.geometry import Pose, VolumeGrid
 from twinct.specimen import sections
 from twinct.specimen.body_motion import body_motion
-from twinct.specimen.build import AnyPart, BuiltPart, BuiltSpecimen
+from twinct.specimen.build import BuiltPart, BuiltSpecimen
+from twinct.specimen.cut_rays import CutFace
 from twinct.specimen.grey import GreyField
-from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
+from twinct.specimen.grey_part import GreyPart, VoxelLabels
 from twinct.specimen.materials import Material, material
+from twinct.specimen.own_parts import own_part
+from twinct.specimen.part import Part
 from twinct.specimen.surface import surface
 
 LARGEST_BYTES = 2**34
@@ -36,7 +39,7 @@ def save_built(specimen: BuiltSpecimen, path: Path) -> None:
     meshes = {str(i): part.mesh for i, part in enumerate(specimen.parts)}
     if _HULL in vars(specimen):
         meshes[_HULL] = specimen.hull
-    if _HULLS in vars(specimen) and specimen.greys:
+    if _HULLS in vars(specimen) and specimen.mixtures:
         meshes |= {f"{_HULLS}{i}": hull for i, hull in enumerate(specimen.hulls)}
     arrays: dict[str, NDArray[Any]] = {}
     for name, mesh in meshes.items():
@@ -73,8 +76,12 @@ def load_built(section: sections.Specimen, path: Path) -> BuiltSpecimen:
 
 def _part(
     section: sections.Part, arrays: Mapping[str, NDArray[Any]], name: str, where: str
-) -> AnyPart:
+) -> Part:
     substance, mesh = material(section.material), _mesh(arrays, name, where)
+    if section.own_rays and section.homogeneous:  # its formulas are in no file
+        pose = section.specimen_from_part
+        if (own := own_part(section.shape, section.label, substance, pose)) is not None:
+            return own
     if f"{name}.amounts" not in arrays:
         return BuiltPart(section.label, substance, mesh)
     try:

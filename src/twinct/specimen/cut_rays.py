@@ -2,33 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, ScanGeometry
-from twinct.specimen.grey_part import CutFace, GreyPart
+from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 
 RAYS = 48
 """Largest number of rays along each edge of the panel."""
 
 
-def cut_share(part: GreyPart, geometry: ScanGeometry) -> Floats:
+@dataclass(frozen=True, eq=False)
+class CutFace:
+    """Face of a CT volume that cuts the body.
+
+    Attributes:
+        axis: axis of the field's grid, 0 for x.
+        high: True for the face at its upper end.
+        tissue: voxels of the face that hold tissue: the field's layer without this axis, in the
+            order of its array, bool.
+    """
+
+    axis: int
+    high: bool
+    tissue: NDArray[np.bool_]
+
+    @property
+    def name(self) -> str:
+        """Name of the face, such as -z."""
+        return ("+" if self.high else "-") + "xyz"[self.axis]
+
+
+def cut_share(cuts: Sequence[CutFace], grid: VolumeGrid, geometry: ScanGeometry) -> Floats:
     """Return the share of each view's rays through the body's box that cross a cut face.
 
     Args:
-        part: grey part.
+        cuts: faces that cut the body.
+        grid: voxels of the body, in the specimen's frame.
         geometry: views in the specimen's frame.
 
     Returns:
         (views,), between 0 and 1; 0 for rays that miss the part.
     """
-    if not part.cuts:
+    if not cuts:
         return np.zeros(len(geometry))
-    return np.array([_share(part, geometry[view]) for view in range(len(geometry))])
+    return np.array([_share(cuts, grid, geometry[view]) for view in range(len(geometry))])
 
 
-def _share(part: GreyPart, view: ScanGeometry) -> float:
-    grid = part.field.grid
+def _share(cuts: Sequence[CutFace], grid: VolumeGrid, view: ScanGeometry) -> float:
     grid_from_specimen = grid.world_from_grid.inverse()
     source = grid_from_specimen.apply(view.source)[0]
     ends = grid_from_specimen.apply(_pixels(view))
@@ -37,8 +60,8 @@ def _share(part: GreyPart, view: ScanGeometry) -> float:
         return 0.0
     ends = ends[inside]
     crossed = np.zeros(len(ends), dtype=np.bool_)
-    for face in part.cuts:
-        crossed |= _cross(part, face, source, ends)
+    for face in cuts:
+        crossed |= _cross(grid, face, source, ends)
     return float(crossed.mean())
 
 
@@ -59,9 +82,9 @@ def _meet_box(source: Floats, ends: Floats, half: Floats) -> NDArray[np.bool_]:
     return np.maximum(enter, 0) < np.minimum(leave, 1)
 
 
-def _cross(part: GreyPart, face: CutFace, source: Floats, ends: Floats) -> NDArray[np.bool_]:
+def _cross(grid: VolumeGrid, face: CutFace, source: Floats, ends: Floats) -> NDArray[np.bool_]:
     """Return the rays that cross tissue in a cut face, between source and panel."""
-    grid, axis = part.field.grid, face.axis
+    axis = face.axis
     # The outermost layer is empty: tissue ends at the next one.
     height = (1 if face.high else -1) * (grid.size_mm[axis] / 2 - grid.voxel[axis])
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, Pose, VolumeGrid, part_of
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.geometry.arrays import lock
 from twinct.specimen.aligned_means import add_aligned_means
+from twinct.specimen.colours import SKIN, Rgb
+from twinct.specimen.cut_rays import CutFace, cut_share
 from twinct.specimen.grey import GreyField
 from twinct.specimen.materials import Material
-from twinct.specimen.surface import enclosed_volume
+from twinct.specimen.part import Part, centres_of
+from twinct.specimen.surface import ToSolid, boxes_meet, to_manifold
 from twinct.specimen.voxels import volume_fractions
 
 if TYPE_CHECKING:
     import trimesh
+
+    from twinct.specimen.grey_caster import GreyCaster
 
 FEW_SAMPLES = 4
 """Samples along an edge of a voxel of the field or of another grid, whichever is larger."""
@@ -53,28 +59,7 @@ class VoxelLabels:
 
 
 @dataclass(frozen=True, eq=False)
-class CutFace:
-    """Face of a CT volume that cuts the body.
-
-    Attributes:
-        axis: axis of the field's grid, 0 for x.
-        high: True for the face at its upper end.
-        tissue: voxels of the face that hold tissue: the field's layer without this axis, in the
-            order of its array, bool.
-    """
-
-    axis: int
-    high: bool
-    tissue: NDArray[np.bool_]
-
-    @property
-    def name(self) -> str:
-        """Name of the face, such as -z."""
-        return ("+" if self.high else "-") + "xyz"[self.axis]
-
-
-@dataclass(frozen=True, eq=False)
-class GreyPart:
+class GreyPart(Part):
     """One body of voxels, each a mixture of a few basis materials.
 
     Attributes:
@@ -94,6 +79,7 @@ class GreyPart:
     field: GreyField
     labels: VoxelLabels | None = None
     cuts: tuple[CutFace, ...] = ()
+    homogeneous: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Check that the labels fit the field.
@@ -108,9 +94,19 @@ class GreyPart:
             )
 
     @property
-    def volume_mm3(self) -> float:
-        """Volume within the skin, mm^3."""
-        return enclosed_volume(self.mesh)
+    def materials(self) -> tuple[Material, ...]:
+        """The basis materials."""
+        return self.field.materials
+
+    @property
+    def is_empty(self) -> bool:
+        """True if no voxel attenuates."""
+        return not self.field.amounts.any()
+
+    @property
+    def colour(self) -> Rgb:
+        """Colour of skin."""
+        return SKIN
 
     @property
     def bulk(self) -> Material:
@@ -129,10 +125,6 @@ class GreyPart:
     def label_names(self) -> tuple[str, ...]:
         """Names of the labels."""
         return self.labels.names if self.labels else ()
-
-    def mean_mu(self, energy_kev: float, label: str = "") -> float:
-        """Return the mean attenuation of a label, or of all voxels, at a photon energy, 1/mm."""
-        return self.mixture(label).mu_per_mm(energy_kev)
 
     def mixture(self, label: str = "") -> Material:
         """Return the mean mixture in the voxels of a label, or in all that are not empty."""
@@ -163,19 +155,32 @@ class GreyPart:
         return {}
 
     def points(self, label: str, most: int, rng: np.random.Generator) -> Floats:
-        """Return centres of voxels of a label in the specimen's frame, (points, 3), mm."""
+        """Return centres of voxels of a label, or points within the skin; see ``Part``."""
+        if not label:
+            return super().points(label, most, rng)
         assert self.labels is not None
         index = np.argwhere(self.labels.mask(label))[:, ::-1]
-        if len(index) > most:
-            index = rng.permutation(index)[:most]
-        grid = self.field.grid
-        return grid.world_from_grid.apply(index * grid.voxel + grid.first_voxel_mm)
+        return centres_of(self.field.grid, index, most, rng)
 
-    def displaced(self, meshes: Iterable[trimesh.Trimesh]) -> GreyPart:
-        """Return the part without the volume inside closed meshes, in the specimen's frame."""
+    def caster(self, panel: Panel) -> GreyCaster:
+        """Return rays through the voxels."""
+        from twinct.specimen.grey_caster import GreyCaster
+
+        return GreyCaster(self.field, panel)
+
+    def cut_share(self, views: ScanGeometry) -> Floats:
+        """See ``Part``; of the rays through the box of the voxels."""
+        return cut_share(self.cuts, self.field.grid, views)
+
+    def spill(self, folder: Path) -> None:
+        """Move the amounts to a file; see ``GreyField.spill``."""
+        self.field.spill(folder)
+
+    def without(self, meshes: Sequence[trimesh.Trimesh], solid: ToSolid = to_manifold) -> GreyPart:
+        """Return the part without the volume inside closed meshes; it keeps its skin."""
         grid, lost = self.field.grid, None
         for mesh in meshes:
-            if _apart(mesh.bounds, self.mesh.bounds):
+            if not boxes_meet(mesh, self.mesh):
                 continue
             lost = volume_fractions(mesh.vertices, mesh.faces, grid, Pose.identity(), out=lost)
         if lost is None:
@@ -228,7 +233,7 @@ class GreyPart:
         share = np.zeros(grid.shape, dtype=np.float32)
         mask = self.labels.mask(name)
         for z, y, x in scipy.ndimage.find_objects(mask.view(np.uint8)):
-            values, of = mask[z, y, x].astype(np.float32), part_of(self.field.grid, (z, y, x))
+            values, of = mask[z, y, x].astype(np.float32), self.field.grid.part((z, y, x))
             add_means(values, of, grid, world_from_specimen, share)
         return share >= 0.5
 
@@ -322,7 +327,3 @@ def _touched(
     high = np.clip(np.ceil(corners.max(axis=0)), 0, shape[::-1]).astype(int)
     x, y, z = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     return z, y, x
-
-
-def _apart(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    return bool((a[0] > b[1]).any() or (b[0] > a[1]).any())

@@ -15,8 +15,9 @@ from twinct.geometry import Pose, VolumeGrid
 from twinct.specimen import sections
 from twinct.specimen.ct_grid import canonical, right_angled
 from twinct.specimen.ct_image import AIR_HU, CtImage
+from twinct.specimen.cut_rays import CutFace
 from twinct.specimen.grey import GreyField
-from twinct.specimen.grey_part import CutFace, GreyPart, VoxelLabels
+from twinct.specimen.grey_part import GreyPart, VoxelLabels
 from twinct.specimen.hounsfield import TissueLine, line_of, values_line
 from twinct.specimen.materials import Material
 from twinct.specimen.phantom import phantom_ct

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twinct.core.errors import SpecimenError
 from twinct.core.files.meshes import read_mesh
@@ -46,8 +47,22 @@ def shape_surface(shape: Shape, name: str) -> trimesh.Trimesh:
 
 
 def _of_another_package(shape: Shape, name: str) -> trimesh.Trimesh:
-    where = f"part {quoted(name)} of kind {shape.kind}"
-    mesh = surface(*part_kinds()[shape.kind].surface(shape))
+    where, kind = f"part {quoted(name)} of kind {shape.kind}", part_kinds()[shape.kind]
+    if kind.voxels is not None:
+        return _voxels(shape, name)
+    if kind.solid is not None:
+        return closed_surface(*kind.solid(shape).surface(), where)
+    assert kind.surface is not None
+    return closed_surface(*kind.surface(shape), where)
+
+
+def closed_surface(vertices: ArrayLike, faces: ArrayLike, where: str) -> trimesh.Trimesh:
+    """Return the closed surface that another package states.
+
+    Raises:
+        SpecimenError: it is open or inside out; begins with ``where``.
+    """
+    mesh = surface(vertices, faces)
     if not (mesh.is_watertight and enclosed_volume(mesh) > 0):
         raise SpecimenError(
             f"{where}: its surface is open or inside out; every edge must belong to two triangles, "
@@ -83,9 +98,9 @@ def _from_file(shape: sections.MeshFile, name: str) -> trimesh.Trimesh:
     return mesh_file_surface(shape, f"part {quoted(name)}")
 
 
-def _voxels(shape: sections.GreyVolume, name: str) -> trimesh.Trimesh:
+def _voxels(shape: Shape, name: str) -> trimesh.Trimesh:
     raise SpecimenError(
-        f"part {quoted(name)}: voxels (kind: volume) have no single material, which is "
+        f"part {quoted(name)}: voxels (kind: {shape.kind}) have no single material, which is "
         "needed here; use kind: ct, which cuts the CT at a threshold, or a mesh"
     )
 

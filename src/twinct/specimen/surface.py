@@ -15,6 +15,9 @@ from twinct.core.foreign_text import quoted
 if TYPE_CHECKING:
     import trimesh
 
+ToSolid = Callable[["trimesh.Trimesh"], manifold3d.Manifold]
+"""Conversion of a mesh to a solid; see ``solids_once``."""
+
 MAX_TRIANGLES = 700_000
 """Maximum number of triangles: more cost rendering time without effect on 0.5 mm pixels."""
 
@@ -39,6 +42,11 @@ def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     whole = meshes[0] if len(meshes) == 1 else trimesh.util.concatenate(list(meshes))
     assert isinstance(whole, trimesh.Trimesh)
     return whole
+
+
+def corners(mesh: trimesh.Trimesh) -> NDArray[np.float64]:
+    """Return the corners of the box around a mesh, (8, 3)."""
+    return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
 
 
 def enclosed_volume(mesh: trimesh.Trimesh) -> float:
@@ -136,7 +144,7 @@ def subtract(
     mesh: trimesh.Trimesh,
     others: Sequence[trimesh.Trimesh],
     name: str,
-    solid: Callable[[trimesh.Trimesh], manifold3d.Manifold] = to_manifold,
+    solid: ToSolid = to_manifold,
 ) -> trimesh.Trimesh:
     """Return the part of a closed mesh outside all others; it may be empty.
 
@@ -145,7 +153,7 @@ def subtract(
     Raises:
         SpecimenError: one of the meshes is not a solid (it intersects itself badly).
     """
-    touching = [other for other in others if _boxes_meet(mesh, other)]
+    touching = [other for other in others if boxes_meet(mesh, other)]
     if not touching:
         return mesh
     whole, tools = solid(mesh), [solid(other) for other in touching]
@@ -158,7 +166,7 @@ def subtract(
     return from_manifold(whole - manifold3d.Manifold.batch_boolean(tools, manifold3d.OpType.Add))
 
 
-def solids_once() -> Callable[[trimesh.Trimesh], manifold3d.Manifold]:
+def solids_once() -> ToSolid:
     """Return a ``to_manifold`` that caches the solid of each mesh; the meshes must stay alive."""
     made: dict[int, manifold3d.Manifold] = {}
 
@@ -170,5 +178,6 @@ def solids_once() -> Callable[[trimesh.Trimesh], manifold3d.Manifold]:
     return solid
 
 
-def _boxes_meet(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:
+def boxes_meet(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:
+    """Return True if the boxes around two meshes meet."""
     return bool((a.bounds[0] <= b.bounds[1]).all() and (b.bounds[0] <= a.bounds[1]).all())

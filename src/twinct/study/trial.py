@@ -39,7 +39,7 @@ from twinct.runs.known_motion import as_reconstructed, phase_of_truth
 from twinct.runs.repeated_figures import repeats_asked
 from twinct.runs.repeats import Repeats
 from twinct.runs.reporting import figures_of
-from twinct.runs.truth import grey_body
+from twinct.runs.truth import bone_voxels
 from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario, specimen_digest
 from twinct.scenario.reading import key_of
@@ -374,7 +374,7 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
             section.volume_grid,
             executed,
             mu_water=material("water").mu_per_mm(energy),
-            body=grey_body(specimen, volume, mu, section.volume_grid, stands),
+            body=bone_voxels(specimen, volume, mu, section.volume_grid, stands),
         )
 
     return once("truth", f"{of_truth} {of_region}", both)

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
+from twinct.rays import Body
 from twinct.recon import Projector
-from twinct.recon.shadow import Body
 from twinct.recon.volume import Volume
 from twinct.robots.motion import shortest_tour
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
-from twinct.specimen import AnyPart, GreyPart, Material, material
-from twinct.specimen.voxels import volume_fractions
+from twinct.specimen import Material, Part, material
 from twinct.view_plans.candidates import seconds_between
 from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
 from twinct.xray.spectrum import PhotonSpectrum
@@ -76,29 +75,14 @@ class Patient:
             total += np.float32(substance.mu_per_mm(energy_kev)) * share
         return Volume(total, grid)
 
-    def _part(self, name: str) -> AnyPart:
+    def _part(self, name: str) -> Part:
         return self.builder.specimen.named(name, "task")
 
     def points_of(self, part: str) -> Floats:
         """See ``PatientModel``."""
         body_part, rng = self._part(part), np.random.default_rng([self.seed, 15])
-        if isinstance(body_part, GreyPart) and body_part.name != part:
-            place = self.builder.specimen.world_from_specimen
-            return place.apply(body_part.points(part, PART_POINTS, rng))
-        mesh = body_part.mesh
-        low, high = np.asarray(mesh.bounds)
-        step = float(np.cbrt(mesh.volume / PART_POINTS))
-        count = np.maximum(np.ceil((high - low) / step).astype(int), 2)[::-1]
-        middle = Pose.from_euler((low + high) / 2, (0.0, 0.0, 0.0))
-        grid = VolumeGrid(count.tolist(), (high - low) / count[::-1], middle)
-        inside = volume_fractions(mesh.vertices, mesh.faces, grid, Pose.identity()) > 0.5
-        index = np.argwhere(inside)[:, ::-1]
-        if not len(index):  # a thin plate fills no cell by half
-            index = np.array([[n // 2 for n in grid.shape_xyz]])
-        if len(index) > PART_POINTS:
-            index = rng.permutation(index)[:PART_POINTS]
-        local = grid.world_from_grid.apply(index * grid.voxel + grid.first_voxel_mm)
-        return self.builder.specimen.world_from_specimen.apply(local)
+        points = body_part.points(body_part.label_of(part), PART_POINTS, rng)
+        return self.builder.specimen.world_from_specimen.apply(points)
 
     def photons(
         self, geometry: ScanGeometry, place: Floats, voxel_mm: float, key: str
@@ -139,7 +123,7 @@ class Patient:
     def body(self, part: str) -> tuple[Body, Pose]:
         """See ``PatientModel``."""
         body_part = self._part(part)
-        if isinstance(body_part, GreyPart):
+        if not body_part.homogeneous:
             raise InputError(
                 f"task: {quoted(part)} is made of voxels; a shadow needs a part of one material"
             )
@@ -150,9 +134,7 @@ class Patient:
     def material_of(self, part: str) -> Material:
         """See ``PatientModel``."""
         body_part = self._part(part)
-        if isinstance(body_part, GreyPart) and body_part.name != part:
-            return body_part.mixture(part)
-        return body_part.mixture()
+        return body_part.mixture(body_part.label_of(part))
 
     def material(self, name: str, key: str) -> Material:
         """See ``PatientModel``."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from twinct.core.errors import TwinctError
 from twinct.geometry import Floats, ScanGeometry
-from twinct.specimen.surface import refined
+from twinct.specimen.surface import corners, refined
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -68,20 +68,6 @@ class Placement:
             within = (box.min(axis=0) < view.source[0]) & (view.source[0] < box.max(axis=0))
             if within.all() and _encloses(np.asarray(mesh.triangles), view.source[0]):
                 raise TwinctError(f"the X-ray source is inside part '{name}' of the specimen")
-
-
-def corners(mesh: Trimesh) -> Floats:
-    """Return the corners of the box around a mesh, (8, 3)."""
-    return np.array(np.meshgrid(*np.asarray(mesh.bounds).T)).reshape(3, -1).T
-
-
-def misses(view: ScanGeometry, box: Floats) -> bool:
-    """Return True if the shadow of a box is certainly off the panel."""
-    shadow = view.project(box)[0]
-    if np.isnan(shadow).any():
-        return False
-    size = np.array([view.panel.columns, view.panel.rows])
-    return bool((shadow.max(axis=0) < -1).any() or (shadow.min(axis=0) > size).any())
 
 
 def _behind(view: ScanGeometry, points: Floats) -> np.ndarray:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from twinct.core import card
 from twinct.geometry import Panel, ScanGeometry
+from twinct.rays import Surface
+from twinct.rays.mesh_rays import Frame, frame_of
 from twinct.xray.engine import EngineChoice, SceneBody
-from twinct.xray.mesh import Frame, Upload, frame_of, uploaded
 
 MEMORY_BYTES = 600 * 2**20
 """Memory of this process: Warp's libraries, the driver's share, and the bodies."""
@@ -38,7 +39,8 @@ class CudaMeshEngine:
 
     def __init__(self) -> None:
         """Create an idle engine."""
-        self._bodies: list[Upload] = []
+        self._bodies: list[Surface] = []
+        self._mu_per_mm: list[float] = []
         self._there: list[_OnCard] = []
         self._panel: Panel | None = None
         self._sums: Any = None
@@ -48,12 +50,13 @@ class CudaMeshEngine:
     def prepare(self) -> None:
         """Load the kernels; see ``XrayEngine``."""
         card.device()
-        import twinct.xray._warp_crossings  # noqa: F401
+        import twinct.rays._warp_crossings  # noqa: F401
 
     def acquire(self, bodies: Sequence[SceneBody], panel: Panel) -> None:
         """Copy the bodies to the card."""
         warp, device = card.warp(), card.device()
-        self._bodies = uploaded(bodies)
+        self._bodies = [Surface.of(body.vertices, body.faces) for body in bodies]
+        self._mu_per_mm = [float(body.mu_per_mm or 0.0) for body in bodies]
         triangles = sum(len(body.faces) for body in self._bodies)
         vertices = sum(len(body.vertices) for body in self._bodies)
         card.require_room(device, 12 * triangles + 48 * vertices + 12 * panel.rows * panel.columns)
@@ -77,8 +80,7 @@ class CudaMeshEngine:
 
     def render(self, view: ScanGeometry, image: NDArray[np.float32]) -> None:
         """Write the transmission behind all bodies, (rows, columns)."""
-        weights = [body.mu_per_mm for body in self._bodies]
-        self._render(view, dict(enumerate(weights)), True, image)
+        self._render(view, dict(enumerate(self._mu_per_mm)), True, image)
 
     def path_lengths(self, view: ScanGeometry, body: int, lengths: NDArray[np.float32]) -> None:
         """Write the length of each ray inside one body, (rows, columns), mm."""
@@ -92,7 +94,7 @@ class CudaMeshEngine:
         image: NDArray[np.float32],
     ) -> None:
         """Sum up the depths of some bodies with their weights, and write the image."""
-        from twinct.xray import _warp_crossings as kernels
+        from twinct.rays import _warp_crossings as kernels
 
         assert self._panel is not None
         warp, device = card.warp(), card.device()
@@ -112,7 +114,7 @@ class CudaMeshEngine:
 
         They are rows of (body, face, row, column) and of (body, face).
         """
-        from twinct.xray import _warp_crossings as kernels
+        from twinct.rays import _warp_crossings as kernels
 
         warp, device = card.warp(), card.device()
         there = kernels.Frame()
@@ -143,13 +145,13 @@ class CudaMeshEngine:
         beside: NDArray[np.int32],
     ) -> None:
         """Add what needs exact signs, body by body, on the processor."""
-        from twinct.xray import _crossings
-        from twinct.xray import _warp_crossings as kernels
+        from twinct.rays import _crossings
+        from twinct.rays import _warp_crossings as kernels
 
         assert self._panel is not None
         warp, device = card.warp(), card.device()
         for body, weight in weights.items():
-            vertices, faces, _ = self._bodies[body]
+            vertices, faces = self._bodies[body]
             pixels = doubts[doubts[:, 0] == body]
             triangles = beside[beside[:, 0] == body, 1]
             depths = np.empty(len(pixels))

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.errors import SpecimenError, TwinctError
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry
+from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
-from twinct.specimen import BuiltPart, BuiltSpecimen
+from twinct.specimen import BuiltSpecimen, Part
+from twinct.specimen.part import rendered
 from twinct.specimen.signals import Inserts
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
@@ -19,15 +20,13 @@ from twinct.xray.build import effective_energy_kev, physical_panel
 from twinct.xray.chain import Chain, ViewImages
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
-from twinct.xray.grey import GreyCaster
 from twinct.xray.inserts import Insertion
-from twinct.xray.moving_voxels import MovingVoxels
-from twinct.xray.paths import LARGEST_TILE, Body, PathRenderer
-from twinct.xray.room_rays import RoomRays
+from twinct.xray.own_rays import OwnRays, room_rays
+from twinct.xray.paths import LARGEST_TILE, PathRenderer, materials_of
 from twinct.xray.sections import Detector, Source
 
 if TYPE_CHECKING:
-    from twinct.xray.moving_voxels import MovingVoxels
+    from twinct.specimen.moving_voxels import MovingVoxels
 
 _NEAREST_MM = 150.0
 """Distance from source to specimen if there are no commanded views."""
@@ -38,7 +37,7 @@ class Imager(SceneOwner):
 
     The meshes are uploaded once, in the specimen's frame; each view is expressed in that frame.
     Only one imager of meshes can be open in a process. It may be used from any thread, by one
-    thread at a time. Grey parts are imaged by our own rays beside any engine; without meshes, no
+    thread at a time. Parts that engines do not render are cast by rays of their own; if all are, no
     engine is loaded.
 
     A monochromatic point source and an ideal detector give the engine's own image of the meshes,
@@ -57,14 +56,14 @@ class Imager(SceneOwner):
         seed: int = 0,
         mas: Floats | None = None,
         engine: str = DEFAULT_ENGINE,
-        objects: Sequence[BuiltPart] = (),
+        objects: Sequence[Part] = (),
     ) -> None:
         """Upload the specimen.
 
         Args:
             source: source section of the scenario.
             detector: detector section, with the panel of every view and the response to photons.
-            specimen: disjoint parts, closed meshes and grey fields, in the specimen's frame, mm.
+            specimen: disjoint parts, in the specimen's frame, mm.
             commanded: views of the scan; by default the first rendered view. The first sets the
                 detector's gain and is the view of the flat image, which is scaled for the others. A
                 view beyond them counts as commanded in its executed geometry.
@@ -91,18 +90,16 @@ class Imager(SceneOwner):
         else:
             low, high = specimen.bounds
             self._centre = (low + high) / 2
-            others = (body.material for body in objects)
-            self._materials = tuple(dict.fromkeys([*specimen.materials, *others]))
+            self._materials = materials_of(specimen.parts, objects)
             self._inserted = self._inserts_into(specimen)
             if commanded is not None:  # now, to report unusable files at once
                 self._chain = self._new_chain(commanded)
             self._paths = PathRenderer(
-                [Body(part.mesh, part.material, part.name) for part in specimen.solids],
+                specimen.parts,
                 physical_panel(detector),
                 detector.pixel_samples,
                 edge,
                 engine,
-                specimen.greys,
                 objects,
             )
             self._open = True
@@ -111,28 +108,27 @@ class Imager(SceneOwner):
     def _moving_of(self, specimen: BuiltSpecimen) -> MovingVoxels | None:
         if specimen.motion is None:
             return None
-        casters = self._casters if self._paths is None else self._paths.casters
-        greys = zip(specimen.greys, casters, strict=True)
-        caster = next(caster for part, (caster, _) in greys if part.name == specimen.motion.part)
-        return MovingVoxels(specimen.motion, caster, self._exposure_s)
+        from twinct.specimen.moving_voxels import moving_voxels
+
+        own = self._own if self._paths is None else self._paths.own
+        return moving_voxels(specimen.motion, own.parts, own.casters, self._exposure_s)
 
     def _inserts_into(self, specimen: BuiltSpecimen) -> tuple[int, float]:
         """Return the material that stands for inserted signals, and its attenuation, 1/mm."""
         energy = effective_energy_kev(self._source, self._detector)
-        own = getattr(specimen.reference_part, "material", None)
+        own = specimen.reference_part.material
         index = self._materials.index(own) if own in self._materials else 0
         return index, float(self._materials[index].mu_per_mm(energy))
 
     def _open_ideal(
-        self, specimen: BuiltSpecimen, edge_mm: float, engine: str, objects: Sequence[BuiltPart]
+        self, specimen: BuiltSpecimen, edge_mm: float, engine: str, objects: Sequence[Part]
     ) -> None:
-        """Upload all that is imaged by one frame of the engine, and prepare our own rays."""
+        """Upload all that is imaged by one frame of the engine, and prepare all other rays."""
         energy_kev = self._source.energy_kev
         bodies = _bodies(specimen, energy_kev, edge_mm)
         self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
-        self._casters = _casters(specimen, self.panel, energy_kev)
-        self._room = RoomRays(objects, self.panel)
-        self._room_mu = [m.mu_per_mm(energy_kev) for m in self._room.materials]
+        self._own = OwnRays([part for part in specimen.parts if part.own_rays], self.panel)
+        self._room = room_rays(objects, self.panel)
         if bodies:
             self._acquire(engine_named(engine).engine, bodies, self.panel)
         self._open = True
@@ -372,15 +368,9 @@ class Imager(SceneOwner):
         image = np.ones(self.panel.shape, dtype=np.float32)
         if self._engine is not None:
             self._engine.render(view, image)
-        for caster, mu_per_mm in self._casters:
-            depth = np.zeros_like(image)
-            for mu, paths in zip(mu_per_mm, caster.cast(view), strict=True):
-                depth += mu * paths
-            image *= np.exp(-depth)
-        if self._room_mu:
-            paths = np.zeros((len(self._room_mu), *image.shape), dtype=np.float32)
-            self._room.add(geometry, range(len(paths)), paths)
-            image *= np.exp(-np.tensordot(np.array(self._room_mu, np.float32), paths, axes=1))
+        for rays, seen in ((self._own, view), (self._room, geometry)):
+            for depth in rays.depths(seen, self._source.energy_kev):
+                image *= np.exp(-depth)
         if insertion is not None:
             image *= np.exp(-insertion.attenuation(view))
         return image
@@ -407,10 +397,10 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
         raise SpecimenError("the specimen has no parts: there is nothing to image")
     problems: list[str] = []
     bodies: list[SceneBody] = []
-    for part in specimen.greys:
-        if fault := mesh_fault(part.mesh):
+    for part in specimen.parts:
+        if part.own_rays and (fault := mesh_fault(part.mesh)):
             problems.append(f"part '{part.name}' {fault}")
-    for part in specimen.solids:
+    for part in rendered(specimen.parts):
         mu_per_mm = float(part.material.mu_per_mm(energy_kev))
         fault = mesh_fault(part.mesh)
         if fault is None and not (np.isfinite(mu_per_mm) and mu_per_mm >= 0):
@@ -423,14 +413,3 @@ def _bodies(specimen: BuiltSpecimen, energy_kev: float, longest_edge_mm: float) 
     if problems:
         raise SpecimenError(problems)
     return bodies
-
-
-def _casters(
-    specimen: BuiltSpecimen, panel: Panel, energy_kev: float
-) -> list[tuple[GreyCaster, NDArray[np.float32]]]:
-    """Return the caster of each grey part, and the attenuations of its basis materials, 1/mm."""
-    casters = []
-    for part in specimen.greys:
-        mu_per_mm = [m.mu_per_mm(energy_kev) for m in part.field.materials]
-        casters.append((GreyCaster(part.field, panel), np.array(mu_per_mm, np.float32)))
-    return casters

@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.specimen import BuiltPart, BuiltSpecimen
+from twinct.specimen import BuiltSpecimen, Part
 from twinct.xray import sections
 from twinct.xray.beam import fall_off
 from twinct.xray.build import effective_energy_kev
-from twinct.xray.paths import Body, PathRenderer
+from twinct.xray.paths import PathRenderer
 from twinct.xray.scatter import ScatterKernel, compton_per_mm
 
 LOWEST_KEV, MOST_DEPTH, LARGEST_ERROR = 40.0, 3.5, 0.25
@@ -52,7 +52,7 @@ def scatter_doubts(
     detector: sections.Detector,
     specimen: BuiltSpecimen,
     views: ScanGeometry,
-    objects: Sequence[BuiltPart] = (),
+    objects: Sequence[Part] = (),
 ) -> list[str]:
     """Return a warning for each limit of the scatter kernel that a scan exceeds.
 
@@ -97,18 +97,15 @@ def scatter_loads(
     energy_kev: float,
     specimen: BuiltSpecimen,
     views: ScanGeometry,
-    objects: Sequence[BuiltPart] = (),
+    objects: Sequence[Part] = (),
 ) -> list[ScatterLoad]:
     """Return the demand of each view, at one photon energy, from a coarse lattice of rays."""
     own = _coarse(views.panel)
     wide = Panel(2 * own.rows, 2 * own.columns, own.pitch_u, own.pitch_v)
     rows, columns = (slice(n // 2, n // 2 + n) for n in own.shape)
-    bodies = [Body(part.mesh, part.material, part.name) for part in specimen.solids]
     place, kernel = specimen.world_from_specimen, ScatterKernel(energy_kev)
     loads: list[ScatterLoad] = []
-    with PathRenderer(
-        bodies, wide, engine="mesh", greys=specimen.greys, objects=objects
-    ) as renderer:
+    with PathRenderer(specimen.parts, wide, engine="mesh", objects=objects) as renderer:
         compton = np.array([compton_per_mm(one, energy_kev) for one in renderer.materials])
         total = np.array([one.mu_per_mm(energy_kev) for one in renderer.materials])
         for view in views:

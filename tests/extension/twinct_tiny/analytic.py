@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twinct.geometry import Panel, Pose, ScanGeometry
-from twinct.recon.shadow import Body, Rays
+from twinct.rays import Body, Rays
 from twinct.xray.engine import EngineChoice, SceneBody
 
 

@@ -33,6 +33,9 @@ log = logging.getLogger(__name__)
 config: Any = numba_config  # its names are created at import
 
 _HERE = Path(__file__).parent
+OTHERS = ("recon/_linear", "recon/_plain", "rays/joseph")
+"""Modules of twinct whose functions the kernels call, beside their own folder."""
+
 _COMPILING = "TWINCT_COMPILING"
 """Environment variable of the process that compiles: its folder."""
 
@@ -80,7 +83,8 @@ def _folder() -> Path:
 
 def _digest() -> str:
     """Return the digest of everything that compiled kernels depend on."""
-    sources = sorted([*_HERE.glob("*.py"), _HERE.parent / "_linear.py", _HERE.parent / "_plain.py"])
+    others = (_HERE.parents[1] / f"{name}.py" for name in OTHERS)
+    sources = sorted([*_HERE.glob("*.py"), *others])
     parts = [source.read_bytes() for source in sources]
     # numba also distinguishes sources by their location.
     machine = (str(_HERE), sys.version, numba.__version__, llvmlite.__version__, config.OPT, EDGE)

@@ -231,9 +231,25 @@ class Part(Section):
         return Pose.from_euler(self.position_mm, self.rotation_deg)
 
     @property
-    def is_grey(self) -> bool:
-        """True for a body of grey voxels, which has no single material."""
-        return isinstance(self.shape, GREY)
+    def homogeneous(self) -> bool:
+        """True for a body of one material, False for voxels of several."""
+        if isinstance(self.shape, GREY):
+            return False
+        kind = part_kinds().get(self.shape.kind)
+        return kind is None or kind.voxels is None
+
+    @property
+    def own_rays(self) -> bool:
+        """True if it is cast by rays of its own, False if X-ray engines render its surface."""
+        kind = part_kinds().get(self.shape.kind)
+        return not self.homogeneous or (kind is not None and kind.solid is not None)
+
+    @property
+    def made_of(self) -> str:
+        """Name of what it is made of."""
+        if not self.homogeneous:
+            return "grey voxels"
+        return self.material if isinstance(self.material, str) else "own material"
 
     @property
     def label(self) -> str:
@@ -304,7 +320,7 @@ class Specimen(Section):
     def _motion_has_a_part(self) -> Specimen:
         if self.motion is None:
             return self
-        greys = [part for part in self.parts if part.is_grey]
+        greys = [part for part in self.parts if not part.homogeneous]
         named = [part for part in greys if self.motion.part in ("", part.label)]
         if len(named) != 1:
             message = "motion.part: {} is not the name of one grey part; the grey parts are {}"
@@ -321,7 +337,7 @@ class Specimen(Section):
         """Part that moves, if there is a motion."""
         assert self.motion is not None
         name = self.motion.part
-        return next(p for p in self.parts if p.is_grey and name in ("", p.label))
+        return next(p for p in self.parts if not p.homogeneous and name in ("", p.label))
 
     @property
     def names(self) -> list[str]:

@@ -20,8 +20,8 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import Conflict, Positive, Section, setting
 from twinct.geometry import Floats, Pose, ScanGeometry
+from twinct.rays import Body, Rays
 from twinct.recon import Projector
-from twinct.recon.shadow import Body, Rays
 from twinct.recon.volume import Volume
 from twinct.view_planning.objectives.measures import Mean
 from twinct.view_planning.objectives.objective import (

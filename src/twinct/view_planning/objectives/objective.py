@@ -16,7 +16,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import Conflict, Section, setting
 from twinct.geometry import Floats, Pose, ScanGeometry
-from twinct.recon.shadow import Body
+from twinct.rays import Body
 from twinct.recon.volume import Volume
 from twinct.view_planning.objectives.measures import Measure, figure_of
 

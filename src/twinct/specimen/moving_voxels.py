@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.specimen.body_motion import BodyMotion
 from twinct.specimen.breathing import Breath
-from twinct.xray.grey import GreyCaster
+from twinct.specimen.grey_caster import GreyCaster
+from twinct.specimen.part import Caster, Part
 
 
 class MovingVoxels:
@@ -30,3 +33,12 @@ class MovingVoxels:
         self._motion.pull(self._caster.field, breath, self._amounts)
         self._caster.show(self._amounts)
         self._breath = breath
+
+
+def moving_voxels(
+    motion: BodyMotion, parts: Sequence[Part], casters: Sequence[Caster], exposure_s: float
+) -> MovingVoxels:
+    """Return the voxels of the moving part among parts with their casters."""
+    moving = (c for part, c in zip(parts, casters, strict=True) if part.name == motion.part)
+    caster = next(one for one in moving if isinstance(one, GreyCaster))
+    return MovingVoxels(motion, caster, exposure_s)

@@ -137,7 +137,7 @@ class Rays:
         derivatives = np.zeros((*box.shape, 6 if slopes else 0))
         if lengths.size:
             # Imported late: reading the settings of algorithms must not need a compiler.
-            from twinct.recon.shadow._kernel import crossings
+            from twinct.rays._plain import crossings
 
             turned = world_from_body.rotation  # its transpose maps the world to the body
             source = (self.geometry.source[view] - world_from_body.position) @ turned

@@ -7,7 +7,7 @@ or behind the source, are listed for the processor.
 
 import warp as wp
 
-from twinct.xray import _crossings, _sides
+from twinct.rays import _crossings, _sides
 
 UNITS = float(2**40)
 """Units of a sum in 1 mm times the body's weight."""

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit, prange
 
 from twinct.specimen._grey_kernels import fractions_at
-from twinct.xray._grey_rays import OPTIONS, _ray
+from twinct.specimen._grey_rays import OPTIONS, _ray
 
 STEPS = 2
 """Samples for each voxel along a ray."""

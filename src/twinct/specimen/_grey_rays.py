@@ -1,10 +1,10 @@
 """Kernels: line integrals of a grey field's basis materials along the rays of one view.
 
-The model is Joseph's, as in the projector: a ray is sampled once in each plane of voxel centres
-across the axis that it crosses fastest, bilinearly in the plane, and the outermost voxels extend
-over their outer half. Unlike there, a ray begins at the source and ends at its pixel, and a plane
-counts by the share of its slab that the ray crosses. So a ray through a uniform field gives its
-exact length in the grid, and a source inside the grid adds nothing behind it.
+The model is Joseph's (``rays.joseph``), as in the projector: a ray is sampled once in each plane
+of voxel centres across the axis that it crosses fastest, bilinearly in the plane, and the outermost
+voxels extend over their outer half. Unlike there, a ray begins at the source and ends at its pixel,
+and a plane counts by the share of its slab that the ray crosses. So a ray through a uniform field
+gives its exact length in the grid, and a source inside the grid adds nothing behind it.
 
 The materials of a voxel are adjacent in memory, so that one vector load serves all. Eight planes
 are taken at a time. Sums run in the order of the planes, whatever the number of threads.
@@ -21,11 +21,10 @@ from numba import njit, prange, types
 from numba.core import cgutils
 from numba.extending import intrinsic as numba_intrinsic
 
+from twinct.rays.joseph import OPTIONS, ray_of, within
+
 # Calls omit the typing context that the function takes, so the type checker must not look.
 intrinsic: Any = numba_intrinsic
-
-OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy"}
-"""Without fast mathematics: the bits must not depend on how a process got its code."""
 
 LANES = 8
 """Planes that are taken at a time."""
@@ -260,32 +259,10 @@ march_fours = _march(_blend_fours)
 
 
 @njit(**OPTIONS)
-def _within(low, high, start, slope, size):
-    """Return the part of a range of planes in which a ray is between two faces of the grid."""
-    below, above = -0.5 - start, size - 0.5 - start
-    if slope > 0.0:
-        return max(low, below / slope), min(high, above / slope)
-    if slope < 0.0:
-        return max(low, above / slope), min(high, below / slope)
-    if below > 0.0 or above < 0.0:
-        return low, low - 1.0
-    return low, high
-
-
-@njit(**OPTIONS)
 def _ray(rays, row, column, shape):
     """Return a ray's axis, its line (see ``march_pairs``), and mm per plane."""
-    source = rays[0, 0], rays[0, 1], rays[0, 2]
+    source, way, axis, mm = ray_of(rays, row, column)
     sizes = shape[2], shape[1], shape[0]
-    way = (
-        rays[1, 0] + row * rays[3, 0] + column * rays[2, 0] - source[0],
-        rays[1, 1] + row * rays[3, 1] + column * rays[2, 1] - source[1],
-        rays[1, 2] + row * rays[3, 2] + column * rays[2, 2] - source[2],
-    )
-    axis = 0
-    for other in (1, 2):
-        if abs(way[other]) > abs(way[axis]):
-            axis = other
     b, c = (1 if axis == 0 else 0), (1 if axis == 2 else 2)
     middle = 0.5 * (sizes[axis] - 1)
     start, end = source[axis] - middle, source[axis] + way[axis] - middle
@@ -293,10 +270,8 @@ def _ray(rays, row, column, shape):
     high = min(max(start, end), 0.5 + middle)
     b_slope, c_slope = way[b] / way[axis], way[c] / way[axis]
     b_start, c_start = source[b] - start * b_slope, source[c] - start * c_slope
-    low, high = _within(low, high, b_start, b_slope, sizes[b])
-    low, high = _within(low, high, c_start, c_slope, sizes[c])
-    x, y, z = way[0] * rays[4, 0], way[1] * rays[4, 1], way[2] * rays[4, 2]
-    mm = math.sqrt(x * x + y * y + z * z) / abs(way[axis])
+    low, high = within(low, high, b_start, b_slope, sizes[b])
+    low, high = within(low, high, c_start, c_slope, sizes[c])
     return axis, (b_start, b_slope, c_start, c_slope, low, high), mm
 
 

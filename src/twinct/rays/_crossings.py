@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from twinct.xray._sides import CERTAIN, OPTIONS, crossing, side
+from twinct.rays._sides import CERTAIN, OPTIONS, crossing, side
 
 FARTHEST = 1e9
 """Largest column and row, in pixels, that are divided by the depth."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import Panel, ScanGeometry
-from twinct.specimen import GreyField
+from twinct.specimen.grey import GreyField
 
 
 class GreyCaster:
@@ -56,7 +56,7 @@ class GreyCaster:
         rays = np.vstack([np.vstack([points, steps]) / grid.voxel, grid.voxel])
         count, images = len(self.field.materials), np.array(into, np.int64)
         if self.field.sharp:
-            from twinct.xray._sharp_rays import add_lengths as add_amounts
+            from twinct.specimen._sharp_rays import add_lengths as add_amounts
         else:
-            from twinct.xray._grey_rays import add_amounts
+            from twinct.specimen._grey_rays import add_amounts
         add_amounts(self._flat, grid.shape, count, rays, images, out)

@@ -1,0 +1,10 @@
+"""Shadows of closed bodies: path lengths of the rays inside, and their derivatives by motion.
+
+``Rays`` is the plain reference, with derivatives. ``MeshRays`` takes whole views fast, with exact
+signs; ``_warp_crossings`` has its kernels for a card.
+"""
+
+from twinct.rays.body import Body, Box, Rays, Shadow
+from twinct.rays.mesh_rays import MeshRays, Surface
+
+__all__ = ["Body", "Box", "MeshRays", "Rays", "Shadow", "Surface"]
