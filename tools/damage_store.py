@@ -76,7 +76,7 @@ class Trials:
             told.update(pairs.geometry(scan.scenario.detector.panel).source.tobytes())
             told.update(pairs.geometry(scan.scenario.detector.panel).u.tobytes())
         told.update(scan.simulated_s.tobytes() + scan.clearance_mm.tobytes())
-        return told.hexdigest() + scan.scenario.resolved() + str(scan.joint_names)
+        return told.hexdigest() + scan.scenario.resolved() + str(scan.simulated.joint_names)
 
     def trial(self, kind, seed):
         """Do one damage; return faults, outcomes of verify, read and resume, and seconds."""
