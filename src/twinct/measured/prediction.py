@@ -136,8 +136,9 @@ def predict(
     folder = Folder(Path(path))
     if material is not None:
         known_material(material, "--material")
+    scan = load_scan(folder.path)
     settings, body = _settings(folder, overrides, mesh, material)
-    scan = load_scan(folder.path).with_settings(settings)
+    scan = scan.with_settings(settings)
     which = geometry or settings.reconstruction.geometries[0]
     scan.poses(which)
     if len(scan) < 4:
