@@ -94,10 +94,8 @@ def main() -> None:
         print(f"{told.voxels}^3 voxels of {edge:.4g} mm; RTK FDK {seconds:.1f} s")
         for name, one in made.items():
             off = np.sqrt(np.mean((volumes[name].array - rtk)[region] ** 2)) / scale
-            judged = one.figures
             print(
-                f"{name}: {one.seconds:.1f} s, residual {100 * judged.residual_rel:.2f} %, edges "
-                f"{judged.edge_width_mm:.3f} mm, from RTK's FDK {100 * off:.2f} % RMS"
+                f"{name}: {one.seconds:.1f} s, {one.figures.in_words('')}, from RTK's FDK {100 * off:.2f} % RMS"
             )
         if told.picture:
             draw(told.picture, {"RTK FDK": rtk, **{n: v.array for n, v in volumes.items()}}, edge)
