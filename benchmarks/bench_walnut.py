@@ -95,7 +95,8 @@ def main() -> None:
         for name, one in made.items():
             off = np.sqrt(np.mean((volumes[name].array - rtk)[region] ** 2)) / scale
             print(
-                f"{name}: {one.seconds:.1f} s, {one.figures.in_words('')}, from RTK's FDK {100 * off:.2f} % RMS"
+                f"{name}: {one.seconds:.1f} s, {one.figures.in_words('')}, from RTK's FDK "
+                f"{100 * off:.2f} % RMS"
             )
         if told.picture:
             draw(told.picture, {"RTK FDK": rtk, **{n: v.array for n, v in volumes.items()}}, edge)
