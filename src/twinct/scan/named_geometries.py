@@ -124,8 +124,11 @@ def free_geometry_name(name: str) -> str:
     Raises:
         InputError: the name is not valid, or a scan comes with a geometry of this name.
     """
-    if checked_name(name) in (taken := (*OWN, RELATIVE, STATED)):
-        raise InputError(f"name {quoted(name)} is reserved: scans already have {', '.join(taken)}")
+    if checked_name(name) in (*OWN, RELATIVE, STATED):
+        own = ", ".join((*OWN, RELATIVE))
+        raise InputError(
+            f"name {quoted(name)} is reserved: every scan already has {own}, or {STATED}"
+        )
     return name
 
 
