@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +53,7 @@ def measure(seed: int, views: int, algorithm: str) -> dict[str, float]:
         more = {} if keys_of_case is None else {"motion": keys_of_case}
         volume = reconstruct(scan, **more)
         # The same voxels and the same truth for all cases.
-        judged = evaluate(replace(scan, scenario=scenario), volume, truth)
+        judged = evaluate(scan.with_settings(scenario), volume, truth)
         found[case] = judged.as_dict()["rmse_moving_rel"]
     cost = found["ignored"] - found["at rest"]
     for case in list(CASES)[1:]:

@@ -92,7 +92,7 @@ def with_kvp(scan: Scan, more: float) -> Scan:
     """The scan as somebody sees it who believes in another voltage."""
     told = scan.scenario.model_dump(mode="json")
     told["source"]["spectrum"]["kvp"] += more
-    return replace(scan, scenario=parse_scenario(told))
+    return scan.with_settings(parse_scenario(told))
 
 
 def pose_errors(found: list[Mapping[str, Any]], parts: list[Any]) -> str:

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from twinct.evaluation import region_of_interest
-from twinct.measured import description_of, import_measured, reconstruct_measured
-from twinct.runs import load_scan
+from twinct.measured import description_of, import_measured
+from twinct.runs import load_scan, reconstruct_run
 
 ROOT = Path(__file__).parents[1]
 
@@ -77,14 +77,14 @@ def main() -> None:
         folder = told.out or Path(scratch) / "walnut"
         import_measured(description_of(ROOT / "examples" / "walnut.yaml"), folder)
         scan = load_scan(folder)
-        whole = scan.scenario.reconstruction.grid
+        whole = scan.settings.reconstruction.grid
         edge = float(whole.volume_grid.voxel[0]) * 256 / told.voxels
         grid = [
             f"reconstruction.grid.voxels={told.voxels}",
             f"reconstruction.grid.voxel_mm={edge!r}",
         ]
         made = {
-            name: reconstruct_measured(folder, [f"reconstruction.algorithm={name}", *grid])
+            name: reconstruct_run(folder, [f"reconstruction.algorithm={name}", *grid])
             for name in ("fdk", "fast")
         }
         rtk, seconds = rtk_fdk(told.voxels, edge)
@@ -94,10 +94,9 @@ def main() -> None:
         print(f"{told.voxels}^3 voxels of {edge:.4g} mm; RTK FDK {seconds:.1f} s")
         for name, one in made.items():
             off = np.sqrt(np.mean((volumes[name].array - rtk)[region] ** 2)) / scale
-            judged = one.judgement
             print(
-                f"{name}: {one.seconds:.1f} s, residual {100 * judged.residual_rel:.2f} %, edges "
-                f"{judged.edge_width_mm:.3f} mm, from RTK's FDK {100 * off:.2f} % RMS"
+                f"{name}: {one.seconds:.1f} s, {one.figures.in_words('')}, from RTK's FDK "
+                f"{100 * off:.2f} % RMS"
             )
         if told.picture:
             draw(told.picture, {"RTK FDK": rtk, **{n: v.array for n, v in volumes.items()}}, edge)

@@ -287,6 +287,23 @@ def test_a_foreign_figure_is_checked_measured_shown_and_searched_for(
     assert "tails" not in (out / "scenario.yaml").read_text() + (out / "metrics.json").read_text()
 
 
+@pytest.mark.tutorial
+@pytest.mark.process
+def test_a_foreign_figure_without_a_truth_is_measured_in_an_imported_scan(
+    twinct: Shell, tmp_path: Path
+) -> None:
+    shutil.unpack_archive(HERE / "version_1_0" / "measured.tar.xz", tmp_path, filter="data")
+    folder = tmp_path / "measured"
+    region = "evaluation.regions=[{name: middle, shape: {kind: sphere, radius_mm: 30}}]"
+    done = twinct("report", folder, "--set", region, "--set", "evaluation.grain=[{region: middle}]")
+    assert done.returncode == 0, done.stderr
+    made = json.loads((folder / "metrics.json").read_text())["reconstructions"]["fast"]
+    assert made["judgement"]["grain"]["middle"]["grain_per_mm"] > 0
+    assert "<td>grain</td>" in (folder / "report.html").read_text(encoding="utf-8")
+    refused = twinct("report", folder, "--set", "evaluation.tails=[{region: middle}]")
+    assert refused.returncode == 2 and "has no truth that these figures" in refused.stderr
+
+
 @pytest.fixture
 def without_gvxr(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Refuse the import of gVXR in all processes, nodes included."""

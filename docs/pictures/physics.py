@@ -165,7 +165,7 @@ def draw_hardening() -> None:
     for name, correction in CORRECTIONS.items():
         section = base.reconstruction.model_dump() | {"beam_hardening": correction}
         corrected = parse_scenario(HEAD | {"reconstruction": section})
-        volume = reconstruct(replace(scan, scenario=corrected)).array
+        volume = reconstruct(scan.with_settings(corrected)).array
         slices[name] = (volume[middle] - truth[middle]) * MM_PER_CM
     figure, axes = plt.subplots(1, 4, figsize=(9.6, 2.7), layout="constrained")
     shown = axes[0].imshow(truth[middle] * MM_PER_CM, cmap="gray", origin="lower")

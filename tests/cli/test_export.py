@@ -123,7 +123,7 @@ def test_a_scan_under_way_is_exported_as_far_as_it_is(
     assert run_command(["export", str(tmp_path), "--to", "astra", "--geometry", which]) == 0
     assert "is unfinished: exporting the 3 of 5 views" in capfd.readouterr().out
     images, vectors = exported(tmp_path / "export-astra")
-    assert len(images) == len(vectors) == len(store.poses(which)) == 3
+    assert len(images) == len(vectors) == len(store.provenance.poses(which)) == 3
     assert store.acquired == 3
 
 

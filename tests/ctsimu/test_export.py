@@ -113,7 +113,7 @@ def test_export_renders_as_the_scan_did(scan, builder, tmp_path):
 
 def of(scan, *changes):
     """The same scan, as if its scenario had been another."""
-    return replace(scan, scenario=load_scenario(DEMO, [*TINY, *changes]))
+    return scan.with_settings(load_scenario(DEMO, [*TINY, *changes]))
 
 
 UNSAID = {

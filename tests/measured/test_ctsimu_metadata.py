@@ -79,7 +79,7 @@ def test_images_fields_and_geometry_come_back(scan, imported):
     points = np.array([[0, 0, 0], [5, -3, 4.0]])
     believed = load_ctsimu(scan / "small.json").geometry(believed=True)
     np.testing.assert_allclose(
-        found.geometry("executed").project(points), believed.project(points), atol=1e-6
+        found.geometry().project(points), believed.project(points), atol=1e-6
     )
 
 

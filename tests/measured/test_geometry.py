@@ -287,5 +287,5 @@ def test_a_moved_world_has_its_grid_where_the_beams_meet(stored, imported, tmp_p
     np.save(tmp_path / "poses.npy", table)
     section = {"kind": "poses", "path": str(tmp_path / "poses.npy"), "pitch_mm": PITCH}
     scan, _ = imported({"images": stored(ball_images(orbit())), "geometry": section})
-    grid = scan.scenario.reconstruction.volume_grid
+    grid = scan.settings.reconstruction.volume_grid
     assert grid.world_from_grid.position == pytest.approx([500, -20, 30], abs=1e-3)

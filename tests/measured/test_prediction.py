@@ -14,10 +14,11 @@ from scipy.optimize import brentq
 
 from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
-from twinct.measured import prediction, reconstruct_measured
+from twinct.measured import prediction
 from twinct.measured.prediction import predict
 from twinct.observers import IterationDone, Observer
 from twinct.recon.residuals import residuals_of
+from twinct.runs import reconstruct_run
 from twinct.runs.folder import Folder
 from twinct.scenario import load_scenario
 from twinct.specimen.materials import material
@@ -120,7 +121,7 @@ def test_even_views_predict_odd_ones_and_a_wrong_view_stands_out(scan) -> None:
     images[7] = np.roll(images[7], 1, axis=1)
     folder = scan(images)
     keys = ["reconstruction.algorithm=sart", "reconstruction.iterations=6"]
-    reconstruct_measured(folder, ["reconstruction.algorithm=fdk"])
+    reconstruct_run(folder, ["reconstruction.algorithm=fdk"])
     assert "Predictions beside" not in (folder / "report.html").read_text(encoding="utf-8")
     made = predict(folder, [*keys, "reconstruction.grid.rotation_deg=[10,20,30]"])
     views = made.residuals.views
@@ -234,9 +235,7 @@ def test_an_interrupted_prediction_keeps_its_reconstruction(scan, monkeypatch) -
 def test_the_scan_of_a_breathing_patient_is_predicted_by_its_own_volume(tmp_path) -> None:
     folder = Folder(tmp_path)
     folder.write_scenario(load_scenario("patient_breathing"))
-    made = prediction._scenario(folder, (), None, None)
-    assert made.specimen.unknown
-    assert (made.specimen.reference, made.specimen.motion) == ("", None)
-    assert made.reconstruction.motion is None
+    made, body = prediction._settings(folder, (), None, None)
+    assert body is None and made.detector.noise is None
     with pytest.raises(InputError, match=r"^--mesh .*nope\.stl does not exist"):
-        prediction._scenario(folder, (), tmp_path / "nope.stl", None)
+        prediction._settings(folder, (), tmp_path / "nope.stl", None)

@@ -11,9 +11,9 @@ from ball_scan import BALL, MU, PITCH, RADIUS, ROWS, SDD, SOD, VIEWS, ball_image
 
 from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
-from twinct.measured import MeasuredVolume, reconstruct_measured
 from twinct.recon.algorithms import algorithms
-from twinct.runs import load_scan, run, simulate
+from twinct.runs import Reconstruction, load_scan, reconstruct_run, run, simulate
+from twinct.scan import Imported
 
 pytestmark = pytest.mark.usefixtures("measured")
 
@@ -30,10 +30,34 @@ def measured(imported, stored, circle):
     return imported(source)[1].folder
 
 
+def test_an_import_is_no_simulation(measured):
+    """Nothing is made up: no gantry, no beam, and no geometry but the stated one."""
+    scan = load_scan(measured)
+    assert isinstance(scan.provenance, Imported) and scan.provenance.files
+    assert scan.geometries == ("stated",) and scan.reported.name == "stated"
+    assert scan.settings.source is None and scan.settings.specimen is None
+    assert scan.photons is None and not scan.provenance.noiseless
+    for name in ("scenario", "commanded", "executed", "joints", "clearance_mm"):
+        with pytest.raises(InputError, match="is an imported scan"):
+            getattr(scan, name)
+    with pytest.raises(InputError, match="unknown geometry 'executed'; choose from stated"):
+        scan.geometry("executed")
+    found = sorted(p.name for p in measured.iterdir())
+    assert found == ["imported.png", "scan.zarr", "scenario.yaml"]
+    part = scan.of_views(range(1, VIEWS, 2))
+    np.testing.assert_array_equal(part.geometry().source, scan.geometry().source[1::2])
+
+
+def test_a_correction_that_needs_the_beam_says_so(measured):
+    nmar = ["reconstruction.algorithm=fdk", "reconstruction.metal={method: nmar, metal: titanium}"]
+    with pytest.raises(InputError, match="needs the beam of the scan, which is not known"):
+        reconstruct_run(measured, nmar)
+
+
 @pytest.mark.tutorial
 def test_every_algorithm_finds_the_ball(measured):
     scan = load_scan(measured)
-    grid = scan.scenario.reconstruction.volume_grid
+    grid = scan.settings.reconstruction.volume_grid
     x, y, z = grid.axes()
     off = (x - BALL[0]) ** 2 + ((y - BALL[1]) ** 2)[:, None] + ((z - BALL[2]) ** 2)[:, None, None]
     inside = off < (RADIUS - 1.5) ** 2
@@ -43,19 +67,19 @@ def test_every_algorithm_finds_the_ball(measured):
         keys = [f"reconstruction.algorithm={name}"]
         if name == "sirt":  # it takes many more passes than all others
             keys.append("reconstruction.iterations=40")
-        made = reconstruct_measured(measured, keys)
+        made = reconstruct_run(measured, keys)
         assert 0.35 < made.volume.array[inside].mean() / MU < 1.2, name
-        assert made.judgement.residual_rel < 0.35, name
-        assert made.judgement.edge_width_mm < 4, name
+        assert made.figures.residual_rel < 0.35, name
+        assert made.figures.edge_width_mm < 4, name
     told = json.loads((measured / "metrics.json").read_text())
     assert set(told["reconstructions"]) == set(algorithms()) - WITHOUT
 
 
 def test_report_has_no_figure_that_needs_a_truth(measured):
-    made = reconstruct_measured(measured, ["reconstruction.algorithm=fdk"], halves=True)
+    made = reconstruct_run(measured, ["reconstruction.algorithm=fdk"], halves=True)
     page = (measured / "report.html").read_text(encoding="utf-8")
     shown = re.sub(r"<pre>.*?</pre>|data:image[^\"]*", "", page, flags=re.DOTALL)
-    assert "There is no truth" in shown and f"{100 * made.judgement.residual_rel:.2f}" in shown
+    assert "There is no truth" in shown and f"{100 * made.figures.residual_rel:.2f}" in shown
     assert not re.search("RMSE|SSIM|PSNR|bone", shown)
     text = (measured / "metrics.json").read_text()
     assert not re.search("rmse|ssim|psnr|pose_error", text)
@@ -71,8 +95,8 @@ def test_halves_tell_the_noise(measured, imported, stored, circle):
     for times in (1, 2):
         section = stored(clean * np.exp(times * noise), "transmissions")
         folder = imported({"images": section, "geometry": turn, "grid": GRID})[1].folder
-        made = reconstruct_measured(folder, ["reconstruction.algorithm=fdk"], halves=True)
-        found.append(made.judgement.noise_per_mm)
+        made = reconstruct_run(folder, ["reconstruction.algorithm=fdk"], halves=True)
+        found.append(made.figures.noise_per_mm)
     assert found[1] / found[0] == pytest.approx(2, rel=0.1)
 
 
@@ -80,14 +104,14 @@ def test_a_wrong_view_stands_out(imported, stored, circle):
     images = ball_images(orbit())
     images[7] = np.roll(images[7], 2, axis=1)
     folder = imported({"images": stored(images), "geometry": circle, "grid": GRID})[1].folder
-    judged = reconstruct_measured(folder, ["reconstruction.algorithm=fdk"]).judgement
+    judged = reconstruct_run(folder, ["reconstruction.algorithm=fdk"]).figures
     assert int(np.argmax(judged.residual_by_view)) == 7
 
 
 def test_a_changed_volume_is_found(measured):
     from twinct.runs import verify
 
-    made = reconstruct_measured(measured, ["reconstruction.algorithm=fdk"])
+    made = reconstruct_run(measured, ["reconstruction.algorithm=fdk"])
     assert verify(measured).problems == ()
     file = made.path / "volume.nii"
     content = bytearray(file.read_bytes())
@@ -98,24 +122,24 @@ def test_a_changed_volume_is_found(measured):
 
 def test_names_are_free_taken_or_refused(measured):
     fdk = ["reconstruction.algorithm=fdk"]
-    assert [reconstruct_measured(measured, fdk).name for _ in range(2)] == ["fdk", "fdk-2"]
+    assert [reconstruct_run(measured, fdk).name for _ in range(2)] == ["fdk", "fdk"]
+    hann = [*fdk, "reconstruction.window=hann"]
+    assert reconstruct_run(measured, hann).name == "fdk-2"
+    with pytest.raises(ScanExistsError, match="already holds this reconstruction; omit --as"):
+        reconstruct_run(measured, fdk, name="mine")
     with pytest.raises(ScanExistsError, match="another reconstruction"):
-        reconstruct_measured(measured, fdk, name="fdk")
+        reconstruct_run(measured, [*fdk, "reconstruction.nonnegative=true"], name="fdk")
     with pytest.raises(InputError, match="only keys of reconstruction"):
-        reconstruct_measured(measured, ["source.mas=2"])
+        reconstruct_run(measured, ["source.mas=2"])
     with pytest.raises(InputError, match="unknown geometry 'mine'"):
-        reconstruct_measured(measured, fdk, geometry="mine")
+        reconstruct_run(measured, fdk, geometry="mine")
 
 
 def test_nothing_is_simulated_for_an_unknown_specimen(measured, tmp_path):
-    scenario = load_scan(measured).scenario
-    for attempt in (
-        lambda: simulate(scenario),
-        lambda: run(scenario, tmp_path / "run", link="local"),
-        lambda: run(measured / "scenario.yaml", measured, link="local", resume=True),
-    ):
-        with pytest.raises(InputError, match="specimen.unknown"):
-            attempt()
+    with pytest.raises(InputError, match="is an imported scan: it has no scenario"):
+        simulate(load_scan(measured).scenario)
+    with pytest.raises(InputError, match="specimen"):
+        run(measured / "scenario.yaml", measured, link="local", resume=True)
 
 
 def test_a_moved_folder_is_read(measured, tmp_path):
@@ -123,8 +147,8 @@ def test_a_moved_folder_is_read(measured, tmp_path):
     scan = load_scan(moved)
     assert scan.geometry().sdd == pytest.approx(np.full(VIEWS, SDD))
     assert np.linalg.norm(scan.geometry().source, axis=1) == pytest.approx(np.full(VIEWS, SOD))
-    assert scan.scenario.detector.pixel_pitch_mm == (PITCH, PITCH)
-    assert reconstruct_measured(moved, ["reconstruction.algorithm=fdk"]).name == "fdk"
+    assert scan.settings.detector.pixel_pitch_mm == (PITCH, PITCH)
+    assert reconstruct_run(moved, ["reconstruction.algorithm=fdk"]).name == "fdk"
 
 
 def test_the_command_line_imports_and_reconstructs(measured, stored, circle, tmp_path, capsys):
@@ -145,18 +169,18 @@ def test_the_command_line_imports_and_reconstructs(measured, stored, circle, tmp
 def test_report_judges_again_and_compare_shows_no_figure_of_a_truth(
     measured, monkeypatch, capfd, tmp_path
 ):
-    monkeypatch.setattr("twinct.measured.volume_folder.write_measured_report", lambda *_: None)
-    fdk = reconstruct_measured(measured, ["reconstruction.algorithm=fdk"], halves=True)
-    judged = fdk.judgement
+    monkeypatch.setattr("twinct.runs.reporting.write_report", lambda *_: None)
+    fdk = reconstruct_run(measured, ["reconstruction.algorithm=fdk"], halves=True)
+    judged = fdk.figures
     assert judged.residual_rel < judged.consistency_rel < 3 * judged.residual_rel
     coarse = {"voxels": [20, 20, 12], "voxel_mm": 2.0}
-    reconstruct_measured(measured, [f"reconstruction.grid={coarse}"], name="coarse")
-    file = fdk.path / "judgement.json"
+    reconstruct_run(measured, [f"reconstruction.grid={coarse}"], name="coarse")
+    file = fdk.path / "reconstruction.json"
     told = json.loads(file.read_text())
-    file.write_text(json.dumps(told | {"judgement": told["judgement"] | {"residual": 9.0}}))
+    file.write_text(json.dumps(told | {"figures": told["figures"] | {"residual": 9.0}}))
     assert run_command(["report", str(measured)]) == 0
     assert "consistency" in capfd.readouterr().out
-    assert MeasuredVolume.read(fdk.path).judgement == judged
+    assert Reconstruction.read(fdk.path).figures == judged
 
     page = tmp_path / "both.html"
     assert run_command(["compare", str(measured), "--out", str(page)]) == 0
@@ -172,5 +196,7 @@ def test_report_judges_again_and_compare_shows_no_figure_of_a_truth(
     ):
         assert run_command(["compare", *folders, "--out", str(page)]) == 2
         assert words in capfd.readouterr().err
-    assert run_command(["report", str(measured), "--set", "evaluation.regions=[]"]) == 2
+    region = "evaluation.regions=[{name: it, shape: {kind: sphere, radius_mm: 9}}]"
+    asked = ["--set", region, "--set", "evaluation.nps=[{region: it}]"]
+    assert run_command(["report", str(measured), *asked]) == 2
     assert "has no truth" in capfd.readouterr().err

@@ -38,7 +38,7 @@ def test_every_export_comes_back(to, values, random_geometry, points, imported, 
         np.testing.assert_allclose(scan.line_integrals(), images, rtol=0, atol=SAME_INTEGRAL)
     moved = scan.geometry().project(points) - bundle.local.project(points)
     assert np.abs(moved).max() < SAME_PX
-    grid = scan.scenario.reconstruction.volume_grid
+    grid = scan.settings.reconstruction.volume_grid
     assert grid == VolumeGrid(GRID.shape, GRID.voxel)
 
 

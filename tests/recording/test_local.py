@@ -67,7 +67,7 @@ def test_numbers_are_those_of_the_store(said, taken):
         assert image.data.tobytes() == scan.transmission[view].tobytes()
         at = joints[stamp.sec, stamp.nanosec]
         assert at.position.tobytes() == scan.joints[view].tobytes()
-        assert tuple(at.name) == scan.joint_names
+        assert tuple(at.name) == scan.simulated.joint_names
         p, q = (
             getattr(said["/scan/reached"][view][2].poses[0], n) for n in ("position", "orientation")
         )

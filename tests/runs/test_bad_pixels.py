@@ -12,7 +12,7 @@ from twinct.core.errors import InputError
 from twinct.geometry.wire import PosePairs
 from twinct.recon.projector import Projector
 from twinct.runs import reconstruct
-from twinct.scan import Scan, ScanStore
+from twinct.scan import Scan, ScanStore, Simulated
 from twinct.scenario import Scenario, load_scenario
 from twinct.trajectory import commanded_views
 from twinct.xray.build import build_bad_pixels
@@ -42,9 +42,8 @@ def scan_of(scenario: Scenario) -> tuple[Scan, np.ndarray]:
     images = np.exp(-Projector(poses.geometry(scenario.detector.panel), grid)(truth))
     bad = build_bad_pixels(scenario.detector, scenario.seed)
     views = len(geometry)
-    scan = Scan(
+    taken = Simulated(
         scenario=scenario,
-        transmission=np.stack([mend_bad_pixels(image, bad) for image in images]),
         commanded=poses,
         executed=poses,
         executed_object=(poses.source[0],) * views,
@@ -52,9 +51,9 @@ def scan_of(scenario: Scenario) -> tuple[Scan, np.ndarray]:
         joints=np.zeros((views, 0)),
         simulated_s=np.arange(float(views)),
         clearance_mm=np.full(views, np.nan),
-        bad_pixels=bad if bad.any() else None,
     )
-    return scan, truth
+    mended = np.stack([mend_bad_pixels(image, bad) for image in images])
+    return Scan(taken, mended, bad_pixels=bad if bad.any() else None), truth
 
 
 LOST = 0.5

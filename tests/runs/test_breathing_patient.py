@@ -87,7 +87,7 @@ def test_the_truth_has_the_phase_of_the_volume(scan: Scan) -> None:
     deep = small("reconstruction.motion={phase: 0.5}")
     at_rest, full = (
         truth_of(one, SimulationBuilder(one.scenario)).volume
-        for one in (scan, replace(scan, scenario=deep))
+        for one in (scan, scan.with_settings(deep))
     )
     motion = SimulationBuilder(deep).specimen.motion
     assert motion is not None
@@ -120,7 +120,7 @@ def test_a_gate_takes_its_views_and_needs_one(scan: Scan) -> None:
         assert (view in chosen) == (not 0.2 < motion.at(float(time_s)).phase < 0.8)
     volume = reconstruct(scan, motion={"compensate": False, "gate": (0.8, 0.2)})
     part = reconstruct(
-        replace(scan, scenario=small("reconstruction.motion=null")),
+        scan.with_settings(small("reconstruction.motion=null")),
         mask=np.isin(np.arange(20), chosen)[:, None, None] & np.ones((36, 48), bool),
     )
     assert np.corrcoef(volume.array.ravel(), part.array.ravel())[0, 1] > 0.99

@@ -129,7 +129,7 @@ def test_the_xray_node_has_its_views_from_the_plan(
     assert plan is not None
     imager = _AsPlanned(SimulationBuilder(scenario))
     imager.follow(plan)
-    executed = replace(whole.executed, object=whole.executed_object)
+    executed = replace(whole.executed, object=whole.simulated.executed_object)
     image = imager.expose(executed[2:3], 2)
     imager.close()
     np.testing.assert_array_equal(image, whole.transmission[2])

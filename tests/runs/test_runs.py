@@ -178,7 +178,7 @@ ALGORITHMS = {
 
 def with_keys(scan: Scan, *keys: str) -> Scan:
     overrides = [*TINY, *(f"reconstruction.{key}" for key in keys)]
-    return replace(scan, scenario=load_scenario(SCENARIOS / "demo.yaml", overrides))
+    return scan.with_settings(load_scenario(SCENARIOS / "demo.yaml", overrides))
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -271,7 +271,7 @@ def test_fdk_reconstructs_what_the_arms_scanned_on_an_arc() -> None:
     require_feasible(scenario, builder.commanded)
     scan = simulate(scenario, builder=builder)
     figures = judge(scan, reconstruct(scan), truth_of(scan, builder))
-    iterated = reconstruct(replace(scan, scenario=load_scenario(SCENARIOS / "demo.yaml", TINY)))
+    iterated = reconstruct(scan.with_settings(load_scenario(SCENARIOS / "demo.yaml", TINY)))
     assert figures.rmse_rel < 1.5 * judge(scan, iterated, truth_of(scan, builder)).rmse_rel
 
 

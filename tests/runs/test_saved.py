@@ -14,7 +14,7 @@ import twinct
 from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry.wire import PosePairs
 from twinct.runs import Run, export_scan, verify
-from twinct.scan import Scan, ScanStore
+from twinct.scan import Scan, ScanStore, Simulated
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import Scenario, load_scenario
 
@@ -47,8 +47,11 @@ def test_a_saved_scan_is_loaded_again(scan: Scan, tmp_path: Path) -> None:
     path = tmp_path / "mine" / "scan.zarr"
     scan.save(str(path))
     again = twinct.load_scan(path)
-    for name in {field.name for field in fields(Scan)} - {"scenario", "acquired"}:
-        mine, its = getattr(scan, name), getattr(again, name)
+    of_scan = {field.name for field in fields(Scan)} - {"provenance"}
+    of_machine = {field.name for field in fields(Simulated)} - {"scenario", "acquired"}
+    for name in of_scan | of_machine:
+        one, other = (scan, again) if name in of_scan else (scan.simulated, again.simulated)
+        mine, its = getattr(one, name), getattr(other, name)
         if isinstance(mine, np.ndarray):
             np.testing.assert_array_equal(its, mine)
             assert its.dtype == mine.dtype
@@ -120,10 +123,11 @@ def test_changed_images_are_no_scenarios_images(scan: Scan, tmp_path: Path) -> N
 def test_what_a_store_needs_is_not_made_up(scan: Scan, tmp_path: Path) -> None:
     path = tmp_path / "scan.zarr"
     scan.save(tmp_path / "one.zarr")
+    elsewhere = replace(scan.simulated, executed=scan.commanded)
     for wrong, why in (
         (twinct.load_scan(tmp_path / "one.zarr"), r"not from simulate\(\)"),
-        (replace(scan, executed=scan.commanded), "not those of the acquisition"),
-        (replace(scan, scenario=scan.scenario.with_({"detector.keep": ["raw"]})), "detector.keep"),
+        (replace(scan, provenance=elsewhere), "not those of the acquisition"),
+        (scan.with_settings(scan.scenario.with_({"detector.keep": ["raw"]})), "detector.keep"),
     ):
         with pytest.raises(InputError, match=why):
             wrong.save(path)

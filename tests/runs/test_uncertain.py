@@ -37,13 +37,15 @@ def uncertain(
 
 def test_reached_is_what_the_controllers_believe(uncertain: Run) -> None:
     scan = uncertain.scan
-    nominal, executed = (pose_errors(scan.commanded, p) for p in (scan.nominal, scan.executed))
+    nominal, executed = (
+        pose_errors(scan.commanded, p) for p in (scan.simulated.nominal, scan.executed)
+    )
     for side in SIDES:
         assert getattr(nominal, side).position_mm.max() < 1.0 + 0.03, (
             "the trigger's, and the encoders'"
         )
     assert max(getattr(executed, side).position_mm.max() for side in SIDES) > 1.5
-    noise = pose_errors(scan.nominal, scan.believed)
+    noise = pose_errors(scan.simulated.nominal, scan.believed)
     for side in SIDES:
         assert 0 < getattr(noise, side).position_mm.max() <= 0.15 * np.sqrt(3)
         assert getattr(noise, side).rotation_deg.max() < 1e-6
@@ -71,7 +73,7 @@ def test_the_same_arms_serve_another_scan(tiny: Callable[..., Scenario], uncerta
     for view in range(3):
         other = robots.move(view, builder.targets[view])
         assert 0 < other.executed.source[0].distance_mm(scan.executed.source[view]) < 0.5
-        assert scan.nominal.source[view].distance_mm(scan.executed.source[view]) > 0.5
+        assert scan.simulated.nominal.source[view].distance_mm(scan.executed.source[view]) > 0.5
 
 
 def test_a_gantry_is_off_and_a_patient_is_followed() -> None:

@@ -102,11 +102,11 @@ def test_a_scan_reads_back_to_the_last_bit(tmp_path, scenario, commanded) -> Non
         uncertainty, seed = scenario.uncertainty, scenario.believed_seed
         drawn = believed_poses(*executed[0], uncertainty, seed, index)
         assert scan.believed[index] == drawn
-        assert scan.executed_object[index] == executed.object[0]
+        assert scan.simulated.executed_object[index] == executed.object[0]
         assert scan.commanded[index] == commanded[index]
         np.testing.assert_array_equal(scan.joints[index], reached.position)
     assert scan.scenario == scenario
-    assert scan.joint_names == NAMES
+    assert scan.simulated.joint_names == NAMES
     assert scan.poses("believed") is scan.believed
     with pytest.raises(InputError, match="'scenario'; choose from commanded, executed, believed"):
         scan.poses("scenario")
@@ -132,9 +132,9 @@ def test_instants_of_an_exposure_read_back_to_the_last_bit(tmp_path, scenario, c
     for index in range(VIEWS):
         store.write(index, *view(index, instants=True))
     written = [view(index, instants=True)[1].exposure for index in range(VIEWS)]
-    assert store.read().exposure == tuple(written)
+    assert store.read().simulated.exposure == tuple(written)
     unblurred = fill(tmp_path / "u.zarr", scenario, commanded, range(VIEWS)).read()
-    assert unblurred.exposure == ()
+    assert unblurred.simulated.exposure == ()
 
 
 def test_foreign_readers_find_the_contract(tmp_path, scenario, commanded) -> None:

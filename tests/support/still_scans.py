@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from twinct.geometry import ScanGeometry
 from twinct.geometry.wire import PosePairs
-from twinct.scan import Scan
+from twinct.scan import Scan, Simulated
 from twinct.scenario import Scenario
 from twinct.trajectory import commanded_views
 
@@ -20,9 +20,8 @@ def views_of(scenario: Scenario) -> ScanGeometry:
 def still_scan(scenario: Scenario, transmission: NDArray[np.float32], **keys: object) -> Scan:
     """A scan with these images; its three geometries are alike."""
     poses, views = PosePairs.from_geometry(views_of(scenario)), len(transmission)
-    return Scan(
+    taken = Simulated(
         scenario=scenario,
-        transmission=transmission,
         commanded=poses,
         executed=poses,
         executed_object=(),
@@ -30,8 +29,8 @@ def still_scan(scenario: Scenario, transmission: NDArray[np.float32], **keys: ob
         joints=np.zeros((views, 0)),
         simulated_s=np.arange(views, dtype=float),
         clearance_mm=np.full(views, 50.0),
-        **keys,
     )
+    return Scan(taken, transmission, **keys)
 
 
 def chords(geometry: ScanGeometry, view: int, *radii_mm: float) -> list[NDArray[np.float64]]:

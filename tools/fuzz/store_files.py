@@ -132,8 +132,8 @@ def everything(scan: Scan) -> bytes:
         found += [geometry.source, geometry.detector, geometry.u, geometry.v]
     believed = scan.believed  # may see the panel from behind if the joints are damaged
     found += [pose.matrix for pose in (*believed.source, *believed.detector)]
-    found += [pose.matrix for pose in (*scan.executed_object, scan.stands)]
-    found += [np.array([view.sevens for view in scan.exposure]).ravel()]
+    found += [pose.matrix for pose in (*scan.simulated.executed_object, scan.stands)]
+    found += [np.array([view.sevens for view in scan.simulated.exposure]).ravel()]
     for numbers in found:
         if not np.isfinite(numbers).all():
             raise AssertionError("a number that is not finite was accepted")
@@ -143,7 +143,7 @@ def everything(scan: Scan) -> bytes:
         raise AssertionError("arrays with different numbers of views")
     told = [numbers.tobytes() for numbers in (*found, scan.clearance_mm)]
     bad = b"" if scan.bad_pixels is None else scan.bad_pixels.tobytes()
-    return b"".join([*told, bad, str(scan.joint_names).encode()])
+    return b"".join([*told, bad, str(scan.simulated.joint_names).encode()])
 
 
 def _read(path: Path, whole: bytes | None) -> None:

@@ -18,7 +18,7 @@ from twinct.calibration import (
     frames_of,
     require_same_arms,
 )
-from twinct.calibration.scan_calibration import balls_of, refuse_own, store_geometries
+from twinct.calibration.scan_calibration import balls_of, store_geometries
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry import Chain, Floats, Panel, ScanGeometry
@@ -26,7 +26,7 @@ from twinct.observers import Observers, audience_of
 from twinct.robots.cell import nominal_chains
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import NamedGeometry, Scan
+from twinct.scan import NamedGeometry, Scan, free_geometry_name
 from twinct.scan.encoder_model import encoders_of
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import AnyCell, Cell, Uncertainty
@@ -137,7 +137,7 @@ def calibrate_kinematics(
             written.
         ScanExistsError: another geometry has this name; nothing is written.
     """
-    refuse_own(name)
+    free_geometry_name(name)
     folders = [Folder(Path(folder)) for folder in (path, *others)]
     scans = [load_scan(folder.path) for folder in folders]
     scan, scenario = scans[0], scans[0].scenario
@@ -177,7 +177,7 @@ def apply_kinematics(
         InputError: a reserved name, no scan, no file of arms, or arms of another cell.
         ScanExistsError: another geometry has this name.
     """
-    refuse_own(name)
+    free_geometry_name(name)
     folder = Folder(Path(path))
     scan = load_scan(folder.path)
     chains = chains_of_scan(scan.scenario.cell, scan.scenario.detector.panel)

@@ -6,14 +6,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 from twinct.calibration.circular import CircularCalibration, CircularPrior, circular_consistent
-from twinct.calibration.scan_calibration import refuse_own, store_geometries
+from twinct.calibration.scan_calibration import store_geometries
 from twinct.core.errors import CalibrationError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Observers, audience_of
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import NamedGeometry
+from twinct.scan import NamedGeometry, free_geometry_name
 from twinct.scan.integrals import line_integrals
 
 
@@ -38,13 +38,13 @@ def calibrate_circle(
         CalibrationError: no view shares an informative plane with another one, or the geometry that
             was found explains the views no better than the believed one; nothing is written.
     """
-    refuse_own(name)
+    free_geometry_name(name)
     folder, prior = Folder(Path(path)), prior or CircularPrior()
     scan = load_scan(folder.path)
     with audience_of(observers) as audience, sole_owner(folder.lock):
         calibration = circular_consistent(
             line_integrals(scan.transmission),
-            scan.believed.geometry(scan.scenario.detector.panel),
+            scan.geometry(),
             prior,
             mask=None if scan.bad_pixels is None else ~scan.bad_pixels,
             progress=audience,

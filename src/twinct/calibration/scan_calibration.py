@@ -27,16 +27,14 @@ from twinct.calibration import (
 )
 from twinct.core.errors import CalibrationError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
-from twinct.core.foreign_text import quoted
 from twinct.core.progress import Progress
 from twinct.geometry import Floats, VolumeGrid
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience, Observers, audience_of
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import OWN, NamedGeometry, Scan, checked_name
+from twinct.scan import NamedGeometry, Scan, free_geometry_name
 from twinct.scan.integrals import line_integrals
-from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Specimen
 from twinct.specimen.balls import nominal_centres
 
@@ -116,7 +114,7 @@ def calibrate_beads(
         InputError: a reserved name, no scan, or a scan of other views; nothing is written.
         ScanExistsError: another geometry has this name; nothing is written.
     """
-    refuse_own(name)
+    free_geometry_name(name)
     folders = [Folder(Path(folder)) for folder in (path, *others)]
     scans = [load_scan(folder.path) for folder in folders]
     scan = scans[0]
@@ -146,7 +144,7 @@ def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
     """
     return calibrated(
         scan.transmission,
-        scan.believed.geometry(scan.scenario.detector.panel),
+        scan.believed.geometry(scan.settings.detector.panel),
         phantom_of(scan.scenario.specimen),
         blur_px=_blur_px(scan, audience),
         progress=audience,
@@ -155,7 +153,7 @@ def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
 
 def _blur_px(scan: Scan, audience: Audience) -> float:
     """Return the sigma of the detector's point spread, pixels; 0 for a spread from a file."""
-    panel, spread = scan.scenario.detector.panel, scan.scenario.detector.point_spread
+    panel, spread = scan.settings.detector.panel, scan.settings.detector.point_spread
     if isinstance(spread, FileSpread):
         audience.say("detector.point_spread is a file: shadows are taken as sharp", warning=True)
     return spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0
@@ -185,11 +183,11 @@ def calibrate_balls(
         InputError: a reserved name, or no scan; nothing is written.
         ScanExistsError: another geometry has this name; nothing is written.
     """
-    refuse_own(name)
+    free_geometry_name(name)
     folder, prior = Folder(Path(path)), prior or PosePrior()
     scan = load_scan(folder.path)
     with audience_of(observers) as audience, sole_owner(folder.lock):
-        panel = scan.scenario.detector.panel
+        panel = scan.settings.detector.panel
         believed = scan.believed.geometry(panel)
         estimate = online_calibrated(
             scan.transmission,
@@ -200,7 +198,7 @@ def calibrate_balls(
             progress=audience,
         )
         executed = scan.relative.geometry(panel)
-        points = _points_of(scan.scenario.reconstruction.volume_grid)
+        points = _points_of(scan.settings.reconstruction.volume_grid)
         at_executed = aligned(estimate.geometry, executed, points)
         geometry = NamedGeometry(
             name,
@@ -212,7 +210,7 @@ def calibrate_balls(
                 "told": len(scan) - len(estimate.problems),
                 "rms_px": round(estimate.rms_px, 4),
                 "aligned": align,
-                "executed": poses_digest(scan.executed),
+                **scan.provenance.made_for,
                 "believed": scan.reported.digest,
                 **asdict(prior),
             },
@@ -249,11 +247,11 @@ def calibrate_self(
         ScanExistsError: another geometry has this name; nothing is written.
         CalibrationError: no view shares an informative plane with another one.
     """
-    refuse_own(name)
+    free_geometry_name(name)
     folder, prior = Folder(Path(path)), prior or PosePrior()
     scan = load_scan(folder.path)
     with audience_of(observers) as audience, sole_owner(folder.lock):
-        panel, grid = scan.scenario.detector.panel, scan.scenario.reconstruction.volume_grid
+        panel, grid = scan.settings.detector.panel, scan.settings.reconstruction.volume_grid
         believed = scan.believed.geometry(panel)
         first, estimate = _from_projections(scan, prior, what, start, audience)
         executed, points = scan.relative.geometry(panel), _points_of(grid)
@@ -267,7 +265,7 @@ def calibrate_self(
                 "what": what,
                 "start": start,
                 "aligned": align,
-                "executed": poses_digest(scan.executed),
+                **scan.provenance.made_for,
                 "believed": scan.reported.digest,
                 **asdict(prior),
             },
@@ -286,9 +284,9 @@ def _from_projections(
     scan: Scan, prior: PosePrior, what: What, start: Start, progress: Progress
 ) -> tuple[EpipolarConsistency | None, SelfCalibration]:
     """Estimate a scan's geometry, by epipolar planes first if the start asks for it."""
-    believed = scan.believed.geometry(scan.scenario.detector.panel)
+    believed = scan.believed.geometry(scan.settings.detector.panel)
     mask = None if scan.bad_pixels is None else ~scan.bad_pixels
-    p, grid = line_integrals(scan.transmission), scan.scenario.reconstruction.volume_grid
+    p, grid = line_integrals(scan.transmission), scan.settings.reconstruction.volume_grid
     how: Any = {"what": what, "mask": mask, "progress": progress}
     if start != "epipolar":
         return None, self_calibrated(p, believed, grid, prior, **how)
@@ -301,18 +299,6 @@ def _points_of(grid: VolumeGrid) -> Floats:
     size = grid.voxel * np.array(grid.shape[::-1])
     about = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1]])
     return grid.world_from_grid.apply(size / 6 * about)
-
-
-def refuse_own(name: str) -> None:
-    """Raise if a geometry's name is reserved.
-
-    Raises:
-        InputError: every scan has a geometry of this name, or it is no valid file name.
-    """
-    if checked_name(name) in OWN:
-        raise InputError(
-            f"name {quoted(name)} is reserved: every scan already has {', '.join(OWN)}"
-        )
 
 
 def store_geometries(

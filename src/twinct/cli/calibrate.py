@@ -315,9 +315,9 @@ def _signed(value: float, digits: int) -> str:
 
 
 def _say_against_executed(believed: Aligned, after: Aligned, folder: Path) -> None:
-    from twinct.measured import is_measured_scan
+    from twinct.runs import Folder
 
-    if is_measured_scan(folder):
+    if Folder(folder).settings_of_scan().specimen is None:
         say(
             f"distance to the imported geometry: {after.after_px:.3f} px (RMS over points of the "
             f"grid, after removing the motion and scale that no image shows; scale "

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,7 +13,7 @@ from rich.table import Table
 from twinct.cli.arguments import Flag, Json, Overrides, Threads
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say
-from twinct.cli.summary import percent, say_result
+from twinct.cli.summary import say_result
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.foreign_text import counted, quoted
@@ -182,7 +180,7 @@ def export(
         folder = export_scan(
             scan,
             to,
-            geometry=geometry or "believed",
+            geometry=geometry,
             values="transmission" if values == "transmission" else "line-integrals",
             out=out,
             observers=audience,
@@ -249,39 +247,14 @@ def report(
     Args:
         folder: Folder of twinct run --out, or of twinct import of a measured scan.
     """
-    from twinct.measured import is_measured_scan
     from twinct.runs import rewrite_report
     from twinct.scenario import named_places
 
     with answering(as_json) as answer:
-        if is_measured_scan(folder):
-            answer |= _report_measured(folder, set_)
-            return
         with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
             again = rewrite_report(folder, audience, set_)
         say_result(again)
         answer |= {"report": str(again.paths.report), "figures": again.figures}
-
-
-def _report_measured(folder: Path, set_: tuple[str, ...]) -> dict[str, Any]:
-    """Judge all volumes of a measured scan again, and return the answer for scripts."""
-    from twinct.measured import report_measured
-
-    if set_:
-        raise InputError(
-            f"--set {set_[0]}: a measured scan has no truth that evaluation could use, and it "
-            "cannot be taken again with other noise for detectability"
-        )
-    with on_terminal() as audience:
-        volumes = report_measured(folder, audience)
-    for one in volumes.values():
-        say(one.description)
-    page = folder / "report.html"
-    say(f"report: {page}")
-    return {
-        "report": str(page),
-        "figures": {name: asdict(one.judgement) for name, one in volumes.items()},
-    }
 
 
 def compare(
@@ -301,18 +274,15 @@ def compare(
         out: File to write.
     """
     from twinct.core.files.writing import check_page, storage_errors
-    from twinct.measured import compare_measured, is_measured_scan
-    from twinct.measured.comparing import scan_folder
     from twinct.report.pose_words import named_pose_errors
     from twinct.runs import compare
     from twinct.runs.folder import refuse_result
 
     check_page(out)
     refuse_result(out)
-    measured = any(is_measured_scan(scan_folder(folder)) for folder in folders)
     with answering(as_json) as answer:
         with on_terminal() as audience:
-            comparison = (compare_measured if measured else compare)(folders, audience)
+            comparison = compare(folders, audience)
         for note in comparison.notes:
             say(note, warning=True)
         with storage_errors(out):
@@ -323,7 +293,7 @@ def compare(
         answer |= {"page": str(out), "notes": comparison.notes, "keys": comparison.keys}
         answer["runs"] = [
             {"path": one.path, "label": one.label, "image": one.image, "seconds": one.seconds}
-            | ({} if measured else {"pose_errors": named_pose_errors(one.metrics)})
+            | ({"pose_errors": named_pose_errors(one.metrics)} if comparison.has_truth else {})
             for one in comparison.compared
         ]
 
@@ -376,37 +346,16 @@ def reconstruct(
         as_: Name of the result, below DIR/reconstructions; by default, it follows the algorithm.
         halves: For a measured scan: also reconstruct the even and the odd views, for the noise.
     """
-    from twinct.measured import is_measured_scan
     from twinct.runs import reconstruct_run
+    from twinct.runs.folder import read_metrics
     from twinct.scenario import named_places
 
     limit_threads(threads)
-    if is_measured_scan(folder):
-        _reconstruct_measured(folder, geometry, as_, set_, halves=halves)
-        return
-    if halves:
-        raise InputError("--halves: only for a measured scan; this scan is simulated")
+    how = {"geometry": geometry, "name": as_, "halves": halves}
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
-        made = reconstruct_run(folder, set_, geometry=geometry, name=as_, observers=audience)
-    rmse, near = (percent(x) for x in (made.figures.rmse_rel, made.figures.rmse_bone_rel))
-    figures = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
-    material = figures.get("reference_material", "bone")
-    say(
-        f"{made.name}: {made.description}, {made.geometry} geometry; RMSE {rmse} of "
-        f"mu({material}), {near} near {material}\n{made.path}; report: {folder / 'report.html'}"
-    )
-
-
-def _reconstruct_measured(
-    folder: Path, geometry: str | None, name: str | None, set_: Overrides, *, halves: bool
-) -> None:
-    from twinct.measured import reconstruct_measured
-    from twinct.scenario import named_places
-
-    how = {"geometry": geometry, "name": name, "halves": halves}
-    with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
-        made = reconstruct_measured(folder, set_, **how, observers=audience)
-    say(f"{made.description}\n{made.path}; report: {folder / 'report.html'}")
+        made = reconstruct_run(folder, set_, **how, observers=audience)
+    material = read_metrics(folder / "metrics.json").get("reference_material", "bone")
+    say(f"{made.judged_in_words(material)}\n{made.path}; report: {folder / 'report.html'}")
 
 
 def geometry(
@@ -424,7 +373,6 @@ def geometry(
     """
     from twinct.evaluation import pose_errors
     from twinct.runs import derive_geometry, load_scan
-    from twinct.scan import OWN
 
     if as_ is not None:
         with on_terminal() as audience:
@@ -432,9 +380,10 @@ def geometry(
     elif set_:
         raise InputError(f"--set {set_[0]}: a new geometry needs a name (--as)")
     scan = load_scan(folder)
-    table = Table("geometry", "source to executed, mm", "detector to executed, mm", "made by")
-    for name in (*OWN, *(n for n in scan.derived if n not in OWN)):
-        errors = pose_errors(scan.executed, scan.poses(name))
+    taken = scan.provenance.kept
+    table = Table("geometry", f"source to {taken}, mm", f"detector to {taken}, mm", "made by")
+    for name in scan.geometries:
+        errors = pose_errors(scan.poses(taken), scan.poses(name))
         means = (f"{arm.position_mm.mean():.4f}" for arm in (errors.source, errors.detector))
         made_by = scan.derived[name].made_by if name in scan.derived else {}
         words = ", ".join(f"{k} {v}" for k, v in made_by.items() if not isinstance(v, dict))

@@ -11,9 +11,15 @@ if TYPE_CHECKING:
 
 
 def say_result(run: Run) -> None:
-    """Print the main figures, each in words: image, poses, report."""
+    """Print the main figures, each in words: image, poses, report; or those of all volumes."""
     from twinct.report.pose_words import named_pose_errors
+    from twinct.runs.reconstruction_folder import stored_reconstructions
 
+    if "image" not in run.figures:
+        for one in stored_reconstructions(run.paths.reconstructions).values():
+            say(one.judged_in_words())
+        say(f"report: {run.paths.report}")
+        return
     image, poses = run.figures["image"], named_pose_errors(run.figures)
     errors = "; ".join(
         f"{name} {error['source']['position_mm']['mean']:.2f} mm source, "

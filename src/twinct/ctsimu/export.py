@@ -112,7 +112,7 @@ def _scenario(
         file = folder / f"{name}_{index}_{part.name}.obj"
         middle = write_mesh(part.mesh, file)
         shift = Pose(middle, np.array([0.0, 0.0, 0.0, 1.0]))
-        poses = [pose @ shift for pose in scan.executed_object]
+        poses = [pose @ shift for pose in scan.simulated.executed_object]
         substance = _listed(as_material(part.material), substances)
         samples.append(sample(part.name, file, substance, _moving(poses, poses, "rt")))
     views = len(scan)

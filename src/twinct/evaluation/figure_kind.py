@@ -109,8 +109,9 @@ class Measurement:
     Attributes:
         places: regions and parts.
         volume: attenuation on the grid, (z, y, x), 1/mm.
-        truth: true attenuation on the grid, (z, y, x), 1/mm.
-        mu_reference: attenuation to which figures are relative, 1/mm.
+        known_truth: true attenuation on the grid, (z, y, x), 1/mm; None if it is not known, as of
+            an imported scan.
+        mu_reference: attenuation to which figures are relative, 1/mm; NaN without a truth.
         signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
         mu_water: attenuation of water, 1/mm; NaN if it is unknown.
         again: takes the scan of the volume again; None if there is no scan.
@@ -119,13 +120,24 @@ class Measurement:
 
     places: NamedPlaces
     volume: NDArray[Any]
-    truth: NDArray[Any]
+    known_truth: NDArray[Any] | None
     mu_reference: float
     signal_rel: float = math.nan
     mu_water: float = math.nan
     again: Again | None = None
     signal_error_rel: float = 0.0
     _known: dict[Any, Any] = field(default_factory=dict[Any, Any], init=False, repr=False)
+
+    @property
+    def truth(self) -> NDArray[Any]:
+        """True attenuation on the grid, (z, y, x), 1/mm.
+
+        Raises:
+            ValueError: there is none, and the kind does not say that it needs one.
+        """
+        if self.known_truth is None:
+            raise ValueError("a figure without needs_truth must not ask for the truth")
+        return self.known_truth
 
     @property
     def grid(self) -> VolumeGrid:
@@ -187,6 +199,8 @@ class FigureKind(Generic[SettingsT]):
         curves: curves of each entry.
         repeats: its figures need further reconstructions (``Measurement.again``), so that they are
             not measured again without need.
+        needs_truth: its figures compare the volume with the truth; False for figures of the volume
+            alone, such as its noise or its sharpness, which imported scans have, too.
     """
 
     name: str
@@ -198,6 +212,7 @@ class FigureKind(Generic[SettingsT]):
     check: Callable[[NamedPlaces, SettingsT], Mapping[str, str]] = lambda places, one: {}
     curves: tuple[Curve, ...] = ()
     repeats: bool = False
+    needs_truth: bool = True
 
     def __post_init__(self) -> None:
         """Refuse a name that is no key, and references from keys that the settings lack."""

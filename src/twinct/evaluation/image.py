@@ -87,6 +87,14 @@ class ImageFigures:
             return self
         return ImageFigures.of(null_without_signal(self.as_dict(), IMAGE_FIGURES))
 
+    def in_words(self, material: str) -> str:
+        """Return the main figures in words, relative to a material."""
+        rmse, near = (
+            "no figure" if math.isnan(share) else f"{100 * share:.1f} %"
+            for share in (self.rmse_rel, self.rmse_bone_rel)
+        )
+        return f"RMSE {rmse} of mu({material}), {near} near {material}"
+
     @classmethod
     def of(cls, data: Mapping[str, Any]) -> ImageFigures:
         """Restore figures from the output of ``as_dict``, older versions included."""

@@ -108,17 +108,25 @@ class Evaluation(Extensible):
             for figure in kind.figures
         ]
 
-    def conflicts(self, specimen: Specimen) -> list[Conflict]:
-        """Return conflicts of names that are unknown, repeated, or name a body without an edge."""
+    def conflicts(self, specimen: Specimen | None) -> list[Conflict]:
+        """Return conflicts of names that are unknown, repeated, or name a body without an edge.
+
+        Without a known specimen, figures that need its truth are conflicts, too.
+        """
         regions = {region.name: region.shape for region in self.regions}
-        parts = {part.label: part.shape for part in specimen.parts}
+        parts = {part.label: part.shape for part in specimen.parts} if specimen else {}
         bodies = parts | regions
         known: dict[str, tuple[str, Collection[str]]] = {
-            "part": ("part or label", specimen.names),
+            "part": ("part or label", specimen.names if specimen else ()),
             "region": ("region", regions),
             "round body": ("part or region", bodies),
         }
-        contradictions: list[Conflict] = []
+        contradictions: list[Conflict] = [
+            _conflict(name, "this scan has no truth that these figures could use")
+            for name, kind in figure_kinds().items()
+            if specimen is None and kind.needs_truth and self.entries(name)
+            if name != REGIONS.name  # other figures name them; their own need a truth
+        ]
         for at, name, target in self.references():
             what, having = known.get(target) or self._entries_named(target)
             if name not in having:

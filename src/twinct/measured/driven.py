@@ -163,7 +163,8 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         write_views(out / VIEWS_FILE, commanded.geometry(panel))
         scenario = _placed(scenario, out / VIEWS_FILE)
         numbers = position, speed, time_s
-        _write(draft, scenario, joints, (commanded, poses), numbers, images)
+        names_of_files = tuple(path.name for path in paths)
+        _write(draft, scenario, joints, (commanded, poses), numbers, images, names_of_files)
         folder.write_scenario(scenario)
         write_json(folder.drive, drive)
     notes = (*notes, *lost, *unfit)
@@ -335,10 +336,11 @@ def _write(
     poses: tuple[PosePairs, PosePairs],
     numbers: tuple[Floats, Floats, Floats],
     images: Iterator[NDArray[np.float32]],
+    recordings: tuple[str, ...],
 ) -> None:
     """Write the store with its commanded and its executed poses."""
     commanded, executed = poses
-    store = ScanStore.create(path, scenario, commanded, joints, 0)
+    store = ScanStore.create(path, scenario, commanded, joints, 0, recordings=recordings)
     still, none = scenario.specimen.world_from_specimen, np.zeros(0)
     for view, (image, position, speed, time_s) in enumerate(zip(images, *numbers, strict=True)):
         reached = Reached(

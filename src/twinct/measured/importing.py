@@ -1,4 +1,4 @@
-"""Import of a measured scan: its store, the scenario beside it, and a picture of what was read."""
+"""Import of a measured scan: its store, what is known beside it, and a picture of what was read."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
-from twinct.core.files.writing import complete, remove_folder, storage_errors
+from twinct.core.files.writing import complete, storage_errors
 from twinct.evaluation import coarse, views_needed
-from twinct.geometry import Pose, ScanGeometry
-from twinct.geometry.wire import PosePairs, Reached
+from twinct.geometry import ScanGeometry
+from twinct.geometry.wire import PosePairs
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
 from twinct.measured.doubts import Doubts
@@ -27,11 +27,8 @@ from twinct.measured.orientation import Placement, turned_shape
 from twinct.measured.views import ImageFacts
 from twinct.observers import Audience, Observers, audience_of
 from twinct.runs import Folder
-from twinct.scan import Scan, ScanStore, check_space, line_integrals
-from twinct.scenario import Scenario, parse_scenario
-from twinct.trajectory import write_views
-
-MAP = "bad_pixels.npy"
+from twinct.scan import Imported, Scan, ScanStore, check_space, line_integrals
+from twinct.scenario.imported import ImportedSettings, load_imported
 
 NO_TRUTH = "A measured scan: there is no truth."
 
@@ -44,22 +41,23 @@ ONE_WAY = 0.4
 WIDEST = 10.0
 """Largest width of a panel in SDD: a fan of 157 degrees."""
 
-_RESERVED = ("name", "description", "trajectory", "specimen", "cell", "uncertainty")
+_KNOWN = ("seed", "source", "detector", "xray", "reconstruction", "evaluation")
+"""Sections that a description may add."""
 
 
 @dataclass(frozen=True)
-class Imported:
+class ImportedScan:
     """Result of an import.
 
     Attributes:
         folder: the folder with ``scan.zarr`` and ``scenario.yaml``.
-        scenario: the scenario that was written.
+        settings: what is known of the scan, as it was written.
         notes: sentences on what was read, with units.
         doubts: sentences on statements that can be right, but seldom are.
     """
 
     folder: Path
-    scenario: Scenario
+    settings: ImportedSettings
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
 
@@ -68,7 +66,7 @@ def import_measured(
     source: str | Path | Mapping[str, Any] | Measured,
     out: str | Path,
     observers: Observers = (),
-) -> Imported:
+) -> ImportedScan:
     """Create a run's folder from a measured scan.
 
     Args:
@@ -90,12 +88,15 @@ def import_measured(
     placement, views = _placed(description, images)
     geometry = placement.geometry[:: description.images.every]
     _check_views(description, placement.geometry, geometry)
-    scenario = _scenario(description, folder, geometry, bad=bool(images.bad.any()))
-    if not views_needed(geometry, coarse(scenario.reconstruction.volume_grid)):
+    settings = _settings(description, geometry)
+    if not views_needed(geometry, coarse(settings.reconstruction.volume_grid)):
         raise InputError(
             "grid: no view sees its voxels; without grid, the volume holds all that the views see"
         )
-    check_space(folder.path, scenario, len(geometry))
+    check_space(folder.path, settings, len(geometry))
+    files = (Path(description.images.path).name,)
+    taken = Imported(settings, PosePairs.from_geometry(geometry), files)
+    bad = placement.mask(images.bad) if images.bad.any() else None
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))
@@ -104,25 +105,20 @@ def import_measured(
         folder.path.mkdir(parents=True, exist_ok=True)
         stack.enter_context(sole_owner(folder.lock))
         stack.callback(_remove_unfinished, folder)
-        folder.inputs.mkdir(exist_ok=True)
-        write_views(folder.inputs / "views.csv", geometry)
-        if images.bad.any():
-            with complete(folder.inputs / MAP) as draft, draft.open("wb") as stream:
-                np.save(stream, placement.mask(images.bad))
         # The scan comes last: without it, an import that was cut short can be repeated.
         draft = stack.enter_context(complete(folder.scan))
         doubts = Doubts(description, images)
-        scales = _write_views(draft, scenario, placement, doubts, geometry, audience)
-        folder.write_scenario(scenario)
-        show(partial(_draw, ScanStore(draft).read()), (10.4, 7.0), folder.imported)
-    sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(scenario)
-    return Imported(folder.path, scenario, sentences, doubts.sentences)
+        store = ScanStore.create_imported(draft, taken, bad)
+        scales = _write_views(store, placement, doubts, audience)
+        folder.write_scenario(settings)
+        show(partial(_draw, store.read()), (10.4, 7.0), folder.imported)
+    sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(settings)
+    return ImportedScan(folder.path, settings, sentences, doubts.sentences)
 
 
 def _remove_unfinished(folder: Folder) -> None:
     """Remove the files of an import that was cut short: without its scan nothing needs them."""
     if not folder.scan.exists():
-        remove_folder(folder.inputs)
         folder.scenario.unlink(missing_ok=True)
         folder.imported.unlink(missing_ok=True)
 
@@ -166,11 +162,13 @@ def _check_views(description: Measured, stored: ScanGeometry, used: ScanGeometry
         )
 
 
-def _scenario(
-    description: Measured, folder: Folder, geometry: ScanGeometry, *, bad: bool
-) -> Scenario:
-    if taken := [key for key in _RESERVED if key in description.scenario]:
-        raise InputError(f"scenario.{taken[0]}: the import writes this section itself: remove it")
+def _settings(description: Measured, geometry: ScanGeometry) -> ImportedSettings:
+    """Return what the description says of the scan besides images and geometry."""
+    if others := [key for key in description.scenario if key not in _KNOWN]:
+        raise InputError(
+            f"scenario.{others[0]}: an imported scan has no such section: remove it; choose from "
+            f"{', '.join(_KNOWN)}"
+        )
     panel, further = geometry.panel, dict(description.scenario)
     detector = {
         **dict(further.pop("detector", {})),
@@ -178,22 +176,15 @@ def _scenario(
         "rows": panel.rows,
         "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
     }
-    inputs = folder.inputs.resolve()
-    if bad:
-        detector["bad_pixels"] = {"kind": "file", "path": str(inputs / MAP)}
     reconstruction = {"algorithm": "fast", **dict(further.pop("reconstruction", {}))}
     if description.grid is not None:
         reconstruction["grid"] = description.grid.model_dump(mode="json")
     reconstruction.setdefault("grid", grid_of(geometry))
-    return parse_scenario(
+    return load_imported(
         {
             "name": description.name,
             "description": f"{description.description} {NO_TRUTH}".strip(),
-            "cell": {"kind": "gantry"},
-            "trajectory": {"kind": "file", "path": str(inputs / "views.csv")},
             "detector": detector,
-            "specimen": {"unknown": True},
-            "uncertainty": {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}},
             "reconstruction": reconstruction,
             **further,
         }
@@ -201,27 +192,18 @@ def _scenario(
 
 
 def _write_views(
-    path: Path,
-    scenario: Scenario,
-    placement: Placement,
-    doubts: Doubts,
-    geometry: ScanGeometry,
-    audience: Audience,
+    store: ScanStore, placement: Placement, doubts: Doubts, audience: Audience
 ) -> list[float]:
-    """Write the store; return the scale of each view from its air."""
-    poses, images = PosePairs.from_geometry(geometry), doubts.images
+    """Write all views; return the scale of each from its air."""
+    images = doubts.images
     every = images.section.every
-    store = ScanStore.create(path, scenario, poses, (), 0)
-    still, none = Pose.identity(), np.zeros(0)
     scales: list[float] = []
-    with audience.stage("import", len(geometry)) as step:
-        for view in range(len(geometry)):
+    with audience.stage("import", store.views) as step:
+        for view in range(store.views):
             image, scale = images.transmission(view * every)
             scales.append(scale)
             doubts.add(image)
-            executed = PosePairs.at(*poses[view], still)
-            reached = Reached(executed, (), none, none, none, none, float(view), float("nan"))
-            store.write(view, placement.image(image).astype(np.float32), reached)
+            store.write(view, placement.image(image).astype(np.float32))
             step()
     return scales
 
@@ -259,8 +241,8 @@ def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[f
     return notes
 
 
-def _notes_of_grid(scenario: Scenario) -> list[str]:
-    grid = scenario.reconstruction.volume_grid
+def _notes_of_grid(settings: ImportedSettings) -> list[str]:
+    grid = settings.reconstruction.volume_grid
     voxels, edges = grid.shape_xyz, grid.voxel.tolist()
     return [
         f"grid: {' x '.join(map(str, voxels))} voxels (x, y, z) of "
@@ -271,7 +253,7 @@ def _notes_of_grid(scenario: Scenario) -> list[str]:
 def _draw(scan: Scan, figure: Any) -> None:
     """Draw three views as imported, and source and panel of all views from above."""
     chosen = [0, len(scan) // 3, 2 * len(scan) // 3]
-    panel = scan.scenario.detector.panel
+    panel = scan.settings.detector.panel
     images: NDArray[np.float32] = line_integrals(scan.transmission[chosen])
     width, height = panel.size_mm
     extent = (-width / 2, width / 2, -height / 2, height / 2)
@@ -280,7 +262,7 @@ def _draw(scan: Scan, figure: Any) -> None:
         at.imshow(image, cmap="gray", origin="lower", extent=extent)
         at.set(title=f"view {view}", xlabel="u / mm", ylabel="v / mm")
     axes = above.subplots()
-    geometry = scan.geometry("executed")
+    geometry = scan.geometry()
     for points, name, colour in (
         (geometry.source, "source", "#b3452c"),
         (geometry.detector, "panel", "#2c6fb3"),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,17 +32,18 @@ from twinct.core.interruption import keeping
 from twinct.geometry import Pose, ScanGeometry
 from twinct.measured.predicted_mesh import check_seen
 from twinct.measured.prediction_picture import show_prediction
-from twinct.measured.volume_folder import is_measured_scan, measured_volumes, write_page
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon import Projector
 from twinct.recon.residuals import CAUSES, Residuals, residuals_of
 from twinct.report import plain
 from twinct.runs import Folder, load_scan, reconstruct
 from twinct.runs.log import logged_to
-from twinct.runs.reconstruction_folder import free_name
-from twinct.scan import Scan, SimulationBuilder
-from twinct.scenario import Scenario
-from twinct.specimen import BuiltSpecimen
+from twinct.runs.reconstruction_folder import free_name, stored_reconstructions
+from twinct.runs.reporting import write_volumes
+from twinct.scan import Scan
+from twinct.scenario import Source, Specimen
+from twinct.scenario.imported import ScanSettings
+from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.specimen.size import specimen_size
 from twinct.xray.scatter_range import scatter_doubts
 
@@ -133,8 +134,10 @@ def predict(
     folder = Folder(Path(path))
     if material is not None:
         known_material(material, "--material")
-    scan = replace(load_scan(folder.path), scenario=_scenario(folder, overrides, mesh, material))
-    which = geometry or scan.scenario.reconstruction.geometries[0]
+    scan = load_scan(folder.path)
+    settings, body = _settings(folder, overrides, mesh, material)
+    scan = scan.with_settings(settings)
+    which = geometry or settings.reconstruction.geometries[0]
     scan.poses(which)
     if len(scan) < 4:
         raise InputError(
@@ -144,43 +147,50 @@ def predict(
         audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))
         stack.enter_context(sole_owner(folder.lock))
-        own = not scan.scenario.specimen.parts
-        base = OWN_VOLUME if own else Path(mesh).stem if mesh else "specimen"
+        base = OWN_VOLUME if body is None else Path(mesh).stem if mesh else "specimen"
         target = folder.predictions / free_name(name, base, folder.predictions, "prediction")
         stack.enter_context(logged_to(folder.log))
         checkpoints = folder.predictions / CHECKPOINTS
         stack.enter_context(keeping(lambda: _kept(checkpoints)))
-        made = _predicted(scan, which, material or "water", checkpoints, target, audience)
+        substance = material or "water"
+        made = _predicted(scan, body, which, substance, checkpoints, target, audience)
         remove_folder(checkpoints)
-        if is_measured_scan(folder.path) and (volumes := measured_volumes(folder.reconstructions)):
-            write_page(load_scan(folder.path), folder, volumes)
+        now = load_scan(folder.path)
+        if now.settings.specimen is None and stored_reconstructions(folder.reconstructions):
+            write_volumes(folder, now)
     return made
 
 
 def _predicted(
-    scan: Scan, which: str, substance: str, checkpoints: Path, target: Path, audience: Audience
+    scan: Scan,
+    body: Specimen | None,
+    which: str,
+    substance: str,
+    checkpoints: Path,
+    target: Path,
+    audience: Audience,
 ) -> Prediction:
-    """Make and write a prediction."""
-    views, chosen = scan.geometry(which), np.arange(len(scan))
-    if scan.scenario.specimen.parts:
-        specimen = SimulationBuilder(scan.scenario).specimen
+    """Make and write a prediction of a body, or of the scan's own volume if it is None."""
+    settings, views, chosen = scan.settings, scan.geometry(which), np.arange(len(scan))
+    if body is not None:
+        specimen = build_specimen(body)
         check_seen(specimen, views)
-        grid = scan.scenario.reconstruction.volume_grid
-        size = specimen_size(scan.scenario.specimen, specimen, views, grid)
-        sections = scan.scenario.source, scan.scenario.detector
-        for warning in (*size.warnings, *scatter_doubts(*sections, specimen, views)):
+        grid = settings.reconstruction.volume_grid
+        size = specimen_size(body, specimen, views, grid)
+        beam = _beam(settings), settings.detector
+        for warning in (*size.warnings, *scatter_doubts(*beam, specimen, views)):
             audience.say(warning, warning=True)
         words = f"meshes, as {', '.join(one.name for one in specimen.materials)}"
         counts = np.ones((len(scan), *views.panel.shape), bool)
     else:
         words, specimen, counts = _own_volume(scan, views, substance, checkpoints, audience)
         chosen = chosen[1::2]
-    words = f"{words}; {which} geometry; {_beam(scan.scenario)}"
+    words = f"{words}; {which} geometry; {_beam_in_words(settings)}"
     log.info("prediction %s: %s", target.name, words)
     if scan.bad_pixels is not None:
         counts &= ~scan.bad_pixels
     measured = scan.line_integrals()[chosen]
-    predicted = _rendered(scan.scenario, specimen, views[chosen], audience)
+    predicted = _rendered(settings, specimen, views[chosen], audience)
     with audience.stage("residuals", 1) as step:
         residuals = residuals_of(chosen, measured, predicted, counts)
         made = Prediction(target.name, words, which, residuals, target)
@@ -189,30 +199,28 @@ def _predicted(
     return made
 
 
-def _scenario(
+def _settings(
     folder: Folder, overrides: Iterable[str], mesh: str | Path | None, material: str | None
-) -> Scenario:
-    """Return the scan's scenario with the changes of a prediction."""
+) -> tuple[ScanSettings, Specimen | None]:
+    """Return the scan's settings with the changes of a prediction, and the body, if it is known."""
     changes = tuple(overrides)
     for one in changes:
         if one.partition("=")[0].partition(".")[0] not in SECTIONS:
             known = ", ".join(SECTIONS)
             raise InputError(f"--set {one}: a prediction changes only keys of {known}")
-    scenario = folder.scenario_of_run(changes)
-    parts = scenario.specimen.model_dump(mode="json")["parts"]
+    keys: dict[str, Any] = {"detector.noise": None, "detector.readout": None}
+    keys |= {"detector.bad_pixels": None, "detector.lag": 0.0, "detector.keep": []}
+    keys |= {"evaluation": None}
     if mesh is not None:
         if why := no_file(Path(mesh)):
             raise InputError(f"--mesh {mesh} {why}")
         shape = {"kind": "mesh", "path": str(Path(mesh).absolute())}
         parts = [{"name": Path(mesh).stem, "shape": shape, "material": material or "water"}]
-    elif not any(one.startswith("specimen.parts") for one in changes):
-        parts = []
-    keys = {"detector.noise": None, "detector.readout": None, "detector.bad_pixels": None}
-    keys |= {"detector.lag": 0.0, "detector.keep": [], "specimen.parts": parts}
-    keys |= {"specimen.reference": "", "specimen.motion": None}
-    if getattr(scenario.reconstruction, "motion", None) is not None:
+        keys |= {"specimen.parts": parts, "specimen.reference": "", "specimen.motion": None}
         keys["reconstruction.motion"] = None
-    return scenario.with_({**keys, "specimen.unknown": not parts, "evaluation": None})
+    settings = folder.settings_of_scan(changes, keys)
+    stated = mesh is not None or any(one.startswith("specimen.parts") for one in changes)
+    return settings, settings.specimen if stated else None
 
 
 def _kept(checkpoints: Path) -> str:
@@ -237,29 +245,24 @@ def _own_volume(
     from twinct.specimen.materials import material
     from twinct.xray.build import effective_energy_kev
 
-    scenario, basis = scan.scenario, material(substance, "--material")
-    energy = effective_energy_kev(scenario.source, scenario.detector)
-    bent = scenario.source.spectrum is not None
-    if bent and scenario.reconstruction.beam_hardening is None:
+    basis, source = material(substance, "--material"), _beam(scan.settings)
+    energy = effective_energy_kev(source, scan.settings.detector)
+    bent = source.spectrum is not None
+    if bent and scan.settings.reconstruction.beam_hardening is None:
         key = "reconstruction.beam_hardening"
-        scenario = scenario.with_({key: {"kind": "one_material", "material": substance}})
-    even = replace(
-        scan,
-        scenario=scenario,
-        transmission=scan.transmission[::2],
-        mas=None if scan.mas is None else scan.mas[::2],
-        derived={},
-    )
+        hardens = {key: {"kind": "one_material", "material": substance}}
+        scan = scan.with_settings(scan.settings.with_(hardens))
+    even = scan.of_views(range(0, len(scan), 2))
     volume = reconstruct(even, geometry=views[::2], checkpoints=checkpoints, observers=audience)
     A = Projector(views[1::2], volume.grid)
     counts = A(np.ones(volume.shape, np.float32)) > 0
-    words = f"{scenario.reconstruction.in_words} of the even views"
+    words = f"{scan.settings.reconstruction.in_words} of the even views"
     specimen = grey_specimen(volume.array, volume.grid, basis, energy, OWN_VOLUME)
     return (f"{words}, as {substance}" if bent else words), specimen, counts
 
 
 def _rendered(
-    scenario: Scenario, specimen: BuiltSpecimen, views: ScanGeometry, audience: Audience
+    settings: ScanSettings, specimen: BuiltSpecimen, views: ScanGeometry, audience: Audience
 ) -> Singles:
     """Return the line integrals of rendered views, (views, rows, columns)."""
     from twinct.scan import line_integrals
@@ -267,10 +270,9 @@ def _rendered(
 
     images = np.empty((len(views), *views.panel.shape), np.float32)
     stands: Pose = specimen.world_from_specimen
-    beam = scenario.source, scenario.detector
-    engine = scenario.xray.engine
+    beam, engine = (_beam(settings), settings.detector), settings.xray.engine
     with (
-        Imager(*beam, specimen, commanded=views, seed=scenario.seed, engine=engine) as imager,
+        Imager(*beam, specimen, commanded=views, seed=settings.seed, engine=engine) as imager,
         audience.stage("predict", len(views)) as step,
     ):
         for view, image in enumerate(images):
@@ -279,10 +281,15 @@ def _rendered(
     return line_integrals(images)
 
 
-def _beam(scenario: Scenario) -> str:
+def _beam(settings: ScanSettings) -> Source:
+    """Return the stated beam; without one, a single energy, which the prediction names."""
+    return Source() if settings.source is None else settings.source
+
+
+def _beam_in_words(settings: ScanSettings) -> str:
     from twinct.xray.build import effective_energy_kev
 
-    source, detector = scenario.source, scenario.detector
+    source, detector = _beam(settings), settings.detector
     energy = effective_energy_kev(source, detector)
     spectrum = (
         f"one energy of {energy:.4g} keV, as no spectrum is stated"

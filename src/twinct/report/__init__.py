@@ -3,8 +3,6 @@
 from twinct.report.algorithm_results import ALGORITHM_RESULTS, algorithm_results, with_results
 from twinct.report.comparison import Compared, Comparison
 from twinct.report.data import Another, CrossSection, ReportData, cross_sections
-from twinct.report.measured_comparison import MeasuredComparison
-from twinct.report.measured_page import MeasuredColumn, write_measured_report
 from twinct.report.metrics import STAGES, build_metrics, plain
 from twinct.report.page import draw_pictures, render_report, write_report
 from twinct.report.physics import physics_in_words
@@ -16,8 +14,6 @@ __all__ = [
     "Compared",
     "Comparison",
     "CrossSection",
-    "MeasuredColumn",
-    "MeasuredComparison",
     "ReportData",
     "build_metrics",
     "cross_sections",
@@ -27,6 +23,5 @@ __all__ = [
     "plain",
     "render_report",
     "with_results",
-    "write_measured_report",
     "write_report",
 ]

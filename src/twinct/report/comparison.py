@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 from twinct.core.files.writing import write_text
 from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES
@@ -15,8 +15,10 @@ from twinct.report.measured import nested, reasons
 from twinct.report.page import stage_title
 from twinct.report.pose_words import against_executed, named_pose_errors
 from twinct.report.template import duration, fixed, rendered
+from twinct.report.without_truth import FIGURES, differences, top_of
 from twinct.scenario import Scenario
 from twinct.scenario.digests import OF_ARMS
+from twinct.scenario.imported import ScanSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +30,19 @@ class Compared:
         path: path of its folder.
         scenario: scenario that made it, with its own reconstruction section.
         metrics: metrics of its run, see ``build_metrics``.
-        image: image figures, as ``ImageFigures.as_dict`` returns them.
+        image: figures of the volume by name, as ``metrics.json`` has them.
         in_words: algorithm, settings and results, in one line.
         seconds: seconds of each stage; for a reconstruction beside a run's own, only of its own
             stage.
         slices: the same planes for all, by name; None if a plane misses the grid.
         mu_reference: attenuation to which the figures are relative, 1/mm.
-        reference: name of the material with this attenuation.
-        truth: identifier of the true specimen; equal for equal specimens.
+        reference: name of the material with this attenuation; empty without a truth.
+        truth: identifier of the true specimen or, without one, of the images; equal for equal ones.
     """
 
     label: str
     path: str
-    scenario: Scenario
+    scenario: ScanSettings
     metrics: Mapping[str, Any]
     image: Mapping[str, float | None]
     in_words: str
@@ -72,7 +74,11 @@ class Comparison:
         sentences: list[str] = []
         for one in others:
             both = f"{one.label} and {first.label}"
-            if one.truth != first.truth:
+            if one.truth != first.truth and not self.has_truth:
+                sentences.append(
+                    f"{both} are volumes of different images: their residuals have no common scale."
+                )
+            elif one.truth != first.truth:
                 sentences.append(
                     f"{both} show different specimens: each is judged against its own truth, and "
                     "the image figures are not compared."
@@ -92,7 +98,14 @@ class Comparison:
             versions = [str(each.metrics.get("twinct_version")) for each in (one, first)]
             if versions[0] != versions[1]:
                 sentences.append(f"{both} were made by twinct {' and '.join(versions)}.")
+        if not self.has_truth:
+            return sentences
         return sentences + reasons({one.label: one.image for one in self.compared})
+
+    @property
+    def has_truth(self) -> bool:
+        """True if the volumes are judged by a truth."""
+        return bool(self.compared[0].reference)
 
     def write(self, path: Path) -> None:
         """Write the page, completely or not at all.
@@ -110,24 +123,18 @@ class Comparison:
             compared=self.compared,
             first=first,
             notes=self.notes,
-            kicker=self.kicker,
-            about_slices=self.about_slices,
+            kicker="Twin robotic CT simulation" if self.has_truth else "Measured CT scan",
+            about_slices=BESIDE_TRUTH if self.has_truth else WITHOUT_TRUTH,
             pictures=self.pictures(),
             tables=self.tables(),
             keys=self.keys,
         )
 
-    kicker: ClassVar[str] = "Twin robotic CT simulation"
-    about_slices: ClassVar[str] = (
-        "All volumes show the same planes of the world, with one window and one scale. Each is in "
-        "its own voxels, above its error against its own truth. Where a volume's own plane lies up "
-        "to half a voxel away, its position is given; a grid that is turned against the first one "
-        "shows its nearest voxels. The outline bounds the region that every view sees; the figures "
-        "above are computed in it."
-    )
-
     def tables(self) -> dict[str, list[Row]]:
         """Return the rows of each table by its title."""
+        if not self.has_truth:
+            seconds = [row for row in time_rows(self.compared) if row.title == "reconstruction"]
+            return {"What can be judged": _judged_rows(self.compared), "Time": seconds}
         return {
             "Image figures": _image_rows(self.compared),
             "Pose errors": _pose_rows(self.compared),
@@ -139,10 +146,23 @@ class Comparison:
         return _pictures(self.compared)
 
 
-def _keys_of(scenario: Scenario) -> dict[str, Any]:
+BESIDE_TRUTH = (
+    "All volumes show the same planes of the world, with one window and one scale. Each is in its "
+    "own voxels, above its error against its own truth. Where a volume's own plane lies up to half "
+    "a voxel away, its position is given; a grid that is turned against the first one shows its "
+    "nearest voxels. The outline bounds the region that every view sees; the figures above are "
+    "computed in it."
+)
+WITHOUT_TRUTH = (
+    "All volumes show the same planes of the first one's frame, in one window, each in its own "
+    "voxels; below, the difference from the first, where both have the same voxels."
+)
+
+
+def _keys_of(scenario: ScanSettings) -> dict[str, Any]:
     """Return all keys that count for a scenario: a gantry has no motion."""
     keys = flat(scenario.model_dump(mode="json"))
-    if scenario.cell.kind != "gantry":
+    if not isinstance(scenario, Scenario) or scenario.cell.kind != "gantry":
         return keys
     left_out = tuple(f"{section}." for section in OF_ARMS)
     return {key: value for key, value in keys.items() if not f"{key}.".startswith(left_out)}
@@ -188,10 +208,26 @@ def row_of(
     return Row(title, unit, cells, meaning)
 
 
+def _judged_rows(compared: Sequence[Compared]) -> list[Row]:
+    """Return the rows of figures that need no truth."""
+    alike = [one.truth == compared[0].truth for one in compared]
+    return [
+        row_of(
+            figure.title,
+            figure.unit,
+            [one.image.get(key) for one in compared],
+            partial(fixed, digits=figure.digits, factor=figure.factor),
+            figure.meaning,
+            alike,
+        )
+        for key, figure in FIGURES.items()
+    ]
+
+
 def _image_rows(compared: Sequence[Compared]) -> list[Row]:
     materials = "/".join(dict.fromkeys(one.reference for one in compared))
     alike = [one.truth == compared[0].truth for one in compared]
-    moves = any(one.scenario.specimen.motion for one in compared)
+    moves = any(one.scenario.specimen and one.scenario.specimen.motion for one in compared)
     figures = (*IMAGE_FIGURES, *(MOTION_FIGURES if moves else ()))
     return [
         row_of(
@@ -260,12 +296,14 @@ def _pictures(compared: Sequence[Compared]) -> list[tuple[str, str]]:
 
     first = compared[0]
     every = [s for one in compared for s in one.slices.values() if s is not None]
-    looks = windows(every, first.mu_reference)
     truth = f"truth of {first.label}" if len({one.truth for one in compared}) > 1 else "truth"
     pictures: list[tuple[str, str]] = []
     for name, section in first.slices.items():
         assert section is not None
         columns = {one.label: one.slices[name] for one in compared}
-        picture = side_by_side(columns, truth, looks)
+        if first.reference:
+            picture = side_by_side(columns, truth, windows(every, first.mu_reference))
+        else:
+            picture = differences(columns, top_of(every))
         pictures.append((f"{name}, {section.position}", picture.data_uri))
     return pictures

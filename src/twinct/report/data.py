@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.geometry import Floats, Panel, VolumeGrid
 from twinct.geometry.wire import PosePairs
 from twinct.report.style import Picture
-from twinct.scenario import Scenario
+from twinct.scenario.imported import ScanSettings
 
 
 class CrossSection(NamedTuple):
@@ -20,7 +20,7 @@ class CrossSection(NamedTuple):
 
     Attributes:
         reconstruction: attenuation, (up, right), 1/mm.
-        truth: true attenuation, (up, right), 1/mm.
+        truth: true attenuation, (up, right), 1/mm; None if it is not known.
         roi: voxels that every view sees, (up, right), bool.
         extent_mm: outer edges (left, right, bottom, top), mm.
         axes: names of the axes (right, up).
@@ -28,11 +28,22 @@ class CrossSection(NamedTuple):
     """
 
     reconstruction: NDArray[np.floating]
-    truth: NDArray[np.floating]
+    truth: NDArray[np.floating] | None
     roi: NDArray[np.bool_]
     extent_mm: tuple[float, float, float, float]
     axes: tuple[str, str] = ("", "")
     position: str = ""
+
+    @property
+    def known_truth(self) -> NDArray[np.floating]:
+        """True attenuation of a section that has it."""
+        assert self.truth is not None
+        return self.truth
+
+    @property
+    def error(self) -> NDArray[np.float64]:
+        """Reconstruction less truth, 1/mm."""
+        return self.reconstruction.astype(np.float64) - self.known_truth
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,25 +53,29 @@ class Another:
     Attributes:
         name: name of the reconstruction.
         in_words: algorithm, settings and geometry in one line.
-        figures: image figures, as ``ImageFigures.as_dict`` returns them.
+        figures: its figures by name, as ``metrics.json`` has them.
         residuals: residual of each iteration.
         slices: cross-sections by name.
+        seconds: duration of the reconstruction.
     """
 
     name: str
     in_words: str
-    figures: Mapping[str, float | None]
+    figures: Mapping[str, Any]
     residuals: Sequence[float]
     slices: Mapping[str, CrossSection]
+    seconds: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class ReportData:
-    """Everything a report shows.
+    """Everything a report shows; what does not exist of a scan is left out.
 
     Attributes:
-        scenario_yaml: the scenario as text.
-        metrics: result of ``build_metrics``.
+        scenario: scenario of the scan, or what is known of it.
+        scenario_yaml: the same as text.
+        metrics: result of ``build_metrics``; figures of a run need a truth.
+        stated: poses of an imported scan.
         commanded: poses of the trajectory.
         executed: poses at exposure, of the same views.
         clearance_mm: smallest gap during the move to each view, (views,), mm.
@@ -77,13 +92,14 @@ class ReportData:
         nearest: the two bodies that come closest to each other in the plan; empty if unknown.
     """
 
-    scenario: Scenario
+    scenario: ScanSettings
     scenario_yaml: str
     metrics: Mapping[str, Any]
-    commanded: PosePairs
-    executed: PosePairs
     panel: Panel
-    clearance_mm: Floats
+    commanded: PosePairs | None = None
+    executed: PosePairs | None = None
+    clearance_mm: Floats | None = None
+    stated: PosePairs | None = None
     projections: Sequence[tuple[int, NDArray[np.floating]]] = ()
     slices: Mapping[str, CrossSection] = field(default_factory=dict)
     mu_reference: float | None = None
@@ -101,7 +117,7 @@ PLANES = {"axial": 0, "coronal": 1, "sagittal": 2}
 
 
 def cross_sections(
-    volume: ArrayLike, truth: ArrayLike, roi: ArrayLike, grid: VolumeGrid
+    volume: ArrayLike, truth: ArrayLike | None, roi: ArrayLike, grid: VolumeGrid
 ) -> dict[str, CrossSection]:
     """Return the axial, coronal and sagittal planes through the middle of the grid.
 
@@ -110,11 +126,12 @@ def cross_sections(
 
     Args:
         volume: reconstructed attenuation, (z, y, x), 1/mm.
-        truth: true attenuation, (z, y, x), 1/mm.
+        truth: true attenuation, (z, y, x), 1/mm; None if it is not known.
         roi: region that every view sees, (z, y, x), bool.
         grid: the lattice of all three.
     """
-    arrays = [np.asarray(array) for array in (volume, truth, roi)]
+    known = None if truth is None else np.asarray(truth)
+    volume, roi = np.asarray(volume), np.asarray(roi)
     turned = not np.allclose(grid.world_from_grid.rotation, np.eye(3), atol=1e-12)
     shift = np.zeros(3) if turned else grid.world_from_grid.position
     centres = [axis + offset for axis, offset in zip(grid.axes(), shift, strict=True)][::-1]
@@ -122,14 +139,15 @@ def cross_sections(
     names = [f"{'grid ' if turned else ''}{name}" for name in "zyx"]
     sections = {}
     for name, normal in PLANES.items():
-        index = _plane(arrays[1], normal)
+        index = volume.shape[normal] // 2 if known is None else _plane(known, normal)
         up, right = (axis for axis in range(3) if axis != normal)
         left, right_edge, bottom, top = (
             float(centres[axis][end] + side * edges[axis] / 2)
             for axis in (right, up)
             for end, side in ((0, -1), (-1, 1))
         )
-        values, true, seen = (np.take(array, index, axis=normal).copy() for array in arrays)
+        values, seen = (np.take(array, index, axis=normal).copy() for array in (volume, roi))
+        true = None if known is None else np.take(known, index, axis=normal).copy()
         extent, axes = (left, right_edge, bottom, top), (names[right], names[up])
         where = f"{names[normal]} = {centres[normal][index]:.1f} mm"
         sections[name] = CrossSection(values, true, seen.astype(np.bool_), extent, axes, where)

@@ -271,8 +271,7 @@ def cross_section_grid(
         grid = figure.subplots(rows, 3, squeeze=False, height_ratios=shares)
         _pad(figure, w_pad=0.03, h_pad=0.06, wspace=0.0, hspace=0.0)
         for line, (name, section) in zip(grid, sections.items(), strict=True):
-            error = section.reconstruction.astype(np.float64) - section.truth
-            images = section.reconstruction, section.truth, error
+            images = section.reconstruction, section.known_truth, section.error
             for axes, image, (cmap, norm) in zip(line, images, (looks[0], *looks), strict=True):
                 axes.imshow(image, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
                 _outline(axes, section, REGION_COLOUR if cmap == "gray" else INK)
@@ -319,7 +318,7 @@ def side_by_side(
     sections = [section for section in columns.values() if section is not None]
     first, extents = sections[0], np.array([section.extent_mm for section in sections])
     (left, bottom), (right, top) = extents.min(axis=0)[[0, 2]], extents.max(axis=0)[[1, 3]]
-    cells = [(truth, first._replace(reconstruction=first.truth)), *columns.items()]
+    cells = [(truth, first._replace(reconstruction=first.known_truth)), *columns.items()]
     abreast = min(_ABREAST, len(cells))
     bands = [cells[i : i + abreast] for i in range(0, len(cells), abreast)]
     height = (WIDTH - 0.7) / abreast * (top - bottom) / (right - left)
@@ -367,7 +366,7 @@ def _show(axes: Any, section: CrossSection | None, look: Look, error: bool) -> N
         said = {"transform": axes.transAxes, "ha": "center", "va": "center"}
         axes.text(0.5, 0.5, "outside its grid", **said, color=LIMIT_COLOUR)
         return
-    shown = section.reconstruction.astype(np.float64) - (section.truth if error else 0)
+    shown = section.error if error else section.reconstruction.astype(np.float64)
     cmap, norm = look
     axes.imshow(shown, cmap=cmap, norm=norm, origin="lower", extent=section.extent_mm)
     _outline(axes, section, INK if error else REGION_COLOUR)
@@ -405,7 +404,7 @@ Denser metal is white, so that bone or aluminium does not turn black.
 
 
 def _grey_window(sections: Sequence[CrossSection], mu_reference: float) -> Normalize:
-    densest = max(float(section.truth.max()) for section in sections)
+    densest = max(float(section.known_truth.max()) for section in sections)
     end = min(max(densest, mu_reference), BRIGHTEST * mu_reference)
     return Normalize(-0.1 * end, 1.2 * end)
 
@@ -417,7 +416,7 @@ def _pad(figure: Figure, **pads: Any) -> None:
 
 def _typical_worst(section: CrossSection) -> float:
     """Return the error that is exceeded by 0.5 % of the voxels in the region."""
-    error = np.abs(section.reconstruction.astype(np.float64) - section.truth)
+    error = np.abs(section.error)
     seen = error[section.roi] if section.roi.any() else error
     return float(np.nanpercentile(seen, 99.5))  # NaN is outside a rotated grid
 

@@ -11,6 +11,8 @@ import numpy as np
 from twinct.core.files.writing import write_text
 from twinct.core.foreign_text import counted
 from twinct.evaluation import DEPTHS_MM, IMAGE_FIGURES, MOTION_FIGURES, pose_errors
+from twinct.geometry import Floats
+from twinct.geometry.wire import PosePairs
 from twinct.report.algorithm_results import with_results
 from twinct.report.data import ReportData
 from twinct.report.measured import (
@@ -24,7 +26,9 @@ from twinct.report.physics import physics_in_words
 from twinct.report.pose_words import named_pose_errors
 from twinct.report.style import Picture
 from twinct.report.template import rendered
-from twinct.scenario import AnyCell, GantryCell
+from twinct.report.without_truth import judged_rows, residuals_by_view, section_row, top_of
+from twinct.scenario import AnyCell, GantryCell, Scenario
+from twinct.version import __version__
 
 PAPER = (
     "Freiling, Schaar, Stille, Kundrat: A Twin Robotic CT System Simulation using MuJoCo and gVXR "
@@ -71,51 +75,71 @@ def write_report(path: Path, report: ReportData, pictures: Pictures | None = Non
 
 def render_report(report: ReportData, pictures: Pictures | None = None) -> str:
     """Return the report as HTML text: images inline, no script, no external resources."""
-    scenario, metrics = report.scenario, report.metrics
-    speeds = metrics.get("tool_speed_mm_s", {}).values()
-    fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
-    cell, columns = scenario.cell, _columns(report)
-    moves = MOTION_FIGURES if scenario.specimen.motion else ()
+    settings, metrics, columns = report.scenario, report.metrics, _columns(report)
+    moves = MOTION_FIGURES if settings.specimen and settings.specimen.motion else ()
     beside, shown = (
         _beside(report),
         [f.relative_to(report.reference) for f in (*IMAGE_FIGURES, *moves)],
     )
+    without_truth = [] if "image" in metrics else report.others
     return rendered(
         "report.html",
-        fastest_mm_s=fastest_mm_s,
-        step_mm=fastest_mm_s * (cell.timestep_ms if cell.kind == "arms" else 0.0) / 1000,
-        name=scenario.name,
-        description=scenario.description,
+        kicker="Twin robotic CT simulation" if report.commanded else "Measured CT scan",
+        name=settings.name,
+        description=settings.description,
         setting=_setting(report),
         metrics=metrics,
         paper=PAPER,
         paper_table=PAPER_TABLE_1,
         pictures=(draw_pictures(report) if pictures is None else pictures)
-        | {
-            "depth": depth_picture(columns, DEPTHS_MM),
-        },
+        | {"depth": depth_picture(columns, DEPTHS_MM) if "image" in metrics else None},
         reference=report.reference,
+        judged=without_truth,
+        judged_rows=judged_rows(without_truth),
         image_columns=[*columns, *beside],
         image_rows=[
             (one, [nested(figures, one.key) for figures in (columns | beside).values()])
             for one in shown
+        ]
+        if "image" in metrics
+        else [],
+        lead=[
+            (one, nested(metrics["image"], one.key))
+            for one in shown
+            if one.key in LEAD and "image" in metrics
         ],
-        lead=[(one, nested(metrics["image"], one.key)) for one in shown if one.key in LEAD],
-        reasons=reasons(columns),
+        reasons=reasons(columns) if "image" in metrics else [],
         measured_columns=[*columns],
         measured_rows=measured_rows(columns, report.reference),
         curves=curve_pictures(columns, report.reference),
         implants=_implants(metrics),
         others=[(f"slices {other.name}", other) for other in report.others],
         predictions=[(words, picture.data_uri) for words, picture in report.predictions],
-        stages=_stages(metrics["seconds"]),
+        stages=_stages(metrics.get("seconds", {})),
         nearest=" and ".join(report.nearest),
-        arms=scenario.cell.kind == "arms",
-        trigger=scenario.motion.trigger,
-        pose_errors=named_pose_errors(report.metrics),
-        tolerance_mm=scenario.motion.tolerance_mm,
+        pose_errors=named_pose_errors(metrics) if report.commanded else {},
         scenario_yaml=report.scenario_yaml,
+        version=metrics.get("twinct_version", __version__),
+        **_of_machine(report),
     )
+
+
+def _of_machine(report: ReportData) -> dict[str, Any]:
+    """Return what the page says of arms; nothing of the machine of an imported scan is known."""
+    scenario = report.scenario
+    if not isinstance(scenario, Scenario):
+        return {"arms": False, "fastest_mm_s": 0.0, "step_mm": 0.0, "trigger": ""} | {
+            "tolerance_mm": 0.0
+        }
+    cell, speeds = scenario.cell, report.metrics.get("tool_speed_mm_s", {}).values()
+    fastest_mm_s = max((speed["max"] for speed in speeds), default=0.0)
+    return {
+        "arms": cell.kind == "arms",
+        "fastest_mm_s": fastest_mm_s,
+        "step_mm": fastest_mm_s * (cell.timestep_ms if cell.kind == "arms" else 0.0) / 1000,
+        "trigger": scenario.motion.trigger,
+        "tolerance_mm": scenario.motion.tolerance_mm,
+    }
 
 
 def _implants(metrics: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
@@ -131,8 +155,8 @@ def stage_title(name: str) -> str:
 
 def _columns(report: ReportData) -> dict[str, Any]:
     """Return image figures by title: the geometries of the run, then the other reconstructions."""
-    first = report.scenario.reconstruction.geometries[0]
-    own = report.metrics.get("image_by_geometry") or {first: report.metrics["image"]}
+    first, image = report.scenario.reconstruction.geometries[0], report.metrics.get("image")
+    own = report.metrics.get("image_by_geometry") or ({first: image} if image else {})
     named = {f"{name} geometry": figures for name, figures in own.items()}
     return named | {other.name: other.figures for other in report.others}
 
@@ -141,7 +165,7 @@ def _beside(report: ReportData) -> dict[str, Any]:
     """Return further columns: the cost of the poses' errors, and the figures of an empty volume."""
     results = {
         "believed − executed": report.metrics.get("believed_minus_executed"),
-        "empty volume": report.metrics["image"].get("zero"),
+        "empty volume": report.metrics.get("image", {}).get("zero"),
     }
     return {title: figures for title, figures in results.items() if figures}
 
@@ -151,31 +175,18 @@ def draw_pictures(report: ReportData) -> Pictures:
     from twinct.report import figures
     from twinct.report.convergence import convergence
 
-    scenario = report.scenario
-    commanded, executed = (
-        np.array([pose.position for pose in poses.source])
-        for poses in (report.commanded, report.executed)
-    )
-    # A trajectory from a file has no isocentre: the world's origin stands in.
-    isocentre = np.array(getattr(scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0)))
     mu = report.mu_reference
     if mu is None and report.slices:
-        mu = max(float(section.truth.max()) for section in report.slices.values())
+        truths = [one.truth for one in report.slices.values() if one.truth is not None]
+        mu = max(float(truth.max()) for truth in truths)
     courses = dict(report.metrics.get("residuals", {}))
     courses |= {other.name: other.residuals for other in report.others}
     compared = [*report.slices.values()] if report.others else []
     compared += [section for other in report.others for section in other.slices.values()]
+    top = top_of(compared)
     return {
         "room": Picture(report.room_png, "image/png") if report.room_png else None,
-        "path": figures.source_path(commanded, executed, isocentre),
-        "errors": figures.pose_errors_over_views(
-            pose_errors(report.commanded, report.executed),
-            np.asarray(report.clearance_mm, dtype=np.float64),
-            scenario.motion.tolerance_mm,
-            scenario.motion.clearance_mm,
-        )
-        if scenario.cell.kind == "arms"
-        else None,
+        **_pictures_of_poses(report),
         "convergence": convergence(courses)
         if any(len(course) > 1 for course in courses.values())
         else None,
@@ -184,12 +195,46 @@ def draw_pictures(report: ReportData) -> Pictures:
         else None,
         **{
             f"slices {other.name}": figures.cross_section_grid(other.slices, mu or 1.0, compared)
+            if "residual_by_view" not in other.figures
+            else section_row(other.slices, top)
             for other in report.others
         },
+        "by_view": residuals_by_view(judged)
+        if (judged := [one for one in report.others if "residual_by_view" in one.figures])
+        else None,
         "projections": figures.projection_strip(report.projections, report.panel)
         if report.projections
         else None,
     }
+
+
+def _pictures_of_poses(report: ReportData) -> Pictures:
+    """Draw the path of the source, and how far source and panel were from it."""
+    from twinct.report import figures
+
+    scenario, commanded, executed = report.scenario, report.commanded, report.executed
+    if commanded is None or executed is None or not isinstance(scenario, Scenario):
+        path = _source(report.stated)
+        return {"path": figures.source_path(path, path, np.zeros(3)), "errors": None}
+    # A trajectory from a file has no isocentre: the world's origin stands in.
+    isocentre = np.array(getattr(scenario.trajectory, "isocentre_mm", (0.0, 0.0, 0.0)))
+    return {
+        "path": figures.source_path(_source(commanded), _source(executed), isocentre),
+        "errors": figures.pose_errors_over_views(
+            pose_errors(commanded, executed),
+            np.asarray(report.clearance_mm, dtype=np.float64),
+            scenario.motion.tolerance_mm,
+            scenario.motion.clearance_mm,
+        )
+        if scenario.cell.kind == "arms"
+        else None,
+    }
+
+
+def _source(poses: PosePairs | None) -> Floats:
+    """Return the places of the source, (views, 3), mm."""
+    assert poses is not None
+    return np.array([pose.position for pose in poses.source])
 
 
 def _machine(cell: AnyCell) -> dict[str, str]:
@@ -201,9 +246,16 @@ def _machine(cell: AnyCell) -> dict[str, str]:
 
 def _setting(report: ReportData) -> dict[str, str]:
     """Return the experiment in a few lines."""
-    scenario = report.scenario
+    scenario, panel = report.scenario, report.panel
     grid = scenario.reconstruction.volume_grid
     voxel = " × ".join(f"{edge:g}" for edge in dict.fromkeys(grid.voxel.tolist()))
+    voxels = {"Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm"}
+    if report.commanded is None or not isinstance(scenario, Scenario):
+        return {
+            "Views": f"{report.metrics['views']} of {panel.rows} × {panel.columns} pixels (rows × "
+            f"columns) of {panel.pitch_u} × {panel.pitch_v} mm",
+            **voxels,
+        }
     apart = {**report.metrics, "warnings": ()}  # they stand above the figures
     return {
         "Specimen": ", ".join(f"{p.label} ({p.made_of})" for p in scenario.specimen.parts),
@@ -212,7 +264,7 @@ def _setting(report: ReportData) -> dict[str, str]:
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),
         "Reconstruction": with_results(scenario.reconstruction.in_words, apart),
-        "Grid": f"{' × '.join(map(str, grid.shape_xyz))} voxels of {voxel} mm",
+        **voxels,
     }
 
 

@@ -95,7 +95,7 @@ def section_at(
     volume: ArrayLike,
     grid: VolumeGrid,
     layer: VolumeGrid,
-    truth: ArrayLike,
+    truth: ArrayLike | None,
     roi: ArrayLike,
 ) -> CrossSection:
     """Return the section of a volume in a plane: its own voxels, or the nearest in a rotated grid.
@@ -105,7 +105,7 @@ def section_at(
         volume: attenuation, (z, y, x), 1/mm.
         grid: the lattice of the volume.
         layer: result of ``layer_of`` for this plane and grid.
-        truth: true attenuation on the layer, 1/mm.
+        truth: true attenuation on the layer, 1/mm; None if it is not known.
         roi: region that every view sees, on the layer, bool.
 
     Returns:
@@ -125,9 +125,8 @@ def section_at(
     low, high = own.position - layer.size_mm / 2, own.position + layer.size_mm / 2
     up, right = (2 - axis for axis in range(3) if axis != plane.normal)
     names = [f"{plane.frame}{name}" for name in "xyz"]
-    values, true, seen = (
-        np.squeeze(a, axis=plane.normal) for a in map(np.asarray, (cut, truth, roi))
-    )
+    values, seen = (np.squeeze(np.asarray(a), axis=plane.normal) for a in (cut, roi))
+    true = None if truth is None else np.squeeze(np.asarray(truth), axis=plane.normal)
     place = own.position[2 - plane.normal]
     return CrossSection(
         values,

@@ -287,7 +287,7 @@ def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) 
     if having:
         of = {f"trial {one.trial}": study.sections[one.trial] for one in having}
         every = [s for planes in of.values() for s in planes.values() if s is not None]
-        mu = study.mu_reference or max(float(s.truth.max()) for s in every)
+        mu = study.mu_reference or max(float(s.known_truth.max()) for s in every)
         looks = windows(every, mu)
         for plane in dict.fromkeys(plane for planes in of.values() for plane in planes):
             columns = {name: planes.get(plane) for name, planes in of.items()}
@@ -295,7 +295,7 @@ def _shown(study: StudyData, ranking: Sequence[tuple[StudyTrial, Combination]]) 
             if not there:
                 continue
             (first, section), *others = there.items()
-            if any(not np.array_equal(s.truth, section.truth) for _, s in others):
+            if any(not np.array_equal(s.known_truth, section.known_truth) for _, s in others):
                 notes = [
                     f"The truth shown is that of {first}; others differ, with other voxels or "
                     "another specimen, and each error is against its own truth."

@@ -224,13 +224,14 @@ def machine_frames(
     source, detector = scan.scenario.source, scan.scenario.detector
     if source.ideal and detector.ideal:
         raise InputError("an ideal source and detector have no raw images: set detector.readout")
-    if detector.lag and scan.exposure:
+    if detector.lag and scan.simulated.exposure:
         raise InputError(
             "raw images with detector.lag and source.motion_samples cannot be recomputed"
         )
-    executed = replace(scan.executed, object=scan.executed_object)
+    taken = scan.simulated
+    executed = replace(taken.executed, object=taken.executed_object)
     with builder.imager() as imager:
         for view in views:
-            path = scan.exposure[view] if scan.exposure else executed[view : view + 1]
+            path = taken.exposure[view] if taken.exposure else executed[view : view + 1]
             before = executed[view - 1 : view] if detector.lag and view else None
             yield imager.frame(path, view, before)

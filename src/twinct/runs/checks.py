@@ -27,6 +27,7 @@ from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario, stage_digests
+from twinct.scenario.imported import ScanSettings
 from twinct.specimen.size import SpecimenSize, specimen_size
 
 MOST_CUT = 0.01
@@ -166,13 +167,13 @@ def _check_errors(builder: SimulationBuilder) -> None:
         builder.true_cell.check(builder.commanded)
 
 
-def check_corrections(scenario: Scenario) -> None:
+def check_corrections(settings: ScanSettings) -> None:
     """Check that beam hardening and metal can be corrected, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
     """
-    _check_all(lambda: check_hardening(scenario), lambda: check_metal(scenario))
+    _check_all(lambda: check_hardening(settings), lambda: check_metal(settings))
 
 
 def _check_all(*checks: Callable[[], object]) -> None:
@@ -299,18 +300,18 @@ def require_extras(scenario: Scenario) -> None:
         engine_named(scenario.engine).check()
 
 
-def check_engine(scenario: Scenario) -> None:
+def check_engine(settings: ScanSettings) -> None:
     """Check the engine of the reconstruction that the environment names.
 
     Raises:
         InputError: it is unknown, there is no card for it, or it cannot do this job.
     """
-    if requested_engine() != "cuda" or scenario.reconstruction.algorithm == "rtk_sart":
+    if requested_engine() != "cuda" or settings.reconstruction.algorithm == "rtk_sart":
         return
     from twinct.core import card
     from twinct.recon.moving import refuse_card
 
     card.device()
-    motion = scenario.reconstruction.motion
+    motion = settings.reconstruction.motion
     if motion is not None and motion.compensate:
         refuse_card()

@@ -7,10 +7,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import counted
 from twinct.evaluation import region_of_interest
-from twinct.geometry import VolumeGrid
+from twinct.geometry import Pose, VolumeGrid
 from twinct.observers import Observers, audience_of
 from twinct.recon.volume import Volume
 from twinct.report import Compared, Comparison, CrossSection, plain, with_results
@@ -18,27 +20,32 @@ from twinct.report.same_planes import Plane, layer_of, planes_through, section_a
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, finished_run
 from twinct.runs.known_motion import as_reconstructed, phase_of_truth
-from twinct.runs.reconstruction_folder import Reconstruction, check_files
-from twinct.scan import SimulationBuilder
+from twinct.runs.reconstruction_folder import Reconstruction, check_files, stored_reconstructions
+from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import SECTIONS, Scenario, specimen_digest
 from twinct.specimen import BuiltSpecimen
+from twinct.version import __version__
 
 
 def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Comparison:
-    """Compare finished runs with the first one.
+    """Compare volumes with the first one: of finished runs, or of imported scans.
 
     All slices show the same planes in the world. Grids and specimens may differ; the ``notes`` then
     list the values that cannot be compared.
 
     Args:
-        folders: two or more runs or further reconstructions, ``RUN/reconstructions/NAME``.
+        folders: two or more runs or further reconstructions, ``RUN/reconstructions/NAME``; or
+            imported scans, of which all volumes count, and single volumes of them.
         observers: notified of the stage.
 
     Raises:
         InputError: folders without a finished run or listed twice, each with its name; or fewer
-            than two folders.
+            than two folders; or volumes with and without a truth.
     """
-    entries = _entries([Path(folder) for folder in folders])
+    paths = [Path(folder) for folder in folders]
+    if any(_has_no_truth(path) for path in paths):
+        return _without_truth(paths, observers)
+    entries = _entries(paths)
     labels = _labels(entries)
     specimens: dict[str, BuiltSpecimen] = {}
     planes: dict[str, Plane] = {}
@@ -52,6 +59,97 @@ def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Compari
             compared.append(_compared(entry, label, specimens[bodies], planes, truth))
             step()
     return Comparison(tuple(compared))
+
+
+def _scan_folder(path: Path) -> Folder:
+    """Return the folder of the scan that a folder of a scan or of a volume belongs to."""
+    whole = path.resolve()
+    return Folder(whole.parents[1] if whole.parent.name == "reconstructions" else path)
+
+
+def _has_no_truth(path: Path) -> bool:
+    folder = _scan_folder(path)
+    return folder.scenario.is_file() and folder.settings_of_scan().specimen is None
+
+
+def _without_truth(paths: Sequence[Path], observers: Observers) -> Comparison:
+    """Compare volumes of imported scans."""
+    volumes: list[tuple[Folder, Reconstruction]] = []
+    for path in paths:
+        volumes += _volumes(path)
+    places = [one.path.resolve() for _, one in volumes]
+    if len(set(places)) < len(places):
+        raise InputError("a volume is given twice; each is compared once")
+    if len(volumes) < 2:
+        raise InputError(f"{counted(len(volumes), 'volume')}: at least two are needed")
+    scans = [folder.path.resolve() for folder, _ in volumes]
+    common = Path(os.path.commonpath([scan.parent for scan in scans]))
+    planes: dict[str, Plane] = {}
+    compared: list[Compared] = []
+    with audience_of(observers) as audience, audience.stage("slices", len(volumes)) as step:
+        for (folder, one), scan in zip(volumes, scans, strict=True):
+            label = one.name if len(set(scans)) == 1 else f"{scan.relative_to(common)}:{one.name}"
+            compared.append(_compared_without_truth(folder, one, label, planes))
+            step()
+    return Comparison(tuple(compared))
+
+
+def _volumes(path: Path) -> list[tuple[Folder, Reconstruction]]:
+    folder = _scan_folder(path)
+    if not _has_no_truth(path):
+        raise InputError(
+            f"{path} is not a measured scan, so it cannot be compared with one; a simulated run is "
+            "judged by its truth"
+        )
+    if folder.path is not path and path.is_dir():
+        check_files(path)
+        return [(folder, Reconstruction.read(path))]
+    volumes = stored_reconstructions(folder.reconstructions) if folder.path is path else {}
+    if not volumes:
+        raise InputError(f"{path} holds no volume yet; 'twinct reconstruct' makes one")
+    return [(folder, one) for one in volumes.values()]
+
+
+def _compared_without_truth(
+    folder: Folder, one: Reconstruction, label: str, planes: dict[str, Plane]
+) -> Compared:
+    """Cut a volume along the planes; choose those through the middle if there are none yet."""
+    store = ScanStore(folder.scan)
+    section = SECTIONS[str(one.settings["algorithm"])].model_validate(dict(one.settings))
+    section = section.model_copy(update={"geometry": one.geometry})
+    settings = folder.settings_of_scan().model_copy(update={"reconstruction": section})
+    volume = one.volume
+    if not planes:
+        half = volume.grid.size_mm / 2
+        middle: Pose = volume.grid.world_from_grid
+        planes |= planes_through(volume.grid, np.stack([-half, half]), middle, lambda _: True)
+    slices: dict[str, CrossSection | None] = {}
+    for name, plane in planes.items():
+        layer = layer_of(plane, volume.grid)
+        slices[name] = layer and section_at(
+            plane, volume.array, volume.grid, layer, None, np.ones(layer.shape, bool)
+        )
+    figures = plain(one.figures.as_dict())
+    del figures["residual_by_view"]
+    images = store.digests["images"]
+    return Compared(
+        label=label,
+        path=str(one.path),
+        scenario=settings,
+        metrics={
+            "views": store.views,
+            "reached": store.views,
+            "twinct_version": __version__,
+            "scenario_digest": images,
+        },
+        image=figures,
+        in_words=one.description,
+        seconds={"reconstruction": one.seconds},
+        slices=slices,
+        mu_reference=float("nan"),
+        reference="",
+        truth=images,
+    )
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,14 @@ from twinct.core.files.writing import require_space, storage_errors
 from twinct.exchange import Bundle, FormatName, Values, bundle_bytes, format_named, write_bundle
 from twinct.observers import Observers, audience_of
 from twinct.runs.folder import Folder
-from twinct.scan import OWN, ScanStore, line_integrals, named_geometries
+from twinct.scan import ScanStore, line_integrals, named_geometries
 
 
 def export_scan(
     path: str | Path,
     to: FormatName,
     *,
-    geometry: str = "believed",
+    geometry: str | None = None,
     values: Values = "line-integrals",
     out: str | Path | None = None,
     observers: Observers = (),
@@ -30,7 +30,7 @@ def export_scan(
     Args:
         path: folder of a run, or its scan.zarr.
         to: name of a format; ``twinct.exchange.formats`` returns all of them.
-        geometry: believed, executed, commanded, or a named one.
+        geometry: name of a geometry; None: the one that the machine reports.
         values: quantity in the pixels.
         out: the folder, which must not exist; None: ``export-NAME`` beside the scan.
         observers: notified of the stage.
@@ -48,18 +48,22 @@ def export_scan(
         raise ScanExistsError(f"{out} exists already: choose another --out")
     try:
         store = ScanStore(path)
-        scenario, views = store.scenario, store.acquired  # a message names a broken store
+        settings, views = store.settings, store.acquired  # a message names a broken store
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: not a readable scan: {error}") from None
     if not views:
         raise InputError(f"{path} holds 0 of {store.views} views: there is nothing to export yet")
     # A scan in progress may have grown since the views were counted.
-    derived = {} if geometry in OWN else named_geometries(path.parent / "geometries")
-    if geometry not in OWN and geometry not in derived:
-        known = ", ".join((*OWN, *derived))
-        raise InputError(f"--geometry {geometry}: unknown; choose from {known}")
-    poses = store.poses(geometry) if geometry in OWN else derived[geometry].poses
-    chosen = poses.geometry(scenario.detector.panel)[:views]
+    provenance = store.provenance
+    geometry = geometry or provenance.reported.name
+    poses = provenance.poses(geometry)
+    if poses is None:
+        derived = named_geometries(path.parent / "geometries")
+        if geometry not in derived:
+            known = ", ".join((*provenance.own, *derived))
+            raise InputError(f"--geometry {geometry}: unknown; choose from {known}")
+        poses = derived[geometry].poses
+    chosen = poses.geometry(settings.detector.panel)[:views]
     require_space(out, bundle_bytes(chosen), "the export needs")
     left = "the partial export was removed, the scan is unchanged"
     with (
@@ -78,9 +82,9 @@ def export_scan(
                 yield line_integrals(image) if values == "line-integrals" else image
                 step()
 
-        origin = {"scan": scenario.name, "scan digest": store.digests["images"]}
+        origin = {"scan": settings.name, "scan digest": store.digests["images"]}
         origin |= {"geometry": geometry, "views": f"{views} of {store.views}"}
-        grid = scenario.reconstruction.volume_grid
+        grid = settings.reconstruction.volume_grid
         write_bundle(out, to, Bundle(chosen, grid, images(), values, origin))
     return out
 

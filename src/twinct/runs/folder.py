@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -17,8 +17,9 @@ from twinct.core.files.plain_yaml import read_file, written
 from twinct.core.files.writing import check_folder, write_text
 from twinct.link.recording import recordings
 from twinct.runs.reconstruction_folder import file_digest
-from twinct.scan import OWN, named_geometries
+from twinct.scan import OWN, named_geometries, scenario_in
 from twinct.scenario import Scenario, load_scenario, stage_digests, with_paths
+from twinct.scenario.imported import ScanSettings, is_imported, load_imported
 
 
 @dataclass(frozen=True)
@@ -85,24 +86,43 @@ class Folder:
         """Files that a finished run always has."""
         return self.scan, self.volume, self.metrics, self.report
 
+    def settings_of_scan(
+        self, overrides: tuple[str, ...] = (), changes: Mapping[str, Any] | None = None
+    ) -> ScanSettings:
+        """Return the settings of the scan, with some keys changed: its scenario, if it has one.
+
+        Args:
+            overrides: texts ``KEY=VALUE``.
+            changes: further values by dotted key.
+        """
+        if is_imported(self._stated()):
+            return load_imported(self.scenario, overrides, changes)
+        scenario = self.scenario_of_run(overrides)
+        return scenario.with_(changes) if changes else scenario
+
     def scenario_of_run(self, overrides: tuple[str, ...] = ()) -> Scenario:
         """Return the scenario that the run was made with, with some keys changed.
 
         Scenarios of early versions do not state the scheme of motion, which was ``reactive`` then.
+
+        Raises:
+            InputError: the scan was imported, and has no scenario.
         """
-        motion = self._stated().get("motion")
+        if is_imported(stated := self._stated()):
+            return scenario_in(load_imported(self.scenario))
+        motion = stated.get("motion")
         early = isinstance(motion, dict) and "scheme" not in motion
         scheme = ("motion.scheme=reactive",) if early else ()
         return load_scenario(self.scenario, (*scheme, *overrides), resolved=True)
 
-    def write_scenario(self, scenario: Scenario) -> None:
-        """Write the scenario, which names files below ``inputs`` relative to this folder."""
+    def write_scenario(self, settings: ScanSettings) -> None:
+        """Write a scan's settings, which name files below ``inputs`` relative to this folder."""
 
         def relative(path: Path) -> Path:
             inside = path.parent == self.inputs.resolve()
             return path.relative_to(self.path.resolve()) if inside else path
 
-        data = with_paths(json.loads(scenario.resolved()), relative)
+        data = with_paths(json.loads(settings.resolved()), relative)
         write_text(self.scenario, written(data))
 
     def finished(self, scenario: Scenario) -> bool:
@@ -206,9 +226,9 @@ def refuse_other_keys(overrides: Iterable[str], section: str) -> None:
         )
 
 
-def as_yaml(scenario: Scenario) -> str:
-    """Return the resolved scenario as YAML, defaults included."""
-    return written(json.loads(scenario.resolved()))
+def as_yaml(settings: ScanSettings) -> str:
+    """Return the settings of a scan as YAML, defaults included."""
+    return written(json.loads(settings.resolved()))
 
 
 def read_metrics(path: Path) -> dict[str, Any]:

@@ -22,9 +22,14 @@ from twinct.recon.sart import sart
 from twinct.recon.steps import Callback
 from twinct.recon.surroundings import without_surroundings
 from twinct.recon.volume import Volume
-from twinct.runs.integrals import corrected_for, hardening_corrected, materials_of
-from twinct.scan import SimulationBuilder
-from twinct.scenario import KnownImplants, Part, Scenario
+from twinct.runs.integrals import (
+    corrected_for,
+    hardening_corrected,
+    main_material,
+    materials_of,
+)
+from twinct.scenario import KnownImplants, Part
+from twinct.scenario.imported import ScanSettings, beam_of
 
 if TYPE_CHECKING:
     from twinct.specimen.materials import Material
@@ -117,7 +122,7 @@ class WithoutImplants:
 
 
 def without_implants_of(
-    scenario: Scenario,
+    settings: ScanSettings,
     section: KnownImplants,
     measured: NDArray[np.float32],
     A: Projector,
@@ -127,7 +132,7 @@ def without_implants_of(
     """Correct line integrals as the scenario states, and remove its known implants.
 
     Args:
-        scenario: believed source, detector and specimen.
+        settings: believed source, detector and specimen.
         section: its ``reconstruction.metal``.
         measured: -ln of the transmission, (views, rows, columns).
         A: the projector, with the believed geometry.
@@ -136,11 +141,11 @@ def without_implants_of(
     """
     from twinct.xray.build import effective_energy_kev
 
-    known = known_implants(scenario, section)
-    energy = effective_energy_kev(scenario.source, scenario.detector)
+    known = known_implants(settings, section)
+    energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
     mus: dict[str, Any] = {name: m.mu_per_mm(energy) for name, m in _prior(section).items()}
     inner, surroundings = _parted(
-        scenario, hardening_corrected(scenario, measured, A, mask), A, mask
+        settings, hardening_corrected(settings, measured, A, mask), A, mask
     )
     iterations = section.first_iterations
     mus["metal"] = min(one.material.mu_per_mm(energy) for one in known)
@@ -153,7 +158,7 @@ def without_implants_of(
     del replaced
     taken = without_implants(
         A,
-        _beam(scenario, known, measured, A, mask),
+        _beam(settings, known, measured, A, mask),
         [one.implant for one in known],
         background,
         surroundings=surroundings,
@@ -165,7 +170,7 @@ def without_implants_of(
         mask=mask,
         callback=callback,
     )
-    stands = scenario.specimen.world_from_specimen
+    stands = _place(settings)
     result = WithoutImplants(taken.line_integrals, known, taken.fitted, stands, energy)
     for one in result.results():
         log.info(
@@ -176,13 +181,13 @@ def without_implants_of(
 
 
 def _parted(
-    scenario: Scenario,
+    settings: ScanSettings,
     integrals: NDArray[np.float32],
     A: Projector,
     mask: NDArray[np.bool_] | None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
     """Return the parts of line integrals inside the grid, and around it if the scenario says so."""
-    around = scenario.reconstruction.around
+    around = settings.reconstruction.around
     if around is None:
         return integrals, None
     inner = without_surroundings(A, integrals, **around._asdict(), mask=mask)
@@ -197,7 +202,7 @@ def volumes_of(section: KnownImplants) -> int:
     return section.first_iterations * (2 + section.rounds)
 
 
-def known_implants(scenario: Scenario, section: KnownImplants) -> list[ImplantModels]:
+def known_implants(settings: ScanSettings, section: KnownImplants) -> list[ImplantModels]:
     """Return the implants of a scenario at their believed poses.
 
     Raises:
@@ -206,7 +211,7 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[ImplantMo
     from twinct.specimen.materials import material
     from twinct.specimen.shapes import shape_surface
 
-    parts = {part.label: part for part in scenario.specimen.parts}
+    parts = {part.label: part for part in settings.specimen.parts} if settings.specimen else {}
     problems: list[str] = []
     known: list[ImplantModels] = []
     for i, implant in enumerate(section.implants):
@@ -229,14 +234,19 @@ def known_implants(scenario: Scenario, section: KnownImplants) -> list[ImplantMo
         except InputError as error:
             problems += error.problems
             continue
-        place = scenario.specimen.world_from_specimen @ part.specimen_from_part
+        place = _place(settings) @ part.specimen_from_part
         known.append(ImplantModels(name, substance, Implant(body, place)))
     if problems:
         raise InputError(problems)
     return known
 
 
-def check_implants(scenario: Scenario, section: KnownImplants, views: ScanGeometry) -> None:
+def _place(settings: ScanSettings) -> Pose:
+    """Return ``world_from_specimen``; poses of implants in an unknown object are in the world."""
+    return settings.specimen.world_from_specimen if settings.specimen else Pose.identity()
+
+
+def check_implants(settings: ScanSettings, section: KnownImplants, views: ScanGeometry) -> None:
     """Check the known implants before any work.
 
     Raises:
@@ -245,8 +255,8 @@ def check_implants(scenario: Scenario, section: KnownImplants, views: ScanGeomet
     """
     from twinct.xray.build import effective_energy_kev
 
-    energy = effective_energy_kev(scenario.source, scenario.detector)
-    known = known_implants(scenario, section)
+    energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
+    known = known_implants(settings, section)
     tissue, bone = (one.mu_per_mm(energy) for one in _prior(section).values())
     problems: list[str] = []
     if tissue >= bone:
@@ -260,7 +270,7 @@ def check_implants(scenario: Scenario, section: KnownImplants, views: ScanGeomet
                 f"{_KEY}: {one.name} of {one.material.name} attenuates by {mu:.3g} per mm, bone by "
                 f"{bone:.3g}: an implant must exceed bone"
             )
-    A = Projector(views, scenario.reconstruction.volume_grid)
+    A = Projector(views, settings.reconstruction.volume_grid)
     names = [one.name for one in known]
     too_far = outside(A, [one.implant for one in known], names)
     if problems := problems + [f"{_KEY}: {problem}" for problem in too_far]:
@@ -275,7 +285,7 @@ def _prior(section: KnownImplants) -> dict[str, Material]:
 
 
 def _beam(
-    scenario: Scenario,
+    settings: ScanSettings,
     known: Sequence[ImplantModels],
     measured: NDArray[np.float32],
     A: Projector,
@@ -286,19 +296,19 @@ def _beam(
     from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
     from twinct.xray.implants import Corrected, MetalModel
 
-    section = scenario.reconstruction.beam_hardening
-    energy: float | None = effective_energy_kev(scenario.source, scenario.detector)
-    spectrum, response = build_spectrum(scenario.source), build_response(scenario.detector)
+    section = settings.reconstruction.beam_hardening
+    energy: float | None = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
+    spectrum, response = build_spectrum(beam_of(settings, _KEY)), build_response(settings.detector)
     materials = [] if section is None else materials_of(section)
     if section is None:  # soft tissue, as the material around the implants is unknown
         materials = [material("soft_tissue")]
         energy = None
     elif not materials:
-        materials = [SimulationBuilder(scenario).specimen.largest_part.bulk]
+        materials = [main_material(settings)]
     metals = [one.material for one in known]
     model = MetalModel(spectrum, response, materials, metals, energy)
     if section is None or section.kind == "one_material":
-        corrected = hardening_corrected(scenario, measured, A, mask)
+        corrected = hardening_corrected(settings, measured, A, mask)
         same = Corrected(model, measured, corrected, None)
 
         def for_any(_: NDArray[np.float32]) -> Corrected:
@@ -307,7 +317,7 @@ def _beam(
         return for_any
 
     def for_background(background: NDArray[np.float32]) -> Corrected:
-        integrals, paths = corrected_for(scenario, measured, A, background, mask, keep=True)
+        integrals, paths = corrected_for(settings, measured, A, background, mask, keep=True)
         return Corrected(model, measured, integrals, paths)
 
     return for_background

@@ -12,8 +12,9 @@ from twinct.recon.checks import masked_image
 from twinct.recon.memory import SPARE_BYTES
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
-from twinct.scan import SimulationBuilder
-from twinct.scenario import BeamHardening, Scenario
+from twinct.scan import SimulationBuilder, scenario_in
+from twinct.scenario import BeamHardening
+from twinct.scenario.imported import ScanSettings, beam_of
 
 if TYPE_CHECKING:
     from twinct.specimen.materials import Material
@@ -26,7 +27,7 @@ _KEY = "reconstruction.beam_hardening"
 
 
 def hardening_corrected(
-    scenario: Scenario,
+    settings: ScanSettings,
     integrals: NDArray[np.float32],
     A: Projector,
     mask: NDArray[np.bool_] | None = None,
@@ -36,18 +37,18 @@ def hardening_corrected(
     Line integrals are (views, rows, columns); the mask may lack the views. Only the correction for
     two materials, which reconstructs a first volume, uses ``A`` and the mask.
     """
-    section = scenario.reconstruction.beam_hardening
+    section = settings.reconstruction.beam_hardening
     if section is None:
         return integrals
     from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
     from twinct.xray.hardening import Hardening
 
-    source, detector = scenario.source, scenario.detector
+    source, detector = beam_of(settings, _KEY), settings.detector
     energy = effective_energy_kev(source, detector)
     known = build_spectrum(source), build_response(detector)
     materials = materials_of(section)
     if section.kind == "one_material":
-        substances = materials or [SimulationBuilder(scenario).specimen.largest_part.bulk]
+        substances = materials or [main_material(settings)]
         return _each(Hardening(*known, substances, energy), integrals)
 
     base = materials[0]
@@ -55,14 +56,29 @@ def hardening_corrected(
         A,
         _each(Hardening(*known, [base], energy), integrals),
         iterations=section.first_iterations,
-        relaxation=getattr(scenario.reconstruction, "relaxation", RELAXATION),
+        relaxation=getattr(settings.reconstruction, "relaxation", RELAXATION),
         mask=mask,
     ).array
-    return corrected_for(scenario, integrals, A, volume, mask)[0]
+    return corrected_for(settings, integrals, A, volume, mask)[0]
+
+
+def main_material(settings: ScanSettings) -> Material:
+    """Return the material of the specimen's largest part.
+
+    Raises:
+        InputError: an imported scan has no known specimen.
+    """
+    try:
+        scenario = scenario_in(settings)
+    except InputError:
+        raise InputError(
+            f"{_KEY}.material: name it, as the object of this scan is not known"
+        ) from None
+    return SimulationBuilder(scenario).specimen.largest_part.bulk
 
 
 def corrected_for(
-    scenario: Scenario,
+    settings: ScanSettings,
     integrals: NDArray[np.float32],
     A: Projector,
     volume: NDArray[np.float32],
@@ -78,9 +94,9 @@ def corrected_for(
     from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
     from twinct.xray.hardening import Hardening
 
-    section = scenario.reconstruction.beam_hardening
+    section = settings.reconstruction.beam_hardening
     assert section is not None
-    source, detector = scenario.source, scenario.detector
+    source, detector = beam_of(settings, _KEY), settings.detector
     energy = effective_energy_kev(source, detector)
     base, dense = materials_of(section)
     low, high = base.mu_per_mm(energy), dense.mu_per_mm(energy)
@@ -111,21 +127,21 @@ def hardening_bytes(section: BeamHardening, voxels: int, pixels: int) -> int:
     return 4 * (pixels + volumes * voxels) + SPARE_BYTES
 
 
-def check_hardening(scenario: Scenario) -> None:
+def check_hardening(settings: ScanSettings) -> None:
     """Check the materials of the correction before any work.
 
     Raises:
         InputError: unknown materials, each with its key; or a dense material that does not
             attenuate more than the base material.
     """
-    section = scenario.reconstruction.beam_hardening
+    section = settings.reconstruction.beam_hardening
     if section is None:
         return
     materials = materials_of(section)
     if section.kind == "two_materials":
         from twinct.xray.build import effective_energy_kev
 
-        energy = effective_energy_kev(scenario.source, scenario.detector)
+        energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
         base, dense = (substance.mu_per_mm(energy) for substance in materials)
         if dense <= base:
             raise InputError(

@@ -42,19 +42,30 @@ from twinct.runs.checks import (
 )
 from twinct.runs.figures import Figures
 from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
+from twinct.runs.judgement import Judgement
+from twinct.runs.judging import ByTruth, WithoutTruth
 from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
-from twinct.runs.reconstruction_folder import stored_reconstructions
+from twinct.runs.reconstruction_folder import check_files, stored_reconstructions
 from twinct.runs.repair import resumable
 from twinct.runs.repeated_figures import repeated_figures, repeats_asked
 from twinct.runs.repeats import Repeats
-from twinct.runs.reporting import Results, judge, write_results
+from twinct.runs.reporting import Results, judge, write_results, write_volumes
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
-from twinct.scan import Rig, Scan, ScanStore, SimulationBuilder, check_space, named_geometries
+from twinct.scan import (
+    Rig,
+    Scan,
+    ScanStore,
+    SimulationBuilder,
+    check_space,
+    named_geometries,
+    scenario_in,
+)
 from twinct.scan.status import views_taken
 from twinct.scenario import SECTIONS, Scenario, stage_digests, with_files_in
+from twinct.scenario.imported import ScanSettings
 from twinct.scenario.version_0_1 import volume_digest
 
 if TYPE_CHECKING:
@@ -65,16 +76,23 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run, whose files below ``paths`` are read on first access."""
+    """A finished run, or an imported scan with its volumes.
 
-    scenario: Scenario
+    Their files below ``paths`` are read on first access.
+    """
+
+    settings: ScanSettings
     paths: Folder
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario that was run; an imported scan has none."""
+        return scenario_in(self.settings)
 
     @cached_property
     def scan(self) -> Scan:
         """Images and poses of all views, and the geometries derived from them."""
-        derived = named_geometries(self.paths.geometries)
-        return replace(ScanStore(self.paths.scan).read(), scenario=self.scenario, derived=derived)
+        return scan_of(self.paths, self.settings)
 
     @cached_property
     def volume(self) -> Volume:
@@ -88,7 +106,13 @@ class Run:
 
     def __repr__(self) -> str:
         """Return name and folder in one line."""
-        return f"Run({self.scenario.name!r}, {str(self.paths.path)!r})"
+        return f"Run({self.settings.name!r}, {str(self.paths.path)!r})"
+
+
+def scan_of(folder: Folder, settings: ScanSettings) -> Scan:
+    """Return the scan in a folder with these settings, and with the geometries derived from it."""
+    scan = ScanStore(folder.scan).read().with_settings(settings)
+    return replace(scan, derived=named_geometries(folder.geometries))
 
 
 def run(
@@ -218,10 +242,12 @@ def again_in_words(folder: Folder) -> str:
 def rewrite_report(
     path: str | Path, observers: Observers = (), overrides: Iterable[str] = ()
 ) -> Run:
-    """Judge a finished run again and rewrite its figures and its report.
+    """Judge a finished run, or the volumes of an imported scan, again; rewrite figures and report.
+
+    Figures of two halves of the views stay, as the volumes of the halves are not kept.
 
     Args:
-        path: folder of a run.
+        path: folder of a run, or of an imported scan.
         observers: notified of the stages.
         overrides: changes ``evaluation.KEY=VALUE`` to the run's scenario, for other figures.
 
@@ -231,6 +257,8 @@ def rewrite_report(
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "evaluation")
+    if folder.scenario.is_file() and folder.settings_of_scan().specimen is None:
+        return _volumes_judged_again(folder, overrides, observers)
     made = finished_run(folder)
     if changed := folder.replaced(folder.volume):  # a truth is made again
         raise InputError([f"{problem}; {again_in_words(folder)}" for problem in changed])
@@ -273,21 +301,37 @@ def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
     return now
 
 
+def _volumes_judged_again(folder: Folder, overrides: tuple[str, ...], observers: Observers) -> Run:
+    """Judge all volumes of a scan without a truth again, and rewrite figures and page."""
+    settings = folder.settings_of_scan(overrides)
+    now = Run(settings, folder)
+    stored = stored_reconstructions(folder.reconstructions)
+    if not stored:
+        raise InputError(f"{folder.path} holds no volume yet; 'twinct reconstruct' makes one")
+    with (
+        sole_owner(folder.lock),
+        storage_errors(folder.path),
+        audience_of(observers) as audience,
+    ):
+        for one in stored.values():
+            check_files(one.path)
+            judged = WithoutTruth(now.scan, audience).figures(one.volume, one.geometry)
+            assert isinstance(one.figures, Judgement)
+            one.with_figures(judged.with_halves_of(one.figures))
+        if overrides:
+            folder.write_scenario(settings)
+        write_volumes(folder, now.scan)
+    return now
+
+
 def _judge_others(run: Run, builder: SimulationBuilder, audience: Audience) -> None:
     """Judge the further reconstructions of a run, too."""
-    for reconstruction in stored_reconstructions(run.paths.reconstructions).values():
-        section = SECTIONS[str(reconstruction.settings["algorithm"])].model_validate(
-            dict(reconstruction.settings)
-        )
+    for one in stored_reconstructions(run.paths.reconstructions).values():
+        section = SECTIONS[str(one.settings["algorithm"])].model_validate(dict(one.settings))
         scenario = run.scenario.model_copy(update={"reconstruction": section})
-        scan = replace(run.scan, scenario=scenario)
         of_it = replace(builder, scenario=scenario, given_specimen=builder.specimen)
-        truth = truth_of(scan, of_it, audience, file=run.paths.truth)
-        volume, again = reconstruction.volume, None
-        if repeats_asked(scenario):
-            repeats = Repeats(scan, of_it, audience)
-            again = repeats.of(reconstruction.geometry, volume.array)
-        reconstruction.write_figures(judge(scan, volume, truth, builder.specimen, again))
+        judge = ByTruth(run.scan.with_settings(scenario), of_it, run.paths, audience)
+        one.with_figures(judge.figures(one.volume, one.geometry))
 
 
 def _prepare(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,10 +11,10 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
-from twinct.geometry.wire import PosePairs
 from twinct.recon.projector import Projector
 from twinct.scan import Scan
 from twinct.scenario import KnownMotion, Scenario
+from twinct.scenario.imported import ScanSettings
 from twinct.specimen import BuiltSpecimen
 
 if TYPE_CHECKING:
@@ -27,13 +26,13 @@ MOVING_MM = 2.0
 """Way in a usual breath from which a voxel counts as moving."""
 
 
-def _motion_of(scenario: Scenario) -> BodyMotion | None:
-    """Return the motion of a scenario's specimen, whose modules load only where one moves."""
-    if scenario.specimen.motion is None:
+def _motion_of(settings: ScanSettings) -> BodyMotion | None:
+    """Return the motion of a known specimen, whose modules load only where one moves."""
+    if settings.specimen is None or settings.specimen.motion is None:
         return None
     from twinct.specimen.body_motion import body_motion
 
-    return body_motion(scenario.specimen)
+    return body_motion(settings.specimen)
 
 
 def state_of_volume(scenario: Scenario) -> Breath:
@@ -57,17 +56,17 @@ def phase_of_truth(scenario: Scenario) -> str:
     return str(state_of_volume(scenario).phase) if scenario.specimen.motion else ""
 
 
-def views_that_count(scenario: Scenario, times_s: Floats) -> list[int] | None:
+def views_that_count(settings: ScanSettings, times_s: Floats) -> list[int] | None:
     """Return the views whose phase lies in ``reconstruction.motion.gate``; None for all.
 
     Args:
-        scenario: the scenario.
+        settings: settings of the scan.
         times_s: time of each view.
 
     Raises:
         InputError: there is none.
     """
-    known, motion = scenario.reconstruction.motion, _motion_of(scenario)
+    known, motion = settings.reconstruction.motion, _motion_of(settings)
     if known is None or known.gate is None or motion is None:
         return None
     from twinct.specimen.breathing import gated
@@ -87,36 +86,12 @@ def gated_scan(
 ) -> tuple[Scan, ScanGeometry, NDArray[np.bool_] | None]:
     """Return some views of a scan, of their poses, and of their good pixels."""
     of_views = pixels[views] if pixels is not None and pixels.ndim == 3 else pixels
-    return _part_of_scan(scan, views), poses[views], of_views
-
-
-def _part_of_scan(scan: Scan, views: list[int]) -> Scan:
-    """Return a scan of some views, without its derived geometries."""
-
-    def of(poses: PosePairs) -> PosePairs:
-        return PosePairs(
-            tuple(poses.source[v] for v in views), tuple(poses.detector[v] for v in views)
-        )
-
-    return replace(
-        scan,
-        transmission=scan.transmission[views],
-        commanded=of(scan.commanded),
-        executed=of(scan.executed),
-        executed_object=tuple(scan.executed_object[v] for v in views),
-        joints=scan.joints[views],
-        simulated_s=scan.simulated_s[views],
-        clearance_mm=scan.clearance_mm[views],
-        exposure=tuple(scan.exposure[v] for v in views) if scan.exposure else (),
-        derived={},
-        mas=None if scan.mas is None else scan.mas[views],
-        acquired=None,
-    )
+    return scan.of_views(views), poses[views], of_views
 
 
 def projector_of(scan: Scan, poses: ScanGeometry, grid: VolumeGrid) -> Projector:
     """Return the projector of a scan's views, which compensates the motion that is known."""
-    known, motion = scan.scenario.reconstruction.motion, _motion_of(scan.scenario)
+    known, motion = scan.settings.reconstruction.motion, _motion_of(scan.settings)
     if known is None or not known.compensate or motion is None:
         return Projector(poses, grid)
     from twinct.recon.moving import MovingProjector
@@ -125,9 +100,9 @@ def projector_of(scan: Scan, poses: ScanGeometry, grid: VolumeGrid) -> Projector
     return MovingProjector(poses, grid, states)
 
 
-def motion_bytes(scenario: Scenario, views: int) -> int:
+def motion_bytes(settings: ScanSettings, views: int) -> int:
     """Return the bytes that a compensated motion needs beside an algorithm; 0 without one."""
-    known, grid = scenario.reconstruction.motion, scenario.reconstruction.volume_grid
+    known, grid = settings.reconstruction.motion, settings.reconstruction.volume_grid
     if known is None or not known.compensate:
         return 0
     from twinct.recon.moving import moving_bytes

@@ -11,7 +11,8 @@ from twinct.recon.projector import Projector
 from twinct.recon.steps import Callback
 from twinct.scan import Scan
 from twinct.scan.integrals import line_integrals
-from twinct.scenario import Nmar, Scenario
+from twinct.scenario import Nmar
+from twinct.scenario.imported import ScanSettings, beam_of
 
 _KEY = "reconstruction.metal"
 
@@ -39,7 +40,7 @@ def metal_replaced(
     Raises:
         InputError: see ``without_metal``, with the key.
     """
-    mus = _attenuations(scan.scenario, section)
+    mus = _attenuations(scan.settings, section)
     try:
         return without_metal(
             A,
@@ -66,7 +67,7 @@ def _excess(
 
     Everything else counts as a path in tissue that hardens the beam before the metal does.
     """
-    source, detector = scan.scenario.source, scan.scenario.detector
+    source, detector = beam_of(scan.settings, _KEY), scan.settings.detector
     if source.spectrum is None:
         return True
     from twinct.specimen.materials import material
@@ -79,7 +80,7 @@ def _excess(
     longest = float(whole.max()) / tissue
     of_both = Hardening(*known, [metal, soft], energy, longest)
     of_soft = Hardening(*known, [soft], energy)
-    corrected = scan.scenario.reconstruction.beam_hardening is not None
+    corrected = scan.settings.reconstruction.beam_hardening is not None
 
     def excess(view: int, given: NDArray[np.float32]) -> NDArray[np.float32]:
         rest = given + (whole[view] - inner[view])
@@ -113,28 +114,28 @@ def doubts(metal: WithoutMetal) -> str | None:
     )
 
 
-def check_metal(scenario: Scenario) -> None:
+def check_metal(settings: ScanSettings) -> None:
     """Check the materials of the reduction before any work.
 
     Raises:
         InputError: unknown materials, each with its key, or attenuations that do not rise from
             tissue to metal.
     """
-    section = scenario.reconstruction.metal
+    section = settings.reconstruction.metal
     if not isinstance(section, Nmar):
         return
-    mus = _attenuations(scenario, section)
+    mus = _attenuations(settings, section)
     if not mus["tissue"] < mus["bone"] < mus["metal"]:
         text = ", ".join(f"{name} {mu:.3g}" for name, mu in mus.items())
         raise InputError(f"{_KEY}: attenuation must rise from tissue to metal; got {text} per mm")
 
 
-def _attenuations(scenario: Scenario, section: Nmar) -> dict[str, float]:
+def _attenuations(settings: ScanSettings, section: Nmar) -> dict[str, float]:
     """Return the attenuation of tissue, bone and metal at the detected mean energy, 1/mm."""
     from twinct.specimen.materials import material
     from twinct.xray.build import effective_energy_kev
 
-    energy = effective_energy_kev(scenario.source, scenario.detector)
+    energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
     attenuations: dict[str, float] = {}
     problems: list[str] = []
     for name in ("tissue", "bone", "metal"):

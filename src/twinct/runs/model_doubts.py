@@ -144,8 +144,7 @@ def leaves_much(rest: Unexplained) -> bool:
 
 def _photons(scan: Scan) -> NDArray[np.float64] | None:
     """Return the photons of a pixel; infinitely many if the images are simulated without noise."""
-    ideal = scan.scenario.detector.noise is None and not scan.scenario.specimen.unknown
-    return np.full(len(scan), np.inf) if ideal else scan.photons
+    return np.full(len(scan), np.inf) if scan.provenance.noiseless else scan.photons
 
 
 def _has_metal(x: NDArray[np.float32]) -> bool:
@@ -158,9 +157,8 @@ def _causes(
     scan: Scan, rest: Unexplained, course: Sequence[float], metal: bool, around: bool
 ) -> list[str]:
     """Return likely causes of a wrong model of the rays, the likeliest first."""
-    scenario = scan.scenario
-    section = scenario.reconstruction
-    hardens = scenario.source.spectrum is not None or scenario.specimen.unknown
+    section, source = scan.settings.reconstruction, scan.settings.source
+    hardens = source is None or source.spectrum is not None
     causes = {
         "wrong poses or a motion, since moved shadows explain much of it (twinct calibrate, "
         "reconstruction.motion)": rest.still < EXPLAINED_BY_POSES * rest.share,

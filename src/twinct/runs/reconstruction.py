@@ -13,14 +13,14 @@ from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import remove_folder, storage_errors
-from twinct.core.foreign_text import quoted
 from twinct.core.interruption import keeping
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
-from twinct.report import algorithm_results, cross_sections
+from twinct.report import algorithm_results
 from twinct.runs.checks import check_corrections
 from twinct.runs.folder import Folder, read_metrics, refuse_other_keys
-from twinct.runs.job import Run, finished_run, rewrite_report
+from twinct.runs.job import Run, finished_run, rewrite_report, scan_of
+from twinct.runs.judging import ByTruth, WithoutTruth, judge_of
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction_folder import (
     Reconstruction,
@@ -28,22 +28,18 @@ from twinct.runs.reconstruction_folder import (
     reconstruction_base,
     stored_reconstructions,
 )
-from twinct.runs.repeated_figures import repeats_asked
-from twinct.runs.repeats import Repeats
-from twinct.runs.reporting import judge
-from twinct.runs.truth import truth_of
+from twinct.runs.reporting import write_volumes
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import (
-    OWN,
-    RELATIVE,
     NamedGeometry,
     Scan,
     ScanStore,
-    SimulationBuilder,
     checked_name,
+    free_geometry_name,
     reported,
+    scenario_in,
 )
-from twinct.scenario import Scenario, stage_digests
+from twinct.scenario.imported import ScanSettings
 
 log = logging.getLogger(__name__)
 
@@ -58,7 +54,7 @@ def load_scan(path: str | Path) -> Scan:
     folder = Folder(Path(path))
     if (folder.path / "zarr.json").is_file():
         return ScanStore(folder.path).read()
-    return Run(_scenario_of(folder), folder).scan
+    return scan_of(folder, _settings_of(folder))
 
 
 def derive_geometry(
@@ -78,11 +74,8 @@ def derive_geometry(
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "uncertainty")
-    scenario = _scenario_of(folder, overrides)
-    if checked_name(name) in (taken := (*OWN, RELATIVE)):
-        raise InputError(
-            f"name {quoted(name)} is reserved: every scan already has {', '.join(taken)}"
-        )
+    scenario = scenario_in(_settings_of(folder, overrides))
+    free_geometry_name(name)
     with (
         sole_owner(folder.lock),
         audience_of(observers) as audience,
@@ -105,41 +98,51 @@ def reconstruct_run(
     *,
     geometry: str | None = None,
     name: str | None = None,
+    halves: bool = False,
     observers: Observers = (),
 ) -> Reconstruction:
-    """Add a reconstruction to a finished run, and update the run's figures and report.
+    """Add a reconstruction to a scan's folder, and update its figures and its report.
 
     An identical reconstruction is not computed again: the existing one is returned, and shown in
     the report if an interruption had prevented that.
 
     Args:
-        path: folder of a run.
-        overrides: changes ``reconstruction.KEY=VALUE`` to the run's scenario.
-        geometry: geometry to reconstruct from; None: the scenario's first.
+        path: folder of a finished run, or of an imported scan.
+        overrides: changes ``reconstruction.KEY=VALUE`` to the settings of the scan.
+        geometry: geometry to reconstruct from; None: the first that the settings name.
         name: name of the reconstruction; None: named after its algorithm and geometry.
+        halves: without a truth, also reconstruct the even and the odd views, for the noise; it
+            doubles the time.
         observers: notified of stages and iterations.
 
     Raises:
         InputError: a key of another section, an unknown geometry, settings that the algorithm
-            refuses, or too little memory; nothing is written in that case.
+            refuses, too little memory, or halves of a scan with a truth; nothing is written in that
+            case.
         ScanExistsError: the name is taken, or the same reconstruction has another name.
     """
     folder, overrides = Folder(Path(path)), tuple(overrides)
     refuse_other_keys(overrides, "reconstruction")
     if name is not None:
         checked_name(name)
-    finished_run(folder)
-    scenario = _scenario_of(folder, overrides)
-    which = geometry or scenario.reconstruction.geometries[0]
+    settings = _settings_of(folder, overrides)
+    has_truth = settings.specimen is not None
+    if has_truth:
+        finished_run(folder)
+        if halves:
+            raise InputError("--halves: only for a measured scan; this scan is simulated")
+    which = geometry or settings.reconstruction.geometries[0]
+    section = settings.reconstruction.model_copy(update={"geometry": which})
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         stack.enter_context(storage_errors(folder.path))
         stack.enter_context(sole_owner(folder.lock))
-        scan = Run(_with_geometry(scenario, which), folder).scan
+        scan = scan_of(folder, settings.model_copy(update={"reconstruction": section}))
         scan.poses(which)
         stored = stored_reconstructions(folder.reconstructions)
         of_geometry = scan.derived[which].digest if which in scan.derived else ""
-        digest = stage_digests(scan.scenario)["volume"] + of_geometry
+        digest = scan.provenance.volume_digest(ScanStore(folder.scan).digests["images"])
+        digest += of_geometry + ("halves" if halves else "")
         digest = hashlib.sha256(digest.encode()).hexdigest()
         if there := next((r for r in stored.values() if r.digest == digest), None):
             if name not in (None, there.name):
@@ -148,13 +151,16 @@ def reconstruct_run(
             if _is_reported(folder, there):
                 return there
         else:
-            base = reconstruction_base(scan.scenario, which)
-            name = free_name(name, base, folder.reconstructions)
+            name = free_name(name, reconstruction_base(scan, which), folder.reconstructions)
             stack.enter_context(logged_to(folder.log))
-            log.info("reconstruction %s: %s", name, scan.scenario.reconstruction.in_words)
-            there, volume = _made(scan, folder, which, (name, digest, of_geometry), audience)
+            log.info("reconstruction %s: %s", name, section.in_words)
+            judge = judge_of(scan, folder, audience, halves=halves)
+            there, volume = _made(scan, judge, folder, (name, digest, which, of_geometry), audience)
             there.keep(volume)
             remove_folder(folder.checkpoints)
+        if not has_truth:  # no volume of a run is judged again
+            write_volumes(folder, scan)
+            return there
     with keeping(lambda: f"{there.path} is kept; the same command completes the report"):
         rewrite_report(folder.path, observers)
     return there
@@ -183,47 +189,39 @@ def timed_volume(
 
 
 def _made(
-    scan: Scan, folder: Folder, which: str, called: tuple[str, str, str], audience: Audience
+    scan: Scan,
+    judge: ByTruth | WithoutTruth,
+    folder: Folder,
+    called: tuple[str, str, str, str],
+    audience: Audience,
 ) -> tuple[Reconstruction, Volume]:
-    scenario = scan.scenario
-    builder = SimulationBuilder(scenario, ScanStore(folder.scan).plan)
-    check_corrections(scenario)
-    require_feasible(scenario, scan.commanded.geometry(scenario.detector.panel))
+    settings, (name, digest, which, of_geometry) = scan.settings, called
+    check_corrections(settings)
+    require_feasible(settings, scan.provenance.first.geometry(settings.detector.panel))
     volume, residuals, seconds = timed_volume(scan, folder, which, audience)
-    truth = truth_of(scan, builder, audience, file=folder.truth)
-    grid = scenario.reconstruction.volume_grid
-    again = None
-    if repeats_asked(scenario):
-        again = Repeats(scan, builder, audience).of(which, volume.array)
-    name, digest, of_geometry = called
     reconstruction = Reconstruction(
         name=name,
         digest=digest,
         geometry=which,
         geometry_digest=of_geometry,
-        in_words=scenario.reconstruction.in_words,
-        settings=scenario.reconstruction.model_dump(mode="json"),
-        figures=judge(scan, volume, truth, builder.specimen, again),
+        in_words=settings.reconstruction.in_words,
+        settings=settings.reconstruction.model_dump(mode="json"),
+        figures=judge.figures(volume, which),
         residuals=residuals,
         seconds=seconds,
-        slices=cross_sections(volume.array, truth.volume, truth.region, grid),
+        slices=judge.slices(volume),
         path=folder.reconstructions / name,
         results=algorithm_results(volume.extras),
     )
     return reconstruction, volume
 
 
-def _scenario_of(folder: Folder, overrides: tuple[str, ...] = ()) -> Scenario:
-    """Return the scenario that a run was made with, with some keys changed."""
+def _settings_of(folder: Folder, overrides: tuple[str, ...] = ()) -> ScanSettings:
+    """Return the settings that a scan was made with, with some keys changed."""
     if (why := no_file(folder.scenario)) and why != ABSENT:
         raise InputError(f"{folder.scenario} {why}")
     if why or not folder.scan.is_dir():
         raise InputError(
             f"{folder.path} is not a run folder; expected scenario.yaml and scan.zarr in it"
         )
-    return folder.scenario_of_run(overrides)
-
-
-def _with_geometry(scenario: Scenario, which: str) -> Scenario:
-    section = scenario.reconstruction.model_copy(update={"geometry": which})
-    return scenario.model_copy(update={"reconstruction": section})
+    return folder.settings_of_scan(overrides)

@@ -1,4 +1,4 @@
-"""Further reconstructions of a run: a folder each, with settings, figures and cross-sections."""
+"""Reconstructions of a scan: a folder each, with settings, figures and cross-sections."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ from twinct.core.files.writing import complete, write_json
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
 from twinct.report import CrossSection, plain, with_results
-from twinct.scan import checked_name
-from twinct.scenario import Scenario
+from twinct.runs.judgement import Judgement
+from twinct.scan import Scan, checked_name
+from twinct.scenario.imported import as_stated
 
 FORMAT = "twinct reconstruction 1"
-JUDGEMENT = "judgement.json"
-"""File of a measured scan's volume, in place of the reconstruction's own."""
+RECORD = "reconstruction.json"
+_JUDGEMENT = "judgement.json"
+"""File of a volume without a truth, as earlier versions wrote it."""
+_OF_JUDGEMENT = "twinct measured volume 1"
 _FILES = ("volume.nii", "sections.npz")
 """Files whose digests are stored; see ``check_files``."""
 _ARRAYS = ("reconstruction", "truth", "roi")
@@ -35,7 +38,7 @@ MOST_SECTION_BYTES = 2**30
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A further reconstruction of a run, stored beside the run's own volume.
+    """A reconstruction of a scan, stored beside the run's own volume, if it has one.
 
     Attributes:
         name: name of its folder.
@@ -44,7 +47,7 @@ class Reconstruction:
         geometry_digest: digest of the geometry; empty for the scan's own.
         in_words: algorithm and settings in one line.
         settings: the section ``reconstruction`` that made it, defaults included.
-        figures: image figures, relative to the truth.
+        figures: image figures relative to the truth or, without one, those that need none.
         residuals: residual of each iteration.
         seconds: duration of the reconstruction.
         slices: cross-sections, see ``twinct.report.cross_sections``.
@@ -58,7 +61,7 @@ class Reconstruction:
     geometry_digest: str
     in_words: str
     settings: Mapping[str, Any]
-    figures: ImageFigures
+    figures: VolumeFigures
     residuals: tuple[float, ...]
     seconds: float
     slices: Mapping[str, CrossSection]
@@ -69,6 +72,18 @@ class Reconstruction:
     def description(self) -> str:
         """Algorithm, settings and further results in one line."""
         return with_results(self.in_words, self.results)
+
+    def judged_in_words(self, material: str = "bone") -> str:
+        """Return name, settings and main figures in one line.
+
+        Args:
+            material: name of the material to which figures beside a truth are relative.
+        """
+        time = f"{self.seconds:.1f} s, " if isinstance(self.figures, Judgement) else ""
+        return (
+            f"{self.name}: {self.description}, {self.geometry} geometry; "
+            f"{time}{self.figures.in_words(material)}"
+        )
 
     @property
     def volume(self) -> Volume:
@@ -86,9 +101,10 @@ class Reconstruction:
             draft.mkdir()
             volume.write(draft / "volume.nii", f"twinct {self.digest[:32]}")
             arrays = {
-                f"{plane}.{name}": getattr(section, name)
+                f"{plane}.{name}": array
                 for plane, section in self.slices.items()
                 for name in _ARRAYS
+                if (array := getattr(section, name)) is not None
             }
             np.savez_compressed(draft / "sections.npz", **arrays)
             data = {"format": FORMAT, **_plain(self)}
@@ -97,13 +113,14 @@ class Reconstruction:
                 for plane, section in self.slices.items()
             }
             data["files"] = {name: file_digest(draft / name) for name in _FILES}
-            write_json(draft / "reconstruction.json", data)
+            write_json(draft / RECORD, data)
 
-    def write_figures(self, figures: ImageFigures) -> None:
-        """Replace the figures in the folder."""
-        file = self.path / "reconstruction.json"
-        data = read_json(file)
-        write_json(file, data | {"figures": plain(figures.as_dict())})
+    def with_figures(self, figures: VolumeFigures) -> Reconstruction:
+        """Replace the figures, also in the folder, and return the reconstruction with them."""
+        file = _record_of(self.path)
+        key = "figures" if file.name == RECORD else "judgement"
+        write_json(file, read_json(file) | {key: plain(figures.as_dict())})
+        return dataclasses.replace(self, figures=figures)
 
     @classmethod
     def read(cls, path: Path) -> Reconstruction:
@@ -113,40 +130,76 @@ class Reconstruction:
             InputError: the folder holds no reconstruction, or is damaged.
         """
         try:
-            data = read_json(path / "reconstruction.json")
+            data = read_json(_record_of(path))
+            if data.get("format") == _OF_JUDGEMENT:
+                data = _of_judgement(data)
             if data.pop("format") != FORMAT:
                 raise ValueError(f"not of the format {FORMAT!r}")
             data.pop("files", None)
             # Earlier versions stored these two keys at the top level instead of in ``found``.
             before = {key: data.pop(key) for key in ("implants", "passes") if key in data}
             results = data.pop("found", {key: value for key, value in before.items() if value})
-            if why := no_file(path / "sections.npz"):
-                raise ValueError(f"sections.npz {why}")
-            arrays = read_npz(path / "sections.npz", "sections.npz", MOST_SECTION_BYTES)
-            slices = {
-                plane: CrossSection(
-                    *(arrays[f"{plane}.{name}"] for name in _ARRAYS),
-                    extent_mm=tuple(extent),
-                    axes=tuple(axes),
-                    position=position,
-                )
-                for plane, (extent, axes, position) in data.pop("slices").items()
-            }
             figures = {
                 key: np.nan if value is None else value
                 for key, value in data.pop("figures").items()
             }
+            of = Judgement if "residual_by_view" in figures else ImageFigures
             residuals = tuple(data.pop("residuals"))
+            slices = _sections(path, data.pop("slices"))
             return cls(
                 **data,
-                results=results,
-                figures=ImageFigures.of(figures),
-                residuals=residuals,
                 slices=slices,
+                results=results,
+                figures=of.of(figures),
+                residuals=residuals,
                 path=path,
             )
         except (OSError, ValueError, TypeError, KeyError, InputError) as error:
             raise InputError(f"{path} is not a reconstruction of a run: {error}") from None
+
+
+VolumeFigures = ImageFigures | Judgement
+
+
+def _record_of(path: Path) -> Path:
+    """Return the file of everything but voxels and cross-sections."""
+    before = path / _JUDGEMENT
+    return before if before.is_file() else path / RECORD
+
+
+def _of_judgement(data: dict[str, Any]) -> dict[str, Any]:
+    """Return what an earlier version wrote of a volume without a truth, in today's form."""
+    kept = {key: data[key] for key in ("name", "in_words", "settings", "residuals", "seconds")}
+    return {
+        **kept,
+        "format": FORMAT,
+        "digest": "",
+        "geometry": as_stated(data["geometry"]),
+        "geometry_digest": "",
+        "slices": {},
+        "found": {},
+        "figures": data["judgement"],
+    }
+
+
+def _sections(path: Path, places: Mapping[str, Any]) -> dict[str, CrossSection]:
+    """Return the cross-sections of a folder, by name; an early volume without a truth has none."""
+    if not places:
+        return {}
+    if why := no_file(path / "sections.npz"):
+        raise ValueError(f"sections.npz {why}")
+    arrays = read_npz(path / "sections.npz", "sections.npz", MOST_SECTION_BYTES)
+    return {
+        plane: CrossSection(
+            arrays[f"{plane}.reconstruction"],
+            arrays.get(f"{plane}.truth"),
+            arrays[f"{plane}.roi"],
+            extent_mm=tuple(extent),
+            axes=tuple(axes),
+            position=position,
+        )
+        for plane, (extent, axes, position) in places.items()
+    }
 
 
 def check_files(path: Path) -> None:
@@ -155,11 +208,8 @@ def check_files(path: Path) -> None:
     Raises:
         InputError: the folder cannot be read, or a file differs from its digest.
     """
-    if (path / JUDGEMENT).is_file():
-        data = read_json(path / JUDGEMENT)
-    else:
-        Reconstruction.read(path)
-        data = read_json(path / "reconstruction.json")
+    Reconstruction.read(path)
+    data = read_json(_record_of(path))
     for name, digest in data.get("files", {}).items():
         if not (path / name).is_file() or file_digest(path / name) != digest:
             raise InputError(f"{path / name} differs from the file written for {path.name}")
@@ -180,10 +230,10 @@ def free_name(requested: str | None, base: str, folder: Path, what: str = "recon
     return next(name for name in names if not (folder / name).exists())
 
 
-def reconstruction_base(scenario: Scenario, which: str) -> str:
+def reconstruction_base(scan: Scan, which: str) -> str:
     """Return the name of a reconstruction after its algorithm and geometry."""
-    algorithm = scenario.reconstruction.algorithm
-    return algorithm if which == "believed" else f"{algorithm}-{which}"
+    algorithm = scan.settings.reconstruction.algorithm
+    return algorithm if which == scan.reported.name else f"{algorithm}-{which}"
 
 
 def file_digest(path: Path) -> str:

@@ -24,7 +24,8 @@ from twinct.evaluation import (
     whole,
 )
 from twinct.geometry import Pose, VolumeGrid
-from twinct.scenario import Evaluation, Scenario
+from twinct.scenario import Evaluation
+from twinct.scenario.imported import ScanSettings
 from twinct.specimen import BuiltSpecimen
 from twinct.specimen.voxels import volume_fractions
 
@@ -34,14 +35,14 @@ class Places:
     """Voxels of the regions and parts of a scenario.
 
     Attributes:
-        scenario: scenario that names the regions.
-        specimen: the built specimen with its parts.
-        world_from_specimen: pose of the specimen.
+        scenario: settings that name the regions.
+        specimen: the built specimen with its parts; None if it is not known.
+        world_from_specimen: pose of the specimen, in whose frame regions are.
         grid: grid of the voxels.
     """
 
-    scenario: Scenario
-    specimen: BuiltSpecimen
+    scenario: ScanSettings
+    specimen: BuiltSpecimen | None
     world_from_specimen: Pose
     grid: VolumeGrid
 
@@ -68,7 +69,7 @@ class Places:
 
     def part(self, name: str) -> Voxels:
         """Return all voxels that a part fills, even partly, or that a label fills by half."""
-        part = self.specimen.named(name, "evaluation")
+        part = self._built.named(name, "evaluation")
         if label := part.label_of(name):
             return whole(part.label_on(label, self.grid, self.world_from_specimen))
         mesh = part.mesh
@@ -81,11 +82,18 @@ class Places:
         grid = self.grid.part(box)
         return Voxels(box, volume_fractions(mesh.vertices, mesh.faces, grid, place) > 0)
 
+    @property
+    def _built(self) -> BuiltSpecimen:
+        if self.specimen is None:
+            raise ValueError("settings without a specimen name no part: they were checked")
+        return self.specimen
+
     def body(self, name: str) -> RoundBody:
         """Return a region or a part that is a sphere or a cylinder, in the world."""
+        parts = self.scenario.specimen.parts if self.scenario.specimen else ()
         named = [
             *((one.name, one.specimen_from_region, one.shape) for one in self.section.regions),
-            *((p.label, p.specimen_from_part, p.shape) for p in self.scenario.specimen.parts),
+            *((part.label, part.specimen_from_part, part.shape) for part in parts),
         ]
         for label, place, shape in named:
             if label == name and isinstance(shape, scenario.Sphere | scenario.Cylinder):
@@ -120,7 +128,7 @@ class Places:
         for key, name, target in self.section.references():
             if target == "part":
                 try:
-                    self.specimen.named(name, f"evaluation.{key}")
+                    self._built.named(name, f"evaluation.{key}")
                 except SpecimenError as error:
                     problems += error.problems
         return problems
@@ -139,8 +147,8 @@ class Places:
 
         Args:
             volume: attenuation on the grid, (z, y, x), 1/mm.
-            truth: true attenuation on the grid, (z, y, x), 1/mm.
-            mu_reference: attenuation to which figures are relative, 1/mm.
+            truth: true attenuation on the grid, (z, y, x), 1/mm; None if it is not known.
+            mu_reference: attenuation to which figures are relative, 1/mm; NaN without a truth.
             signal_rel: contrast of the volume, relative to the truth's; NaN if it is unknown.
             mu_water: attenuation of water, 1/mm; NaN if it is unknown.
             again: takes the scan of the volume again, for figures that need it.
@@ -152,4 +160,5 @@ class Places:
             kind.name: {one.label: kind.measured(at, one) for one in entries}
             for kind in figure_kinds().values()
             if (entries := self.section.entries(kind.name))
+            if truth is not None or not kind.needs_truth
         }

@@ -39,11 +39,6 @@ def check_repeats(scenario: Scenario) -> None:
     """
     problems: list[str] = []
     for key in repeats_asked(scenario):
-        if scenario.specimen.unknown:
-            problems.append(
-                f"evaluation.{key}: a measured scan cannot be taken again with other noise, and "
-                "halves of its views have streaks of their own: it has no detectability"
-            )
         if scenario.specimen.motion:
             problems.append(
                 f"evaluation.{key}: a signal in a patient who breathes is not simulated"

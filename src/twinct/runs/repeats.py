@@ -84,7 +84,7 @@ class Repeats:
 
         scenario, specimen = self.scan.scenario, self.builder.specimen
         mu = specimen.reference_mu(effective_energy_kev(scenario.source, scenario.detector))
-        inserts = Inserts(signal, self.scan.stands.inverse().apply(centres_mm), mu)
+        inserts = Inserts(signal, self.scan.simulated.stands.inverse().apply(centres_mm), mu)
         with (
             self.audience.stage("images with the signal", len(self.scan)) as step,
             self.builder.imager() as imager,
@@ -114,8 +114,8 @@ class Repeats:
 
     def _exposures(self) -> Iterator[tuple[int, PosePairs, PosePairs | None]]:
         """Yield each view with the poses of its exposure, and those before it if they lag."""
-        scan, lags = self.scan, self.scan.scenario.detector.lag > 0
-        executed = replace(scan.executed, object=scan.executed_object)
-        for view in range(len(scan)):
-            path = scan.exposure[view] if scan.exposure else executed[view : view + 1]
+        taken, lags = self.scan.simulated, self.scan.scenario.detector.lag > 0
+        executed = replace(taken.executed, object=taken.executed_object)
+        for view in range(len(self.scan)):
+            path = taken.exposure[view] if taken.exposure else executed[view : view + 1]
             yield view, path, executed[view - 1 : view] if lags and view else None

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.core.errors import DrawingError, MissingExtraError
 from twinct.core.files.private import temporary_folder
@@ -190,6 +191,45 @@ def write_results(
     write_json(folder.metrics, metrics)
 
 
+def write_volumes(folder: Folder, scan: Scan) -> None:
+    """Write report.html and metrics.json of a scan without a truth, hence without a run."""
+    volumes, panel = stored_reconstructions(folder.reconstructions), scan.settings.detector.panel
+    metrics = plain(
+        {
+            "views": len(scan),
+            "truth": None,
+            "reconstructions": {
+                one.name: {
+                    "in_words": one.description,
+                    "geometry": one.geometry,
+                    "digest": one.digest,
+                    "seconds": one.seconds,
+                    "judgement": one.figures.as_dict(),
+                }
+                for one in volumes.values()
+            },
+        }
+    )
+    data = ReportData(
+        scenario=scan.settings,
+        scenario_yaml=as_yaml(scan.settings),
+        metrics=metrics,
+        panel=panel,
+        stated=scan.believed,
+        projections=_shown(scan),
+        others=_others(volumes.values()),
+        predictions=stored_predictions(folder.predictions),
+    )
+    write_report(folder.report, data)
+    write_json(folder.metrics, metrics)
+
+
+def _shown(scan: Scan) -> list[tuple[int, NDArray[np.float32]]]:
+    """Return a few views and their images."""
+    views = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
+    return [(int(view), scan.transmission[view]) for view in views]
+
+
 def figures_of(scan: Scan, image: Mapping[str, ImageFigures]) -> dict[str, Any]:
     """Return the part of ``metrics.json`` that depends on a scan and its image figures only."""
     nothing = {stage: 0.0 for stage in STAGES}
@@ -207,7 +247,7 @@ def _of_scan(scan: Scan) -> dict[str, Any]:
         "pose_errors": pose_errors(scan.commanded, scan.executed),
         "clearance_mm": scan.clearance_mm,
         "simulated_seconds": float(scan.simulated_s[-1]),
-        "told_error": pose_errors(scan.commanded, scan.nominal).summary()
+        "told_error": pose_errors(scan.commanded, scan.simulated.nominal).summary()
         if scan.scenario.uncertainty.moves
         else {},
         "tool_speed_mm_s": tool_speeds(scan.executed, scan.simulated_s) if moved else {},
@@ -243,16 +283,21 @@ def _others(reconstructions: Iterable[Reconstruction]) -> list[Another]:
             f"{one.description}, {one.geometry} geometry",
             plain(one.figures.as_dict()),
             one.residuals,
-            one.slices,
+            one.slices or _without_truth(one.volume),
+            one.seconds,
         )
         for one in reconstructions
     ]
 
 
+def _without_truth(volume: Volume) -> dict[str, CrossSection]:
+    """Return cross-sections of a volume whose folder has none, as of an earlier version."""
+    return cross_sections(volume.array, None, np.ones(volume.shape, bool), volume.grid)
+
+
 def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> ReportData:
     """Return the content of a report; of the figures, only the residuals."""
     scenario, plan = builder.scenario, builder.plan
-    shown = np.unique(np.linspace(0, len(scan) - 1, _SHOWN_VIEWS).round().astype(int))
     return ReportData(
         scenario=scenario,
         scenario_yaml=as_yaml(scenario),
@@ -261,7 +306,7 @@ def _report_data(scan: Scan, builder: SimulationBuilder, results: Results) -> Re
         executed=scan.executed,
         panel=scenario.detector.panel,
         clearance_mm=scan.clearance_mm,
-        projections=[(int(view), scan.transmission[view]) for view in shown],
+        projections=_shown(scan),
         slices=results.slices,
         mu_reference=results.mu_reference,
         reference=builder.specimen.reference_name,

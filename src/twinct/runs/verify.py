@@ -50,7 +50,7 @@ def verify(path: str | Path) -> Verdict:
     if not of_all:
         try:
             scan = ScanStore(store)
-            _ = scan.scenario, scan.plan, scan.commanded
+            _ = scan.settings, scan.plan, scan.commanded
         except InputError as error:
             problems += (p if str(store) in p else f"{store}: {p}" for p in error.problems)
     if scan is not None:

@@ -15,7 +15,7 @@ from twinct.recon.volume import Volume
 from twinct.runs.folder import Folder, refuse_result
 from twinct.runs.reconstruction import load_scan
 from twinct.scan import ScanStore, SimulationBuilder
-from twinct.scenario import Scenario
+from twinct.scenario.imported import ScanSettings
 
 VolumeValues = Literal["attenuation", "hounsfield"]
 
@@ -72,7 +72,7 @@ def export_volume(
     folder = Folder(Path(path))
     file = _file_of(folder, volume)
     out = _free_path(folder, volume, to, out)
-    scenario = folder.scenario_of_run()
+    settings = folder.settings_of_scan()
     with audience_of(observers) as audience, audience.stage("export", 1) as step:
         exported = Volume.read(file)
         require_space(out.parent, exported.array.nbytes, "the export needs")
@@ -81,15 +81,15 @@ def export_volume(
         elif water:
             _check_water(water, exported, audience)
         else:
-            water = _water_of(folder, scenario, exported, needed=values == "hounsfield")
+            water = _water_of(folder, settings, exported, needed=values == "hounsfield")
         if water:
             exported = exported.in_hu(water.water_per_mm, water.air_per_mm)
         facts = VolumeFacts(
-            note=f"twinct, {scenario.name}, {volume}, {water.in_words if water else '1/mm'}",
+            note=f"twinct, {settings.name}, {volume}, {water.in_words if water else '1/mm'}",
             unit="HU" if water else "1/mm",
-            scan=scenario.name,
+            scan=settings.name,
             scan_digest=ScanStore(folder.scan).digests["images"],
-            kvp=_kvp(scenario),
+            kvp=_kvp(settings),
         )
         out.parent.mkdir(parents=True, exist_ok=True)
         exported.write(out, to=to, facts=facts)
@@ -144,8 +144,10 @@ def _file_of(folder: Folder, volume: str) -> Path:
     return known[volume]
 
 
-def _water_of(folder: Folder, scenario: Scenario, volume: Volume, *, needed: bool) -> Water | None:
-    """Return water and air of a run's volume; None for a measured scan, where they are unknown.
+def _water_of(
+    folder: Folder, settings: ScanSettings, volume: Volume, *, needed: bool
+) -> Water | None:
+    """Return water and air of a volume; None if the object and its beam are not known.
 
     Raises:
         InputError: they are ``needed``, and unknown.
@@ -154,19 +156,20 @@ def _water_of(folder: Folder, scenario: Scenario, volume: Volume, *, needed: boo
     from twinct.specimen.materials import material
     from twinct.xray.build import effective_energy_kev
 
-    if scenario.specimen.unknown:
+    if settings.specimen is None or settings.source is None:
         if needed:
             raise InputError(
                 "--values hounsfield: the attenuation of water in a measured scan is unknown; "
                 "state --water and --air in 1/mm, as regions of the volume have them"
             )
         return None
-    energy = effective_energy_kev(scenario.source, scenario.detector)
+    energy = effective_energy_kev(settings.source, settings.detector)
     attenuations = {"water": material("water").mu_per_mm(energy), "air": 0.0}
-    stated = scenario.evaluation.entries("hounsfield") if scenario.evaluation else ()
+    stated = settings.evaluation.entries("hounsfield") if settings.evaluation else ()
     regions = {name: getattr(one, name) for one in stated[:1] for name in attenuations}
     if any(regions.values()):
-        stands = load_scan(folder.path).stands
+        scan = load_scan(folder.path)
+        scenario, stands = scan.scenario, scan.stands
         places = Places(scenario, SimulationBuilder(scenario).specimen, stands, volume.grid)
         for name, region in regions.items():
             if region:
@@ -174,6 +177,6 @@ def _water_of(folder: Folder, scenario: Scenario, volume: Volume, *, needed: boo
     return Water(attenuations["water"], attenuations["air"])
 
 
-def _kvp(scenario: Scenario) -> float | None:
-    tube = scenario.source.spectrum
+def _kvp(settings: ScanSettings) -> float | None:
+    tube = settings.source.spectrum if settings.source else None
     return tube.kvp if isinstance(tube, sections.TubeSpectrum) else None

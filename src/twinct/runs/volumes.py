@@ -39,10 +39,8 @@ from twinct.scenario import (
     KnownImplants,
     Nmar,
     Reconstruction,
-    Scenario,
-    reconstructed_by,
-    stage_digests,
 )
+from twinct.scenario.imported import ScanSettings, reconstructed_by
 
 log = logging.getLogger(__name__)
 
@@ -93,8 +91,8 @@ def reconstruct(
     function = algorithm if callable(algorithm) else None
     name = _BARE if function else cast("str | None", algorithm)
     if name is not None or settings:
-        scan = replace(scan, scenario=reconstructed_by(scan.scenario, name, settings))
-    solver = algorithms()[scan.scenario.reconstruction.algorithm]
+        scan = scan.with_settings(reconstructed_by(scan.settings, name, settings))
+    solver = algorithms()[scan.settings.reconstruction.algorithm]
     if function:
         solver = Algorithm(_Bare, partial(_solved_by, function), volumes=1, masks=False)
     with audience_of(observers) as audience:
@@ -131,12 +129,12 @@ def _reconstruct(
     watch: Callable[[int, float], None] | None,
     audience: Audience,
 ) -> Volume:
-    scenario, section = scan.scenario, scan.scenario.reconstruction
+    stated, section = scan.settings, scan.settings.reconstruction
     which = "given" if isinstance(geometry, ScanGeometry) else geometry or section.geometries[0]
     pixels = _good_pixels(scan, algorithm, mask)
     poses = geometry if isinstance(geometry, ScanGeometry) else _poses(scan, which)
     _require_fit(scan, poses)
-    if (views := views_that_count(scenario, scan.middle_s)) is not None:
+    if (views := views_that_count(stated, scan.middle_s)) is not None:
         scan, poses, pixels = gated_scan(scan, poses, pixels, views)
     grid = section.volume_grid
     folder = checkpoints if algorithm.resumes else None
@@ -169,7 +167,7 @@ def _reconstruct(
             predicted_views=compared_views(len(A)),
             mask=pixels,
             x0=x0,
-            rng=view_rng(scenario.seed, "order of views", 0),
+            rng=view_rng(stated.seed, "order of views", 0),
         )
         name = _stage(algorithm, geometry, which)
         course = _Course(done, residuals, watch, (algorithm.name, which))
@@ -250,16 +248,16 @@ def _corrected(
     audience: Audience,
 ) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None, list[str]]:
     """Return the line integrals as the scenario corrects them, metal to put back, and warnings."""
-    scenario, section = scan.scenario, scan.scenario.reconstruction
+    stated, section = scan.settings, scan.settings.reconstruction
     integrals, warnings = scan.line_integrals(), list[str]()
     metal: WithoutMetal | WithoutImplants | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
-            known = scenario, section.metal, integrals, A, pixels
+            known = stated, section.metal, integrals, A, pixels
             metal = without_implants_of(*known, lambda _: tick())
         integrals = metal.line_integrals
     else:
-        integrals = hardening_corrected(scenario, integrals, A, pixels)
+        integrals = hardening_corrected(stated, integrals, A, pixels)
     whole = integrals
     if section.around is not None:
         integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
@@ -354,9 +352,9 @@ def _good_pixels(
     return mask & good if fits else mask  # other masks are refused by the algorithm
 
 
-def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
+def memory_needed(settings: ScanSettings, views: ScanGeometry) -> dict[str, int]:
     """Return the peak bytes of each stage of a reconstruction, with the run's other arrays."""
-    section = scenario.reconstruction
+    section = settings.reconstruction
     algorithm = algorithms()[section.algorithm]
     grid = section.volume_grid
     voxels, pixels = math.prod(grid.shape), len(views) * math.prod(views.panel.shape)
@@ -376,21 +374,21 @@ def memory_needed(scenario: Scenario, views: ScanGeometry) -> dict[str, int]:
     if isinstance(section.metal, KnownImplants):
         # Plus measured and corrected line integrals, and path lengths in the dense material.
         stages["implants"] = held + 12 * pixels + implant_bytes(voxels, pixels)
-    held += motion_bytes(scenario, len(views))
+    held += motion_bytes(settings, len(views))
     own = peak_bytes(algorithm, voxels, pixels, *algorithm.extra(section))
     stages[algorithm.name] = held + own
     return stages
 
 
-def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
+def require_feasible(settings: ScanSettings, commanded: ScanGeometry) -> None:
     """Raise before any work if the algorithm cannot reconstruct the scan, or memory is too small.
 
     Raises:
         InputError: an unknown engine, a grid behind a source, no circular scan for ``fdk``, or an
             unusable prior; or too little memory, with the needed and the available amount.
     """
-    check_engine(scenario)
-    section = scenario.reconstruction
+    check_engine(settings)
+    section = settings.reconstruction
     algorithm, grid = algorithms()[section.algorithm], section.volume_grid
     check_grid(commanded, grid)
     if around := section.around:
@@ -399,10 +397,10 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
         except InputError as error:
             key = "zoom" if section.surroundings is None else "surroundings"
             raise InputError(f"reconstruction.{key}: {one}" for one in error.problems) from None
-    if isinstance(metal := scenario.reconstruction.metal, KnownImplants):
-        check_implants(scenario, metal, commanded)
+    if isinstance(metal := section.metal, KnownImplants):
+        check_implants(settings, metal, commanded)
     algorithm.check(section, commanded, grid)
-    stages = memory_needed(scenario, commanded)
+    stages = memory_needed(settings, commanded)
     most = max(stages, key=lambda stage: stages[stage])
     refuse_if_short(
         stages[most],
@@ -414,7 +412,7 @@ def require_feasible(scenario: Scenario, commanded: ScanGeometry) -> None:
 
 def _digest(scan: Scan, poses: ScanGeometry, mask: NDArray[np.bool_] | None) -> str:
     """Return the SHA-256 of all inputs of a checkpoint, the projections included."""
-    digest = hashlib.sha256(stage_digests(scan.scenario)["volume"].encode())
+    digest = hashlib.sha256(scan.provenance.volume_digest("").encode())
     arrays = (poses.source, poses.detector, poses.u, poses.v, scan.transmission)
     for array in arrays if mask is None else (*arrays, mask):
         digest.update(repr((array.shape, array.dtype.str)).encode())

@@ -3,7 +3,7 @@
 from twinct.scan.acquire import Stopwatch, acquire
 from twinct.scan.builder import SimulationBuilder
 from twinct.scan.damage import frame_damage, unknown_files, view_damage
-from twinct.scan.data import Scan, View, reported
+from twinct.scan.data import Scan, View
 from twinct.scan.integrals import line_integrals
 from twinct.scan.layout import write_frame
 from twinct.scan.named_geometries import (
@@ -11,8 +11,10 @@ from twinct.scan.named_geometries import (
     RELATIVE,
     NamedGeometry,
     checked_name,
+    free_geometry_name,
     named_geometries,
 )
+from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, reported, scenario_in
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
 from twinct.scan.saving import save_scan
 from twinct.scan.store import Readings, ScanStore, check_space
@@ -21,11 +23,15 @@ __all__ = [
     "RigFactory",
     "OWN",
     "RELATIVE",
+    "Imported",
     "LocalRig",
     "NamedGeometry",
+    "Provenance",
     "Readings",
+    "Recorded",
     "Rig",
     "Scan",
+    "Simulated",
     "ScanStore",
     "Stopwatch",
     "View",
@@ -34,11 +40,13 @@ __all__ = [
     "check_space",
     "checked_name",
     "frame_damage",
+    "free_geometry_name",
     "line_integrals",
     "local_rig",
     "named_geometries",
     "reported",
     "save_scan",
+    "scenario_in",
     "unknown_files",
     "view_damage",
     "write_frame",

@@ -64,18 +64,9 @@ class SimulationBuilder:
 
     @cached_property
     def specimen(self) -> BuiltSpecimen:
-        """Meshes, materials and ground truth of the specimen.
-
-        Raises:
-            InputError: the specimen is unknown.
-        """
+        """Meshes, materials and ground truth of the specimen."""
         if self.given_specimen:
             return self.given_specimen
-        if self.scenario.specimen.unknown:
-            raise InputError(
-                "specimen.unknown: a measured scan has no known specimen, so it cannot be "
-                "simulated and has no truth; 'twinct reconstruct' makes and judges its volumes"
-            )
         from twinct.specimen.known_names import require_known_names
 
         whole = self.scenario

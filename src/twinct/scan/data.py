@@ -1,12 +1,12 @@
-"""A scan: the images of all views, and the three geometries as separate data."""
+"""A scan: the images of all views, their geometries as separate data, and where they are from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,15 @@ from twinct.core.foreign_text import counted, quoted
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.recon.few_photons import integrals_of_photons
-from twinct.scan.encoder_model import nominal_poses, relative_to_specimen
 from twinct.scan.integrals import line_integrals
-from twinct.scan.named_geometries import OWN, RELATIVE, NamedGeometry, poses_digest
-from twinct.scenario import Scenario, Uncertainty
-from twinct.uncertainty import reported_poses
+from twinct.scan.named_geometries import NamedGeometry
+from twinct.scan.provenance import Acquired, Provenance, Simulated, simulated
+from twinct.scenario import Scenario
+from twinct.scenario.imported import ScanSettings
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
     from twinct.xray.chain import ViewImages
-    from twinct.xray.photons import FreePhotons
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,56 +51,25 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Acquired:
-    """Data of an acquisition that a store holds besides a scan's own fields.
-
-    Attributes:
-        reached: state of the robots in each view.
-        transmission: the scan's images; others in their place are not those of its scenario.
-        plan: plan that the arms followed, if any.
-    """
-
-    reached: tuple[Reached, ...]
-    transmission: NDArray[np.float32]
-    plan: MotionPlan | None
-
-
-@dataclass(frozen=True, eq=False)
 class Scan:
-    """All views of a scan.
+    """Projections of a scan, with the geometries that exist of it.
 
-    The images were rendered from ``executed``; the trajectory requested ``commanded``. Believed
-    poses are derived from a scan, by one or several methods, and are never part of the scan.
+    The provenance knows who took the images, with which settings and at which poses. The fields of
+    a simulation, such as ``executed`` or ``joints``, are read through the scan, too.
 
     Attributes:
-        scenario: the scanned scenario; its uncertainty section determines ``believed``.
+        provenance: where the images are from.
         transmission: I/I0, (views, rows, columns), float32.
-        executed_object: ``world_from_object`` of each view.
-        joint_names: source arm first.
-        joints: joint positions, (views, joints), rad.
-        simulated_s: simulated time at exposure, (views,).
-        clearance_mm: smallest gap on the way to each view, (views,).
-        exposure: instants of each view's exposure; empty for instantaneous exposures.
-        derived: other geometries of these views, by name.
+        derived: geometries derived from the scan, by name.
         bad_pixels: pixels replaced by their neighbours' mean, (rows, columns); None if none are.
         mas: tube load of each view, (views,), mAs; None if all have the scenario's ``source.mas``.
-        acquired: what ``save`` writes besides; None unless the scan is from ``from_views``.
     """
 
-    scenario: Scenario
+    provenance: Provenance
     transmission: NDArray[np.float32]
-    commanded: PosePairs
-    executed: PosePairs
-    executed_object: tuple[Pose, ...]
-    joint_names: tuple[str, ...]
-    joints: NDArray[np.float64]
-    simulated_s: NDArray[np.float64]
-    clearance_mm: NDArray[np.float64]
-    exposure: tuple[PosePairs, ...] = ()
     derived: Mapping[str, NamedGeometry] = field(default_factory=dict[str, NamedGeometry])
     bad_pixels: NDArray[np.bool_] | None = None
     mas: NDArray[np.float64] | None = None
-    acquired: Acquired | None = None
 
     def __post_init__(self) -> None:
         """Check that all derived geometries belong to this scan.
@@ -109,60 +77,117 @@ class Scan:
         Raises:
             InputError: a geometry does not; it is named.
         """
-        own = {"views": len(self), "executed": poses_digest(self.executed)} if self.derived else {}
-        for name, poses in self.derived.items():
-            its = {"views": len(poses.poses), "executed": poses.made_by.get("executed")}
-            if its["views"] != own["views"] or its["executed"] not in (None, own["executed"]):
+        if not self.derived:
+            return
+        ((which, own),) = self.provenance.made_for.items()
+        for name, geometry in self.derived.items():
+            views = len(geometry.poses)
+            # Earlier versions called the stated poses of an imported scan executed.
+            its = geometry.made_by.get(which, geometry.made_by.get("executed"))
+            if views != len(self) or its not in (None, own):
                 raise InputError(
-                    f"geometry {quoted(name)} was derived from another scan: it has "
-                    f"{its['views']} views "
-                    f"made for executed poses {str(its['executed'])[:12]}; this scan has "
-                    f"{own['views']} views and executed poses {str(own['executed'])[:12]}"
+                    f"geometry {quoted(name)} was derived from another scan: it has {views} views "
+                    f"made for {which} poses {str(its)[:12]}; this scan has {len(self)} views and "
+                    f"{which} poses {own[:12]}"
                 )
 
-    @cached_property
-    def believed(self) -> PosePairs:
-        """Poses that the robots report, given the scenario's uncertainty."""
-        return _with_noise(self.nominal, self.scenario)
-
-    @cached_property
-    def reported(self) -> NamedGeometry:
-        """Believed poses, with their model and settings."""
-        return NamedGeometry("believed", self.believed, _made_by(self.scenario, self.executed))
-
-    @cached_property
-    def nominal(self) -> PosePairs:
-        """Source and panel poses that the controllers compute from encoders and nominal model.
-
-        Equal to ``executed`` if the controllers' model has no errors.
-        """
-        return nominal_poses(self.scenario, self.commanded, self.executed, self.joints)
+    @property
+    def settings(self) -> ScanSettings:
+        """Settings of beam, panel and reconstruction, as far as they are known."""
+        return self.provenance.settings
 
     @property
-    def stands(self) -> Pose:
-        """``world_from_object`` of the ground truth, where a moving specimen starts."""
-        if any(self.scenario.uncertainty.patient.sizes):
-            return self.scenario.specimen.world_from_specimen
-        return self.executed_object[len(self) // 2]  # all views agree, except for rounding
+    def simulated(self) -> Simulated:
+        """The simulation or recording that a scenario describes.
 
-    @cached_property
-    def relative(self) -> PosePairs:
-        """Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
-        if not any(self.scenario.uncertainty.patient.sizes):
-            return self.executed
-        return relative_to_specimen(self.stands, self.executed_object, self.executed)
+        Raises:
+            InputError: the scan was imported.
+        """
+        return simulated(self.provenance)
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scanned scenario; an imported scan has none."""
+        return self.simulated.scenario
+
+    @property
+    def commanded(self) -> PosePairs:
+        """Poses that the trajectory requested; an imported scan has none."""
+        return self.simulated.commanded
+
+    @property
+    def executed(self) -> PosePairs:
+        """Poses at exposure; an imported scan has none."""
+        return self.simulated.executed
+
+    @property
+    def joints(self) -> NDArray[np.float64]:
+        """Joint positions, (views, joints), rad; an imported scan has none."""
+        return self.simulated.joints
+
+    @property
+    def simulated_s(self) -> NDArray[np.float64]:
+        """Simulated time at exposure, (views,); an imported scan has none."""
+        return self.simulated.simulated_s
+
+    @property
+    def clearance_mm(self) -> NDArray[np.float64]:
+        """Smallest gap on the way to each view, (views,); an imported scan has none."""
+        return self.simulated.clearance_mm
 
     @property
     def middle_s(self) -> NDArray[np.float64]:
-        """Simulated time of each view at the middle of its exposure, (views,), to a time step."""
-        source, arms = self.scenario.source, self.scenario.cell.kind == "arms"
-        late = source.exposure_ms / 2000 if arms and source.motion_samples > 1 else 0.0
-        return self.simulated_s - late
+        """Time of each view at the middle of its exposure, (views,), s; empty if not known."""
+        return self.provenance.middle_s
+
+    @property
+    def stands(self) -> Pose:
+        """``world_from_object`` of the ground truth; an imported scan has none."""
+        return self.simulated.stands
+
+    @property
+    def reported(self) -> NamedGeometry:
+        """Geometry that the machine reports: the believed or, of an imported scan, stated one."""
+        return self.provenance.reported
+
+    @property
+    def believed(self) -> PosePairs:
+        """Poses that the machine reports."""
+        return self.reported.poses
+
+    @property
+    def relative(self) -> PosePairs:
+        """Poses at which the images were taken, relative to the object, as far as known."""
+        return self.provenance.taken
+
+    @property
+    def geometries(self) -> tuple[str, ...]:
+        """Names of all geometries of the scan."""
+        return tuple(dict.fromkeys((*self.provenance.own, *self.derived)))
 
     @property
     def exposures_rel(self) -> NDArray[np.float64] | None:
         """Tube load of each view, relative to ``source.mas``, (views,); None if all are 1."""
         return None if self.mas is None else self.mas / self.scenario.source.mas
+
+    def with_settings(self, settings: ScanSettings) -> Scan:
+        """Return the scan with other settings, such as of its reconstruction.
+
+        Raises:
+            TypeError: a simulated scan needs a scenario, an imported one has none.
+        """
+        return replace(self, provenance=self.provenance.with_settings(settings))
+
+    def of_views(self, views: Sequence[int]) -> Scan:
+        """Return the scan of some views, without derived geometries."""
+        chosen = list(views)
+        return replace(
+            self,
+            provenance=self.provenance.of_views(chosen),
+            transmission=self.transmission[chosen],
+            derived={},
+            mas=None if self.mas is None else self.mas[chosen],
+        )
 
     @classmethod
     def from_views(
@@ -177,9 +202,8 @@ class Scan:
         """Build from the transmissions and states of views that were acquired one by one."""
         executed = PosePairs.joined(r.executed for r in reached)
         transmission = np.stack(images)
-        return cls(
+        provenance = Simulated(
             scenario=scenario,
-            transmission=transmission,
             commanded=commanded,
             executed=PosePairs(executed.source, executed.detector),
             executed_object=executed.object,
@@ -188,10 +212,9 @@ class Scan:
             simulated_s=np.array([r.time_s for r in reached]),
             clearance_mm=np.array([r.clearance_mm for r in reached]),
             exposure=tuple(r.exposure for r in reached) if reached[0].exposure else (),
-            bad_pixels=bad_pixels_of(scenario),
-            mas=mas,
             acquired=Acquired(tuple(reached), transmission, plan),
         )
+        return cls(provenance, transmission, bad_pixels=bad_pixels_of(scenario), mas=mas)
 
     def save(self, path: str | Path) -> None:
         """Write the scan as a store, as a run does; ``load_scan`` reads it.
@@ -221,37 +244,41 @@ class Scan:
         """Return a one-line summary without arrays and poses."""
         rows, columns = self.transmission.shape[1:]
         size = f"{counted(len(self), 'view')}, {columns} x {rows} px"
-        return f"Scan({quoted(self.scenario.name)}, {size})"
+        return f"Scan({quoted(self.settings.name)}, {size})"
 
     def poses(self, which: str) -> PosePairs:
-        """Return the poses of ``commanded``, ``executed``, ``believed`` or a derived geometry.
+        """Return the poses of a geometry by its name, one of ``geometries``.
 
-        Also of ``relative``: executed poses relative to the specimen.
+        Those of a simulated scan also have ``relative``: executed poses relative to the specimen.
 
         Raises:
             InputError: no geometry has this name.
         """
-        if which in (*OWN, RELATIVE):
-            return cast(PosePairs, getattr(self, which))
+        if (own := self.provenance.poses(which)) is not None:
+            return own
         if which not in self.derived:
-            known = ", ".join(dict.fromkeys((*OWN, *self.derived)))
+            known = ", ".join(self.geometries)
             raise InputError(f"unknown geometry {quoted(which)}; choose from {known}")
         return self.derived[which].poses
 
-    def geometry(self, which: str = "believed") -> ScanGeometry:
-        """Return the geometry of a set of poses with the scenario's panel; see ``poses``.
+    def geometry(self, which: str | None = None) -> ScanGeometry:
+        """Return the geometry of a set of poses with the scan's panel.
+
+        Args:
+            which: name of the geometry; None: the one that the machine reports.
 
         Raises:
             InputError: there is no geometry of this name, or its poses form none.
         """
-        return self.poses(which).geometry(self.scenario.detector.panel)
+        poses = self.poses(which or self.reported.name)
+        return poses.geometry(self.settings.detector.panel)
 
     def line_integrals(self) -> NDArray[np.float32]:
         """Return -ln(I/I0) of all images, (views, rows, columns), float32.
 
         If the scenario states the noise, few photons do not bias it (``integrals_of_photons``).
         """
-        if (photons := self._photons) is None:
+        if (photons := self.provenance.free_photons) is None:
             return line_integrals(self.transmission)
         return integrals_of_photons(self.transmission, photons.single * self._loads)
 
@@ -261,29 +288,19 @@ class Scan:
 
         It is the number of equal photons that has the noise of many pixels together.
         """
-        return None if self._photons is None else self._photons.number * self._loads
+        photons = self.provenance.free_photons
+        return None if photons is None else photons.number * self._loads
 
     @property
     def _loads(self) -> NDArray[np.float64]:
         return np.ones(len(self)) if self.exposures_rel is None else self.exposures_rel
 
-    @cached_property
-    def _photons(self) -> FreePhotons | None:
-        from twinct.xray.photons import free_photons  # loads the X-ray chain
-
-        detector = self.scenario.detector
-        if detector.noise is None or self.scenario.specimen.unknown:
-            return None
-        return free_photons(
-            self.scenario.source, detector, self.commanded.geometry(detector.panel)[:1]
-        )
-
-    def to_xarray(self, which: str = "believed") -> Any:
+    def to_xarray(self, which: str | None = None) -> Any:
         """Return a labelled view of the scan, an ``xarray.Dataset`` that shares the images' memory.
 
-        Its variables are transmission (view, row, column), joints (view, joint), time and clearance
-        (view), and of one geometry source, detector, u and v (view, axis). Columns and rows are in
-        mm from the middle of the panel.
+        Its variables are transmission (view, row, column), and of one geometry source, detector, u
+        and v (view, axis); of a simulated scan also joints (view, joint), time and clearance
+        (view). Columns and rows are in mm from the middle of the panel.
 
         Args:
             which: name of the geometry, see ``poses``.
@@ -292,16 +309,14 @@ class Scan:
             InputError: xarray is not installed, or there is no geometry of this name.
         """
         xarray = optional("xarray", "Scan.to_xarray")
-        geometry, panel = self.geometry(which), self.scenario.detector.panel
+        geometry, panel = self.geometry(which), self.settings.detector.panel
         rows, columns = (np.arange(n) - (n - 1) / 2 for n in panel.shape)
         mm = {"units": "mm"}
         vectors = {"source": mm, "detector": mm, "u": {}, "v": {}}
         return xarray.Dataset(
             {
                 "transmission": (("view", "row", "column"), self.transmission),
-                "joints": (("view", "joint"), self.joints, {"units": "rad"}),
-                "simulated": ("view", self.simulated_s, {"units": "s"}),
-                "clearance": ("view", self.clearance_mm, mm),
+                **self.provenance.labelled(),
                 **{
                     name: (("view", "axis"), getattr(geometry, name), attributes)
                     for name, attributes in vectors.items()
@@ -312,9 +327,9 @@ class Scan:
                 "row": ("row", rows * panel.pitch_v, mm),
                 "column": ("column", columns * panel.pitch_u, mm),
                 "axis": list("xyz"),
-                "joint": np.array(self.joint_names, dtype=np.str_),
+                "joint": np.array(self.provenance.joint_names, dtype=np.str_),
             },
-            attrs={"scenario": self.scenario.name, "geometry": which},
+            attrs={"scenario": self.settings.name, "geometry": which or self.reported.name},
         )
 
     def show(self, path: str | Path | None = None, views: Sequence[int] | None = None) -> None:
@@ -334,7 +349,7 @@ class Scan:
             raise InputError(
                 f"views {chosen}: choose 1 to {MOST_SHOWN} of the views 0 to {len(self) - 1}"
             )
-        panel = self.scenario.detector.panel
+        panel = self.settings.detector.panel
         images = line_integrals(self.transmission[chosen])
         columns = min(4, len(chosen))
         rows = -(-len(chosen) // columns)
@@ -381,37 +396,3 @@ def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:
     from twinct.xray.build import build_bad_pixels
 
     return build_bad_pixels(scenario.detector, scenario.seed)
-
-
-def reported(
-    scenario: Scenario,
-    joints: NDArray[np.float64],
-    executed: PosePairs,
-    commanded: PosePairs,
-    name: str = "believed",
-) -> NamedGeometry:
-    """Return the poses that the robots report, given the scenario's uncertainty."""
-    nominal = nominal_poses(scenario, commanded, executed, joints)
-    return NamedGeometry(name, _with_noise(nominal, scenario), _made_by(scenario, executed))
-
-
-def _with_noise(nominal: PosePairs, scenario: Scenario) -> PosePairs:
-    return reported_poses(nominal, scenario.uncertainty, scenario.believed_seed)
-
-
-def _made_by(scenario: Scenario, executed: PosePairs) -> dict[str, Any]:
-    """Return the model and the settings behind the believed poses of executed ones."""
-    uncertainty = scenario.uncertainty
-    model = "nominal kinematics" if uncertainty.moves else "repeatability"
-    model = "calibrated kinematics" if uncertainty.calibration else model
-    made_by = {"model": model, **_noise_settings(uncertainty), "seed": scenario.believed_seed}
-    return made_by | {"executed": poses_digest(executed)}
-
-
-def _noise_settings(uncertainty: Uncertainty) -> dict[str, Any]:
-    """Return the settings behind the reported poses, without newer keys at their default."""
-    data = uncertainty.model_dump(mode="json", exclude_defaults=True)
-    for side in ("source", "detector"):
-        always = getattr(uncertainty, side).model_dump(include={"sigma_mm", "cutoff_mm"})
-        data[side] = always | data.get(side, {})
-    return data

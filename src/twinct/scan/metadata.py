@@ -10,6 +10,7 @@ import errno
 import json
 from collections.abc import Generator, Iterable
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from numpy.typing import DTypeLike
 
 from twinct.core.errors import InputError
 from twinct.core.files.plain_json import json_of
+from twinct.scenario.imported import STATED
 
 EXPOSURE = "executed/exposure"
 """Present if an exposure has several instants."""
@@ -34,8 +36,11 @@ _JOINTS = ("joints", "joint_velocity", "joint_torque")
 _ARRAYS = (
     *("status", "transmission", *FRAMES, BAD_PIXELS, MAS, EXPOSURE, *_OBJECT, *_JOINTS),
     *("state", "simulated_s", "clearance_mm"),
-    *(f"{which}/{name}" for which in ("commanded", "executed") for name in _POSES),
+    *(f"{which}/{name}" for which in ("commanded", "executed", STATED) for name in _POSES),
 )
+
+IMPORTED = 6
+"""First format of imported scans: their settings and stated poses, in place of a scenario."""
 
 NO_FILE_OF_IT = (errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG)
 """Errors for a path that holds no array; with thousands of dimensions its name is too long."""
@@ -72,20 +77,24 @@ def check_attributes(path: Path, data: Any) -> None:
     """
     wanted: dict[str, Any] = {"scenario": str, "joint_names": list}
     wanted |= {"digest": str} if data["format"] == 1 else {"digests": dict}
+    if data["format"] >= IMPORTED:
+        wanted = {"settings": str, "files": list}
     problems = [
         f"{path}/zarr.json: attributes.{key}: {_kind(data.get(key))}, expected {_NAMES[kind]}"
         for key, kind in wanted.items()
         if not isinstance(data.get(key), kind)
     ]
     if not problems:
-        texts: list[Any] = [*data["joint_names"], *(data.get("digests") or {}).values()]
+        lists = (data.get(key) or () for key in ("joint_names", "files", "recorded"))
+        texts: list[Any] = [*chain(*lists), *(data.get("digests") or {}).values()]
         if not all(isinstance(text, str) for text in texts):
             problems.append(f"{path}/zarr.json: attributes: names and digests must be strings")
+        key = next(iter(wanted))
         try:
-            if not isinstance(json_of(data["scenario"]), dict):
+            if not isinstance(json_of(data[key]), dict):
                 raise ValueError("it does not map keys to values")
         except ValueError as error:
-            problems.append(f"{path}/zarr.json: attributes.scenario: not a JSON mapping: {error}")
+            problems.append(f"{path}/zarr.json: attributes.{key}: not a JSON mapping: {error}")
     if problems:
         raise InputError(problems)
 
@@ -115,7 +124,7 @@ def check_arrays(path: Path, group: Any) -> None:
             f"{path}: statuses (views) or images (views, rows, columns) are missing, or have the "
             "wrong number of axes"
         )
-    views, joints = status.shape[0], len(group.attrs["joint_names"])
+    views, joints = status.shape[0], len(group.attrs.get("joint_names", ()))
     problems = [
         f"{path}/{name}: missing"
         if name not in arrays
@@ -145,7 +154,11 @@ def _expected(
     def like(name: str) -> tuple[int, ...]:
         return arrays[name].shape[1:] if name in arrays and len(arrays[name].shape) == 2 else (0,)
 
+    every: dict[str, tuple[tuple[int, ...], DTypeLike, bool]] = {"status": ((), np.uint8, True)}
     images = ("transmission", *(name for name in FRAMES if name in arrays))
+    every |= {name: (image.shape[1:], np.float32, True) for name in images}
+    if format_ >= IMPORTED:
+        return every | {f"{STATED}/{name}": ((n,), np.float64, False) for name, n in _POSES.items()}
     numbers: dict[str, tuple[int, ...]] = {f"executed/{k}": (n,) for k, n in _POSES.items()}
     numbers |= {name: (n,) for name, n in _OBJECT.items()} | {"state": like("state")}
     numbers |= {"joints": like("joints"), "simulated_s": (), "clearance_mm": ()}
@@ -154,8 +167,7 @@ def _expected(
     if EXPOSURE in arrays:
         numbers[EXPOSURE] = (*arrays[EXPOSURE].shape[1:2], 3, 7)
     return {
-        "status": ((), np.uint8, True),
-        **{name: (image.shape[1:], np.float32, True) for name in images},
+        **every,
         **{name: (shape, np.float64, True) for name, shape in numbers.items()},
         **{f"commanded/{name}": ((n,), np.float64, False) for name, n in _POSES.items()},
     }

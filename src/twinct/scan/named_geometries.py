@@ -19,9 +19,10 @@ from twinct.core.files.writing import storage_errors, write_text
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
+from twinct.scenario.imported import STATED
 
 OWN = ("commanded", "executed", "believed")
-"""Names of the geometries that every scan has."""
+"""Names of the geometries that every scan of a scenario has."""
 
 RELATIVE = "relative"
 """Executed poses relative to the specimen; equal to ``executed`` if it does not move."""
@@ -113,6 +114,20 @@ def checked_name(name: str) -> str:
         raise InputError(
             f"name {quoted(name)}: use at most 64 letters, digits, dots, hyphens and underscores, "
             "and begin with a letter or a digit"
+        )
+    return name
+
+
+def free_geometry_name(name: str) -> str:
+    """Check that a name can be that of a derived geometry, and return it.
+
+    Raises:
+        InputError: the name is not valid, or a scan comes with a geometry of this name.
+    """
+    if checked_name(name) in (*OWN, RELATIVE, STATED):
+        own = ", ".join((*OWN, RELATIVE))
+        raise InputError(
+            f"name {quoted(name)} is reserved: every scan already has {own}, or {STATED}"
         )
     return name
 

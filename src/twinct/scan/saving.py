@@ -30,7 +30,7 @@ def save_scan(scan: Scan, path: Path) -> None:
     """
     if path.exists():
         raise ScanExistsError(f"{path} exists already: choose another path")
-    acquired = _acquired(scan)
+    acquired, taken = _acquired(scan), scan.simulated
     check_space(path.parent, scan.scenario, len(scan))
     with storage_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def save_scan(scan: Scan, path: Path) -> None:
                 draft,
                 with_files_in(scan.scenario, path.parent / "inputs"),
                 scan.commanded,
-                scan.joint_names,
+                taken.joint_names,
                 len(acquired.reached[0].state),
                 acquired.plan,
                 None if scan.transmission is acquired.transmission else CHANGED,
@@ -52,7 +52,7 @@ def save_scan(scan: Scan, path: Path) -> None:
 
 def _acquired(scan: Scan) -> Acquired:
     """Return what was acquired, after checking that it makes a whole store."""
-    acquired = scan.acquired
+    acquired = scan.simulated.acquired
     if acquired is None:
         raise InputError(
             "this scan is not from simulate(), so that its joint speeds, torques and states of the "

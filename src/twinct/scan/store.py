@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import logging
+from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -24,28 +25,46 @@ from twinct.core.interruption import postponed
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.scan.damage import clear_paths, frame_damage, view_damage
-from twinct.scan.data import Scan, bad_pixels_of, reported
-from twinct.scan.layout import READABLE, WITH_MANIFEST, columns_of, image_digests, write_frame
+from twinct.scan.data import Scan, bad_pixels_of
+from twinct.scan.layout import (
+    READABLE,
+    WITH_MANIFEST,
+    columns_of,
+    image_digests,
+    write_frame,
+    write_imported_frame,
+)
 from twinct.scan.manifest import (
     FOLDER,
     FRAME_FILE,
     Damage,
     chunk_name,
     damaged,
+    digest_of,
+    read_row,
     view_of,
 )
 from twinct.scan.metadata import (
     BAD_PIXELS,
     EXPOSURE,
     FRAMES,
+    IMPORTED,
     MAS,
     check_arrays,
     check_attributes,
     readable,
 )
 from twinct.scan.named_geometries import NamedGeometry
+from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, scenario_in
 from twinct.scan.status import is_acquired, mark_acquired, status_file, views_taken
 from twinct.scenario import Scenario, parse_scenario
+from twinct.scenario.imported import (
+    STATED,
+    ImportedSettings,
+    ScanSettings,
+    is_imported,
+    load_imported,
+)
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
@@ -54,15 +73,14 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 
-def check_space(folder: Path, scenario: Scenario, views: int) -> None:
+def check_space(folder: Path, settings: ScanSettings, views: int) -> None:
     """Check that the disk can hold the scan and its volume.
 
     Raises:
         StorageError: space is short; the message states the bytes needed and free.
     """
-    grid = scenario.reconstruction.volume_grid
-    copies = 1 + len(scenario.detector.keep)
-    images = copies * views * scenario.detector.rows * scenario.detector.columns * 4
+    grid, detector = settings.reconstruction.volume_grid, settings.detector
+    images = (1 + len(detector.keep)) * views * detector.rows * detector.columns * 4
     volumes = 3 * int(np.prod(grid.shape)) * 4
     require_space(folder, images + volumes, "the scan and its volume need")
 
@@ -132,22 +150,41 @@ class ScanStore:
         plan: MotionPlan | None = None,
         digests: dict[str, str] | None = None,
         mas: NDArray[np.float64] | None = None,
+        recordings: tuple[str, ...] = (),
     ) -> ScanStore:
         """Create a store without views, which appears under its name only when it is complete.
 
         ``plan``: for arms that follow one. ``digests``: by default computed from this scenario and
-        its current files. ``mas``: tube load of each view, if it varies.
+        its current files. ``mas``: tube load of each view, if it varies. ``recordings``: files of
+        real arms, if they took the scan.
 
         Raises:
             ScanExistsError: the path already exists.
             StorageError: the store cannot be written.
         """
+        of_views = commanded, joint_names, state_size, plan, digests, mas, recordings
+        return cls._new(path, lambda draft: write_frame(draft, scenario, *of_views))
+
+    @classmethod
+    def create_imported(
+        cls, path: Path, provenance: Imported, bad_pixels: NDArray[np.bool_] | None
+    ) -> ScanStore:
+        """Create the store of an imported scan, without views.
+
+        Raises:
+            ScanExistsError: the path already exists.
+            StorageError: the store cannot be written.
+        """
+        return cls._new(path, lambda draft: write_imported_frame(draft, provenance, bad_pixels))
+
+    @classmethod
+    def _new(cls, path: Path, write: Callable[[Path], None]) -> ScanStore:
         if path.exists():
             raise ScanExistsError(f"{path} already holds a scan: choose another --out or --resume")
         with storage_errors(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             with complete(path) as draft:
-                write_frame(draft, scenario, commanded, joint_names, state_size, plan, digests, mas)
+                write(draft)
         return cls(path)
 
     @classmethod
@@ -245,19 +282,34 @@ class ScanStore:
         return values
 
     @property
-    def scenario(self) -> Scenario:
-        """Scenario of the scan."""
-        data = json_of(str(self._group.attrs["scenario"]))
-        if isinstance(data.get("motion"), dict) and not self._has("plan"):
-            # Stores without plans predate all other schemes.
-            data["motion"].setdefault("scheme", "reactive")
-        scenario = parse_scenario(data)
-        panel, image = scenario.detector.panel.shape, self._array("transmission").shape[1:]
+    def settings(self) -> ScanSettings:
+        """Scenario of the scan, or what is known of an imported one."""
+        settings = self._stated_settings()
+        panel, image = settings.detector.panel.shape, self._array("transmission").shape[1:]
         if panel != image:
             raise InputError(
                 f"{self.path}: its scenario has {panel} pixels, but its images have {image}"
             )
-        return scenario
+        return settings
+
+    def _stated_settings(self) -> ScanSettings:
+        attributes = self._group.attrs
+        data = json_of(str(attributes["settings" if self._format >= IMPORTED else "scenario"]))
+        if is_imported(data):
+            return load_imported(data)
+        if isinstance(data.get("motion"), dict) and not self._has("plan"):
+            # Stores without plans predate all other schemes.
+            data["motion"].setdefault("scheme", "reactive")
+        return parse_scenario(data)
+
+    @property
+    def scenario(self) -> Scenario:
+        """Scenario of the scan.
+
+        Raises:
+            InputError: the scan was imported.
+        """
+        return scenario_in(self.settings)
 
     @property
     def digests(self) -> dict[str, str]:
@@ -265,11 +317,19 @@ class ScanStore:
 
         Format 1 stored another digest, so this one is computed from the stored scenario and its
         current files; files changed since the scan go unnoticed. Format 2 also stored believed
-        poses and their digest.
+        poses and their digest. The digest of an imported scan is that of its stored images.
         """
+        if isinstance(settings := self._stated_settings(), ImportedSettings):
+            return {"images": self._digest_of_images()}
         if self._format == 1:
-            return image_digests(self.scenario)
+            assert isinstance(settings, Scenario)
+            return image_digests(settings)
         return cast("dict[str, str]", self._group.attrs["digests"])
+
+    def _digest_of_images(self) -> str:
+        rows = (read_row(self.path, view) for view in range(self.acquired))
+        files = (f"{f} {row[f]}" for row in rows for f in row if f.startswith("transmission/"))
+        return digest_of("\n".join(files).encode())
 
     @property
     def digest_0_1(self) -> str | None:
@@ -279,7 +339,7 @@ class ScanStore:
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, source arm first."""
-        return tuple(self._group.attrs["joint_names"])
+        return tuple(self._group.attrs.get("joint_names", ()))
 
     @property
     def plan(self) -> MotionPlan | None:
@@ -366,7 +426,7 @@ class ScanStore:
         self,
         index: int,
         transmission: NDArray[np.float32],
-        reached: Reached,
+        reached: Reached | None = None,
         frames: ViewImages | None = None,
     ) -> None:
         """Write one view to disk; it counts once its status is written.
@@ -374,7 +434,7 @@ class ScanStore:
         Args:
             index: index of the view.
             transmission: I/I0, (rows, columns).
-            reached: state of the robots.
+            reached: state of the robots; None for an imported scan, which knows none.
             frames: images behind the transmission, if ``detector.keep`` requests them.
 
         Raises:
@@ -382,7 +442,7 @@ class ScanStore:
             InputError: data of the view do not fit the shape of the store's arrays, whose metadata
                 must be damaged; nothing is written.
         """
-        columns = columns_of(reached)
+        columns = {} if reached is None else columns_of(reached)
         if self._format < 3:  # begun by an older twinct, which did not store them
             del columns["joint_velocity"], columns["joint_torque"]
         raw = {name: getattr(frames, name) for name in self.stored_frames}
@@ -412,24 +472,36 @@ class ScanStore:
                 f"{self.path} holds {self.acquired} of {self.views} views: "
                 "finish it with 'twinct run --resume'"
             )
-        panel = (scenario := self.scenario).detector.panel
-        commanded, executed = self.poses("commanded"), self.poses("executed")
+        provenance = self.provenance
+        panel = provenance.settings.detector.panel
         with readable(self.path, "poses"):
-            _ = commanded.geometry(panel), executed.geometry(panel)
-        exposure: Any = self._read(EXPOSURE).tolist() if self._has(EXPOSURE) else []
-        return Scan(
-            scenario=scenario,
-            transmission=self._read("transmission"),
-            commanded=commanded,
-            executed=executed,
-            executed_object=self._poses("executed/object", slice(self.views)),
+            for name in provenance.own:
+                if name != "believed" and (poses := provenance.poses(name)) is not None:
+                    _ = poses.geometry(panel)
+        images = self._read("transmission")
+        return Scan(provenance, images, bad_pixels=self.bad_pixels, mas=self.mas)
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who took the views on disk, at which poses, and with which settings."""
+        settings, views = self.settings, self.acquired
+        if isinstance(settings, ImportedSettings):
+            # Earlier versions stored the stated poses as executed ones of a gantry.
+            stated = STATED if self._format >= IMPORTED else "executed"
+            files = tuple(self._group.attrs.get("files", ()))
+            return Imported(settings, self._pairs(stated, views), files)
+        exposure: Any = self._read(EXPOSURE, slice(views)) if self._has(EXPOSURE) else np.zeros(0)
+        of_arms = Recorded if self._group.attrs.get("recorded") else Simulated
+        return of_arms(
+            scenario=scenario_in(settings),
+            commanded=self._pairs("commanded", views),
+            executed=self._pairs("executed", views),
+            executed_object=self._poses("executed/object", slice(views)),
             joint_names=self.joint_names,
-            joints=self._read("joints"),
-            simulated_s=self._read("simulated_s"),
-            clearance_mm=self._read("clearance_mm"),
-            exposure=tuple(map(PosePairs.from_sevens, exposure)),
-            bad_pixels=self.bad_pixels,
-            mas=self.mas,
+            joints=self._read("joints", slice(views)),
+            simulated_s=self._read("simulated_s", slice(views)),
+            clearance_mm=self._read("clearance_mm", slice(views)),
+            exposure=tuple(map(PosePairs.from_sevens, exposure.tolist())),
         )
 
     def readings(self, first: int, stop: int) -> Readings:
@@ -457,26 +529,21 @@ class ScanStore:
 
     @property
     def commanded(self) -> PosePairs:
-        """Commanded poses of all views, including those not yet acquired."""
-        pairs = (
-            self._poses(f"commanded/{body}", slice(self.views)) for body in ("source", "detector")
-        )
-        return PosePairs(*pairs)
+        """Commanded poses of all views, including those not yet acquired.
 
-    def poses(self, which: str) -> PosePairs:
-        """Return the ``commanded``, ``executed`` or ``believed`` poses of the views on disk."""
-        views = self.acquired
-        if which == "believed":
-            return self.reported.poses
-        pairs = (self._poses(f"{which}/{body}", slice(views)) for body in ("source", "detector"))
-        return PosePairs(*pairs)
+        Those of an imported scan are the stated ones.
+        """
+        names = ("commanded", STATED)
+        return self._pairs(next(name for name in names if self._has(name)), self.views)
 
     @property
     def reported(self) -> NamedGeometry:
-        """Believed poses of the views on disk, with the model and settings behind them."""
-        joints = self._read("joints", slice(self.acquired))
-        executed, commanded = self.poses("executed"), self.poses("commanded")
-        return reported(self.scenario, joints, executed, commanded)
+        """Geometry that the machine reports, of the views on disk."""
+        return self.provenance.reported
+
+    def _pairs(self, which: str, views: int) -> PosePairs:
+        sides = (self._poses(f"{which}/{body}", slice(views)) for body in ("source", "detector"))
+        return PosePairs(*sides)
 
     def _poses(self, name: str, views: slice) -> tuple[Pose, ...]:
         with readable(self.path, name):

@@ -28,7 +28,6 @@ from twinct.scenario.loading import (
     load_scenario,
     named_places,
     parse_scenario,
-    reconstructed_by,
     scenario_schema,
     write_scenario,
 )
@@ -221,7 +220,6 @@ __all__ = [
     "load_scenario",
     "named_places",
     "parse_scenario",
-    "reconstructed_by",
     "plan_digest",
     "scenario_names",
     "scenario_schema",

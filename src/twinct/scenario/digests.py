@@ -91,7 +91,7 @@ def stage_digests(scenario: Scenario) -> dict[StageName, str]:
     digests: dict[StageName, str] = {}
     for name, stage in STAGES.items():
         on = {base: digests[base] for base in stage.on if _stands_on(scenario, name, base)}
-        keys = _read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
+        keys = read_keys(scenario, "", frozenset(), partial(_reads, scenario, name), content)
         text = json.dumps(
             [name, _version(scenario, name), on, keys, _seed(scenario, name)], sort_keys=True
         )
@@ -159,7 +159,7 @@ def _version(scenario: Scenario, stage: StageName) -> int:
     """Return the version of a stage; it is the former one where the results are."""
     if stage == "volume" and scenario.reconstruction.algorithm in _BY_NOISE:
         return _SINCE_NOISE
-    if stage == "volume" and (_has_noise(scenario) or scenario.specimen.unknown):
+    if stage == "volume" and _has_noise(scenario):
         return _SINCE_PHOTONS
     return STAGES[stage].version
 
@@ -190,7 +190,7 @@ def _seed(scenario: Scenario, stage: StageName) -> int | tuple[int, int] | None:
     return None
 
 
-def _read_keys(
+def read_keys(
     section: Section,
     key: str,
     readers: frozenset[str],
@@ -210,11 +210,11 @@ def _read_keys(
         if name not in ("kind", "algorithm") and at_default:
             continue
         if sections := sections_in(value):
-            parts = [_read_keys(item, inner, stages, reads, content) for item in sections]
+            parts = [read_keys(item, inner, stages, reads, content) for item in sections]
             if reads(inner, stages) or any(parts):
                 data[name] = parts
         elif isinstance(value, Section):
-            part = _read_keys(value, inner, stages, reads, content)
+            part = read_keys(value, inner, stages, reads, content)
             if part or reads(inner, stages) and not isinstance(default_of(info), Section):
                 data[name] = part
         elif reads(inner, stages):

@@ -20,7 +20,6 @@ from twinct.core.files.plain_yaml import written
 from twinct.core.files.writing import write_text
 from twinct.core.foreign_text import shortened
 from twinct.core.settings import Section
-from twinct.recon.sections import SECTIONS, AnyReconstruction
 from twinct.scenario.messages import place, refusal
 from twinct.scenario.objects import with_paths
 from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
@@ -173,38 +172,6 @@ def parse_scenario(data: Mapping[str, Any]) -> Scenario:
     return _validate(drafted(data, extends=False))
 
 
-class _Reconstructed(Section):
-    """Only the section of a scenario that another reconstruction changes."""
-
-    reconstruction: AnyReconstruction
-
-
-def reconstructed_by(
-    scenario: Scenario, algorithm: str | None, settings: Mapping[str, Any]
-) -> Scenario:
-    """Return a scenario with another algorithm, or other keys of it; only they are validated.
-
-    Args:
-        scenario: valid scenario; its keys that the algorithm has, too, stay.
-        algorithm: name of the algorithm; None: the scenario's.
-        settings: keys of the section ``reconstruction``.
-
-    Raises:
-        ScenarioError: with one sentence for each problem.
-    """
-    section = scenario.reconstruction.model_dump(mode="json")
-    if algorithm is not None:
-        known = SECTIONS[algorithm].model_fields if algorithm in SECTIONS else section
-        section = {key: value for key, value in section.items() if key in known}
-        section["algorithm"] = algorithm
-    draft = drafted({"reconstruction": section | dict(settings)}, extends=False)
-    changed = _validated(draft, _Reconstructed).reconstruction
-    result = scenario.model_copy(update={"reconstruction": changed})
-    if conflicts := result.conflicts():
-        raise ScenarioError([conflict.message for conflict in conflicts])
-    return result
-
-
 def scenario_schema() -> dict[str, Any]:
     """Return the JSON Schema of the scenario file, for editors."""
     schema = Scenario.model_json_schema()
@@ -228,10 +195,15 @@ def _with_keys_left_out(part: dict[str, Any]) -> dict[str, Any]:
 
 
 def _validate(draft: Draft) -> Scenario:
-    return _validated(draft, Scenario)
+    return validated(draft, Scenario)
 
 
-def _validated(draft: Draft, model: type[ModelT]) -> ModelT:
+def validated(draft: Draft, model: type[ModelT]) -> ModelT:
+    """Validate a draft strictly.
+
+    Raises:
+        ScenarioError: with one sentence for each problem.
+    """
     try:
         text = json.dumps(draft.data, default=str)
     except (TypeError, ValueError, RecursionError) as error:  # plain data that came from no file

@@ -231,16 +231,17 @@ class Scenario(Section):
 
     def files(self) -> dict[str, Path]:
         """Return the files and folders that the scenario names in any section, by key."""
-        return dict(_files(self, ""))
+        return dict(files_in(self, ""))
 
 
-def _files(section: Section, key: str) -> Iterator[tuple[str, Path]]:
+def files_in(section: Section, key: str) -> Iterator[tuple[str, Path]]:
+    """Yield key and path of each file that a section names."""
     for name, info in type(section).model_fields.items():
         value, inner = getattr(section, name), f"{key}.{name}" if key else name
         for index, item in enumerate(sections_in(value)):
-            yield from _files(item, f"{inner}.{index}")
+            yield from files_in(item, f"{inner}.{index}")
         if isinstance(value, Section):
-            yield from _files(value, inner)
+            yield from files_in(value, inner)
         elif is_file(info) and value is not None:
             yield inner, Path(value)
 

@@ -1,7 +1,8 @@
-"""Scenarios in the results of version 0.1: one flat section for all algorithms.
+"""Scenarios in the results of earlier versions.
 
-The section held every key with its default, including ``engine`` and keys without effect. Nobody
-writes all of them by hand, so they identify such a scenario.
+Those of 0.1 have one flat section for all algorithms. It holds every key with its default,
+including ``engine`` and keys without effect. Nobody writes all of them by hand, so they identify
+such a scenario.
 """
 
 from __future__ import annotations
@@ -32,11 +33,17 @@ _ORDER = (
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
-    """Return a scenario of version 0.1 in today's keys, and any other scenario unchanged.
+    """Return a scenario of an earlier version in today's keys, and any other scenario unchanged.
 
-    Leave out settings that the algorithm did not use. Turn the engine ``rtk`` into the algorithm
-    ``rtk_sart``. Without ``nonnegative``, the algorithm's own default holds, as in version 0.1.
+    Version 1.0 said of each specimen that it is not unknown. For version 0.1, leave out settings
+    that the algorithm did not use, and turn the engine ``rtk`` into the algorithm ``rtk_sart``.
+    Without ``nonnegative``, the algorithm's own default holds, as in version 0.1.
     """
+    stated = data.get("specimen")
+    if isinstance(stated, dict):
+        specimen = cast("dict[str, Any]", stated)
+        if specimen.get("unknown") is False:
+            data = data | {"specimen": {k: v for k, v in specimen.items() if k != "unknown"}}
     section = data.get("reconstruction")
     if not isinstance(section, dict) or not section.keys() >= _ALL:
         return data

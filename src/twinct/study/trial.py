@@ -243,7 +243,7 @@ def _figures(
         with seconds.stage("scan"):
             _acquire(spec, builder, folder)
     scan = once("scan", spec.scan, lambda: ScanStore(path).read())
-    scan = replace(scan, scenario=scenario)
+    scan = scan.with_settings(scenario)
     with seconds.stage("truth"):
         truth = _truth(scan, specimen, cache)
     images: dict[str, ImageFigures] = {}

@@ -279,9 +279,9 @@ SECTIONS: Mapping[str, type[Reconstruction]] = _Sections()
 """Section of each algorithm, by name."""
 
 
-def default_reconstruction() -> Reconstruction:
-    """Return the reconstruction of a scenario that states none."""
-    return SECTIONS[DEFAULT_ALGORITHM].model_validate({})
+def default_reconstruction(**keys: Any) -> Reconstruction:
+    """Return the reconstruction of a scenario that states only these keys."""
+    return SECTIONS[DEFAULT_ALGORITHM].model_validate(keys)
 
 
 def _named(value: Any) -> str:

@@ -271,11 +271,6 @@ class Specimen(Section):
     parts: tuple[Part, ...] = setting(
         (), "Bodies, each of one material or of grey voxels; at least one."
     )
-    unknown: bool = setting(
-        False,
-        "True for a measured scan, without parts: nothing is simulated, and there is no truth.",
-        read_by="images",
-    )
     reference: str = setting(
         "",
         "Name of the part, or of the label of a grey part, to whose attenuation figures are "
@@ -298,12 +293,8 @@ class Specimen(Section):
     )
 
     @model_validator(mode="after")
-    def _parts_or_unknown(self) -> Specimen:
-        if self.unknown and self.parts:
-            message = "unknown: an unknown specimen has no parts, but there are {}"
-            message = message.format(len(self.parts))
-            raise ConflictError(Conflict(message, ("unknown", "parts")))
-        if not self.unknown and not self.parts:
+    def _some_parts(self) -> Specimen:
+        if not self.parts:
             raise ConflictError(Conflict("parts must have at least 1 entry", ("parts",)))
         return self
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ Singles = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Judgement:
-    """Figures of a volume that need no truth.
+    """Figures of a volume without a truth.
 
     Attributes:
         residual: root mean square of p - A x over the rays through the grid.
@@ -31,6 +33,7 @@ class Judgement:
             they were not made.
         consistency_rel: residual of each half of the views predicted by the volume of the other
             half, relative to p; NaN if these volumes were not made.
+        further: figures of kinds that need no truth, by name, nested as in ``metrics.json``.
     """
 
     residual: float
@@ -39,6 +42,35 @@ class Judgement:
     edge_width_mm: float
     noise_per_mm: float = math.nan
     consistency_rel: float = math.nan
+    further: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the figures by name."""
+        data = {name: value for name, value in vars(self).items() if name != "further"}
+        return data | dict(self.further)
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> Judgement:
+        """Restore figures from the output of ``as_dict``."""
+        own = {one.name for one in fields(cls)} - {"further"}
+        further = {name: value for name, value in data.items() if name not in own}
+        named = {name: value for name, value in data.items() if name in own}
+        named["residual_by_view"] = tuple(named["residual_by_view"])
+        return cls(**named, further=further)
+
+    def with_halves_of(self, before: Judgement) -> Judgement:
+        """Return the figures with those of halves that were made before."""
+        of_halves = {key: getattr(before, key) for key in ("noise_per_mm", "consistency_rel")}
+        return replace(self, **of_halves)
+
+    def in_words(self, _: str) -> str:
+        """Return the main figures in words; they are relative to no material."""
+        words = f"residual {100 * self.residual_rel:.2f} %, edges {self.edge_width_mm:.3f} mm wide"
+        if math.isfinite(self.noise_per_mm):
+            words += f", noise {self.noise_per_mm:.5f}/mm"
+        if math.isfinite(self.consistency_rel):
+            words += f", consistency {100 * self.consistency_rel:.2f} %"
+        return words
 
 
 def judge_volume(
@@ -99,8 +131,9 @@ MOST_FOR_THRESHOLD = 10**6
 
 
 def _edge_width(volume: Volume, region: Bools) -> float:
-    from skimage.filters import threshold_otsu
+    from skimage import filters
 
+    threshold_otsu: Any = getattr(filters, "threshold_otsu")  # noqa: B009 - typed in part only
     values = volume.array[region]
     if not values.size or np.ptp(values) == 0:
         return math.nan
