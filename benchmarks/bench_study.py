@@ -29,7 +29,10 @@ from twinct.study.estimate import bytes_below  # noqa: E402
 from twinct.study.folder import StudyFolder  # noqa: E402
 from twinct.study.rows import Rows  # noqa: E402
 from twinct.study.trial import take_scan, try_trial  # noqa: E402
-from twinct.workers import LocalPool  # noqa: E402 - threads are bounded before anything is loaded
+from twinct.workers import (  # noqa: E402 - threads are bounded before anything is loaded
+    LocalPool,
+    Place,
+)
 
 ROOT = Path(__file__).parents[1]
 SMALL = {
@@ -62,20 +65,10 @@ class Bench:
         return Driver(self.design, self.folder, self.rows, pool, lambda _: None, len(self.trials))
 
 
-class Here:
-    """A place in this process."""
-
-    threads = 1
-
-    def __init__(self, folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.offered, self.attached = folder, {}, {}
-
-    def fetch(self, name):
-        return self.offered[name]
-
-    def attach(self, name, path):
-        self.attached[name] = path
+def here_at(folder):
+    """Return a place of work in this process, to which nothing is offered."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return Place(folder, 1, {}.__getitem__)
 
 
 @contextmanager
@@ -107,7 +100,7 @@ def call_all(specs, place):
 def overhead(kind, folder, number):
     """Seconds that a study takes for each trial beyond the bare call."""
     bench = Bench(seeds(number + 2, "circle_gantry.yaml", **SMALL), folder / "study")
-    here = Here(folder / "here")
+    here = here_at(folder / "here")
     blocks = [bench.trials[2:][i : i + 10] for i in range(0, number, 10)]
     differences = []
     with pool_of(kind, 1, folder / "work") as pool:
@@ -164,7 +157,7 @@ def sharing(kind, folder, number):
     }
     ratios = []
     for turn in range(2):
-        bench, here = Bench(told, folder / f"study{turn}"), Here(folder / f"here{turn}")
+        bench, here = Bench(told, folder / f"study{turn}"), here_at(folder / f"here{turn}")
         with pool_of(kind, 1, folder / f"work{turn}") as pool:
             warm = Bench(seeds(1, "circle_gantry.yaml", **SMALL), folder / f"warm{turn}")
             warm.on(pool).run(warm.trials)
@@ -194,7 +187,7 @@ def plans(kind, folder, number):
     bench = Bench(told, folder / "study")
     driver = bench.on(None)
     specs = [driver.spec(one, shared=False) for one in bench.trials]
-    try_trial(specs[0], Here(folder / "warm"))
+    try_trial(specs[0], here_at(folder / "warm"))
     spent, planned = {"shared": 0.0, "own": 0.0}, {"shared": 0.0, "own": 0.0}
     for turn, spec in enumerate(specs):
         places = {"shared": folder / "shared", "own": folder / f"own{turn}"}
@@ -202,7 +195,7 @@ def plans(kind, folder, number):
             for made in ("plan", "scan", "truth"):
                 forget(made)  # as another worker would find it
             began = time.perf_counter()
-            stages = try_trial(spec, Here(places[which]))["seconds"]
+            stages = try_trial(spec, here_at(places[which]))["seconds"]
             spent[which] += time.perf_counter() - began
             planned[which] += stages["plan"]
         print(f"trial {turn}: one plan {spent['shared']:.1f} s, own {spent['own']:.1f} s so far")

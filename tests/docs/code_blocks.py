@@ -101,6 +101,8 @@ def _command(words: list[str]) -> None:
         _extras(arguments)
     elif program == "python3":
         assert arguments[:2] == ["-m", "venv"], arguments
+    elif program == "python" and arguments[:2] == ["-m", "pip"]:
+        _extras(arguments[2:])
     elif program == "python":
         assert arguments[0] == "load.py" or (ROOT / arguments[0]).exists(), arguments
     else:

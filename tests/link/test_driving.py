@@ -279,10 +279,10 @@ def stopped(*_: Any, **__: Any) -> None:
 @pytest.mark.parametrize(
     ("where", "does", "error"),
     [
-        ("twinct.robots.motion.save_plan", stopped, KeyboardInterrupt),
+        ("twinct.link.recording.drive_file.save_plan", stopped, KeyboardInterrupt),
         ("twinct.link.participant.Station", stopped, KeyboardInterrupt),
         ("twinct.link.driving.Drive.run", stopped, KeyboardInterrupt),
-        ("twinct.robots.motion.save_plan", full, StorageError),
+        ("twinct.link.recording.drive_file.save_plan", full, StorageError),
         ("twinct.link.driving.Drive.run", full, StorageError),
     ],
 )

@@ -30,15 +30,15 @@ def test_a_recording_of_a_gantry_needs_the_mcap_libraries_alone(take, tmp_path):
     assert ScanStore(tmp_path / "again" / "scan.zarr").acquired == 4
 
 
-def test_a_recording_of_arms_needs_no_ros(taken, tmp_path):
-    done = imported(taken.folder / "scan.mcap", tmp_path / "again", ROS)
+@pytest.mark.parametrize("absent", [ROS, ROBOTS])
+def test_a_recording_of_arms_needs_neither_ros_nor_mujoco(taken, tmp_path, absent):
+    done = imported(taken.folder / "scan.mcap", tmp_path / "again", absent)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
     ("absent", "extra"),
-    [(ROBOTS, "robots"), (("mcap",), "record"), (("mcap_ros2",), "record")]
-    + [(("zstandard",), "record")],
+    [(("mcap",), "record"), (("mcap_ros2",), "record"), (("zstandard",), "record")],
 )
 def test_a_missing_extra_is_named(taken, tmp_path, absent, extra):
     done = imported(taken.folder / "scan.mcap", tmp_path / "again", absent)

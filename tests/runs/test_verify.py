@@ -277,6 +277,7 @@ print(verify(sys.argv[1]).problems)
 """
 
 
+@pytest.mark.process
 def test_a_scan_of_arms_is_verified_without_the_robots_extra(tmp_path: Path) -> None:
     kept = Path(__file__).parents[1] / "version_1_0" / "local.tar.xz"
     shutil.unpack_archive(kept, tmp_path)

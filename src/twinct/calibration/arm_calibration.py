@@ -145,7 +145,8 @@ def calibrate_kinematics(
     motions = motions_of(scan, chains)
     priors = [arm_prior(scenario.uncertainty, motion) for motion in motions]
     for folder, other in zip(folders[1:], scans[1:], strict=True):
-        require_same_arms(frames_of(chains), chains_of_scan(other.scenario), str(folder.path))
+        cell, panel = other.scenario.cell, other.scenario.detector.panel
+        require_same_arms(frames_of(chains), chains_of_scan(cell, panel), str(folder.path))
     with ExitStack() as stack:
         audience = stack.enter_context(audience_of(observers))
         for folder in folders:

@@ -101,7 +101,7 @@ def section_made_late(
         schema["default"] = make().model_dump(mode="json")
         schema["description"] = text
 
-    field: FieldInfo = Field(default_factory=make, description=description, json_schema_extra=extra)
+    field: Any = Field(default_factory=make, description=description, json_schema_extra=extra)
     field.metadata.append(ReadBy(*((read_by,) if isinstance(read_by, str) else read_by)))
     return field
 

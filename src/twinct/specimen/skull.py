@@ -174,7 +174,9 @@ def ear_canal(grow: float = 0.0) -> Solid:
 
 def _face() -> Iterator[Solid]:
     in_front = Solid(
-        lambda x, y, z: y - (86.0 - 0.012 * x * x) + 0 * z, (-90, -90, -150), (90, 90, 90)
+        lambda x, y, z: y - (86.0 - 0.012 * x * x) + 0 * z,
+        np.array([-90.0, -90.0, -150.0]),
+        np.array([90.0, 90.0, 90.0]),
     )
     yield orbit(3.2).within(in_front, 4).blended(5)
     # Maxilla, its frontal process and the nasal bones, ethmoid block between the orbits.
@@ -208,7 +210,9 @@ def _openings() -> Iterator[Solid]:
     # Nasal cavity: pear-shaped in front, a chamber behind, choanae at the back.
     pear = chain([(0, 100, -43), (2.8, 100, -55), (6.5, 100, -64.5)], [4.0, 5.8, 6.6])
     front = Solid(
-        lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y, (-14, 66, -75), (14, 110, -38)
+        lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y,
+        np.array([-14.0, 66.0, -75.0]),
+        np.array([14.0, 110.0, -38.0]),
     )
     slab = block((0, 90, -55), (20, 26, 30), 0, 1)
     yield front.within(slab).cut(2)

@@ -46,9 +46,13 @@ class Patient:
         """Seed of the scenario."""
         return self.builder.scenario.seed
 
-    @cached_property
+    @property
     def energy_kev(self) -> float:
         """Effective energy of the beam."""
+        return self._energy_kev
+
+    @cached_property
+    def _energy_kev(self) -> float:
         return effective_energy_kev(self.builder.scenario.source, self.builder.scenario.detector)
 
     @property
