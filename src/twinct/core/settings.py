@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -212,9 +213,9 @@ class Extensible(Section):
     """Section with a key for each extension of some kind; they are added at its first use."""
 
     @classmethod
+    @abstractmethod
     def extension_keys(cls) -> Mapping[str, tuple[Any, FieldInfo]]:
         """Return type and field of the keys that are added."""
-        raise NotImplementedError
 
     @classmethod
     def own_last_keys(cls) -> Collection[str]:
