@@ -225,7 +225,7 @@ class Extensible(Section):
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Add the keys."""
-        fields = cls.__pydantic_fields__
+        fields = cls.model_fields
         for name, (annotation, info) in cls.extension_keys().items():
             fields[name] = FieldInfo.from_annotated_attribute(annotation, info)
         for name in cls.own_last_keys():
