@@ -104,7 +104,9 @@ class BuildTypes(build_ext):
         first: list[str] | None = None,
     ) -> None:
         """Compile sources to a library, which finds others in its folder and in that of ROS 2."""
-        headers = [*(work / name for name in LIBRARIES), *(ROS / "include").iterdir()]
+        # fastcdr's headers lie in the folder itself, those of the other packages one below.
+        own, theirs = [work / name for name in LIBRARIES], ROS / "include"
+        headers = [*own, theirs, *theirs.iterdir()]
         objects = self.compiler.compile(
             [str(source) for source in sources],
             output_dir=str(work / "objects" / kind),

@@ -51,6 +51,7 @@ def arm_prior(uncertainty: Uncertainty, motion: ToolMotion) -> ArmPrior:
         InputError: the scenario states no errors of links or tools.
     """
     section, chain = uncertainty.arms, motion.chain
+    assert chain is not None  # a gantry has no arms to calibrate
     squares = {"base": np.array([PLACED_MM**2] * 3 + [np.radians(PLACED_DEG) ** 2] * 3)}
     squares |= {"links": np.zeros(6), "tool": np.zeros(6)}
     for term, settings in terms_of(uncertainty):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from twinct.cli.arguments import Overrides, ScenarioFile
-from twinct.cli.progress import on_terminal
+from twinct.cli.progress import on_terminal, say
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.extras import require
 from twinct.link import require_ros
@@ -97,7 +97,6 @@ def _drive(
     choices: tuple[Any, ...],
 ) -> None:
     """Plan, send, and say what was recorded; ``choices`` are the fields of ``DriveSettings``."""
-    from twinct.cli.progress import say
     from twinct.core.files.writing import storage_errors
 
     if out.suffix.lower() != ".mcap":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -212,9 +213,9 @@ class Extensible(Section):
     """Section with a key for each extension of some kind; they are added at its first use."""
 
     @classmethod
+    @abstractmethod
     def extension_keys(cls) -> Mapping[str, tuple[Any, FieldInfo]]:
         """Return type and field of the keys that are added."""
-        raise NotImplementedError
 
     @classmethod
     def own_last_keys(cls) -> Collection[str]:
@@ -224,7 +225,7 @@ class Extensible(Section):
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Add the keys."""
-        fields = cls.__pydantic_fields__
+        fields = cls.model_fields
         for name, (annotation, info) in cls.extension_keys().items():
             fields[name] = FieldInfo.from_annotated_attribute(annotation, info)
         for name in cls.own_last_keys():

@@ -56,11 +56,12 @@ class DrawnTool:
         self._seed, self._draws = arms_seed, draws
         self._constant: dict[str, Floats] = {}
         own = ConstantDraws(arms_seed, side, draws)
-        self._terms: list[tuple[ErrorTerm, Any, ArmShift | None]] = [
-            (term, settings, term.drawn and term.drawn(settings, chain, own))
-            for term, settings in terms
-            if term.drawn is None or chain is not None
-        ]
+        self._terms: list[tuple[ErrorTerm, Any, ArmShift | None]] = []
+        for term, settings in terms:
+            if term.drawn is None:
+                self._terms.append((term, settings, None))
+            elif chain is not None:
+                self._terms.append((term, settings, term.drawn(settings, chain, own)))
 
     def deviations(
         self, motion: ToolMotion, of_views: ViewDraws

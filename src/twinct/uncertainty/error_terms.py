@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic.fields import FieldInfo
 
 from twinct.core.settings import Section, setting
-from twinct.geometry import Misfit
+from twinct.geometry import Chain, Misfit
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class ToolMotion(NamedTuple):
         side: ``source`` or ``detector``.
         poses: ``world_from_tool``, (views, 4, 4), mm.
         time_s: time since the scan began, (views,).
-        chain: nominal arm, a ``twinct.geometry.Chain``; None with a gantry.
+        chain: nominal arm; None with a gantry.
         joints: joint positions by the encoders, (views, joints), rad; (views, 0) with a gantry.
         speeds: joint speeds, (views, joints), rad/s.
     """
@@ -69,7 +69,7 @@ class ToolMotion(NamedTuple):
     side: str
     poses: Array
     time_s: Array
-    chain: Any
+    chain: Chain | None
     joints: Array
     speeds: Array
 
@@ -142,6 +142,6 @@ class ErrorTerm:
     spreads: Callable[[Any, ToolMotion], Iterable[Spread]]
     places: tuple[Place, ...] = ("pose",)
     section: str = ""
-    drawn: Callable[[Any, Any, ScanDraws], ArmShift] | None = None
+    drawn: Callable[[Any, Chain, ScanDraws], ArmShift] | None = None
     prior: Callable[[Any], dict[str, Array]] | None = None
     purpose: str = ""
