@@ -30,7 +30,7 @@ from zoo_scans import MATERIALS, MONO_KEV
 from zoo_shapes import packed, path_lengths
 
 from twinct.calibration import aligned, circle_numbers
-from twinct.calibration.circle_calibration import calibrate_circle
+from twinct.calibration.calibrate import calibrate
 from twinct.geometry import ScanGeometry
 from twinct.measured import description_of, import_measured
 from twinct.measured.circle import Circle
@@ -106,7 +106,7 @@ def simulated(number: int, photons: float, views: int) -> dict:
         with contextlib.redirect_stderr(io.StringIO()):
             import_measured({"name": name, "images": section, "geometry": nominal(views)}, folder)
         start = time.process_time()
-        found = calibrate_circle(folder)
+        found = calibrate(folder, "circle")
         seconds = time.process_time() - start
     truth = circle_numbers(executed)
     after, pitch = found.after, PITCH
@@ -170,7 +170,7 @@ def walnut() -> None:
             folder = Path(scratch) / "scan"
             import_measured(told.model_copy(update={"geometry": geometry}), folder)
             start = time.process_time()
-            one = calibrate_circle(folder)
+            one = calibrate(folder, "circle")
         found[moved] = one.after.axis_px
         print(
             f"panel moved by {moved:+.0f} px: axis {one.before.axis_px:+.3f} -> "

@@ -24,7 +24,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from twinct.calibration import PhantomViews, Shadows, calibrated_arms, resected
-from twinct.calibration.arm_calibration import arm_prior, calibrate_kinematics, view_covariance
+from twinct.calibration.arm_calibration import Kinematics, arm_prior, view_covariance
+from twinct.calibration.calibrate import calibrate
 from twinct.calibration.scan_calibration import phantom_of
 from twinct.calibration.shadows import overlapping, shadow_radius_px
 from twinct.core.errors import CalibrationError
@@ -145,7 +146,7 @@ def rendered(views, rails):
         run(load_scenario(SCENARIO, [*keys, *drawn]), balls, link="local")
         later = ["trajectory.views=40", "seed=2"]
         run(load_scenario(SCENARIO.with_name("demo.yaml"), [*keys, *later]), path, link="local")
-        found = calibrate_kinematics(balls, others=[path])
+        found = calibrate(balls, Kinematics(to=(path,)))
         scan = load_scan(path)
     executed = scan.executed.geometry(scan.scenario.detector.panel)
     for name in ("believed", "kinematics"):

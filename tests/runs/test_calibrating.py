@@ -10,7 +10,8 @@ import pytest
 
 from twinct import run
 from twinct.calibration import PosePrior
-from twinct.calibration.scan_calibration import calibrate_balls, calibrate_beads, calibrate_self
+from twinct.calibration.calibrate import calibrate
+from twinct.calibration.scan_calibration import Balls, Beads, OwnProjections
 from twinct.cli import run_command
 from twinct.core.errors import CalibrationError, InputError
 from twinct.runs import load_scan, reconstruct_run
@@ -52,7 +53,7 @@ def off_px(scan, name):
 def test_a_phantoms_scan_gets_its_geometry_and_so_does_another_of_its_views(balls, tmp_path):
     other = tmp_path / "other"
     shutil.copytree(balls, other)
-    found = calibrate_beads(balls, others=[other])
+    found = calibrate(balls, Beads(to=(other,)))
     assert not found.problems
     for folder in (balls, other):
         scan = load_scan(folder)
@@ -63,21 +64,23 @@ def test_a_phantoms_scan_gets_its_geometry_and_so_does_another_of_its_views(ball
 
 def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(balls, finished):
     with pytest.raises(CalibrationError, match=r"no part is a ball_helix, only sphere"):
-        calibrate_beads(finished.paths.path, name="other")
+        calibrate(finished.paths.path, "beads", name="other")
     with pytest.raises(InputError, match=r"has 10 views, but the phantom's scan has 2"):
-        calibrate_beads(balls, others=[finished.paths.path], name="other")
+        calibrate(balls, Beads(to=(finished.paths.path,)), name="other")
     with pytest.raises(InputError, match="every scan already has"):
-        calibrate_self(balls, name="executed")
-    for calibrate in (calibrate_beads, calibrate_self):
+        calibrate(balls, "self", name="executed")
+    for method in ("beads", "self"):
         with pytest.raises(InputError, match="not a run folder"):
-            calibrate(balls / "nowhere")
+            calibrate(balls / "nowhere", method)
+    with pytest.raises(InputError, match="'bead': choose a method from beads, balls, self"):
+        calibrate(balls, "bead")
     assert "other" not in load_scan(balls).derived
 
 
 def test_a_scan_may_calibrate_itself(finished, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
-    told = calibrate_self(folder, PosePrior(0.3, 0.1))
+    told = calibrate(folder, OwnProjections(errors=PosePrior(0.3, 0.1)))
     found = told.estimate
     assert len(found.residuals) == 4 and found.residuals[-1] < found.residuals[0]
     scan = load_scan(folder)
@@ -95,7 +98,8 @@ def test_a_scan_may_start_from_planes_that_its_views_share(finished, tmp_path, c
     said = " ".join(capsys.readouterr().out.split())
     assert "start: 10 of 10 views aligned by the planes they share with others" in said
     assert load_scan(folder).derived["self"].made_by["start"] == "epipolar"
-    told = calibrate_self(folder, PosePrior(0.3, 0.1), start="epipolar", name="again")
+    how = OwnProjections(errors=PosePrior(0.3, 0.1), start="epipolar")
+    told = calibrate(folder, how, name="again")
     assert told.start is not None and told.started is not None
     assert told.start.residuals[-1] < told.start.residuals[0]
     assert told.started.after_px < told.believed.after_px
@@ -104,7 +108,8 @@ def test_a_scan_may_start_from_planes_that_its_views_share(finished, tmp_path, c
 def test_what_is_found_of_a_patient_may_be_kept_where_the_executed_lies(finished, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(finished.paths.path, folder)
-    told = calibrate_self(folder, PosePrior(0.3, 0.1), what="patient", align=True, name="still")
+    how = OwnProjections("patient", errors=PosePrior(0.3, 0.1), align=True)
+    told = calibrate(folder, how, name="still")
     assert told.estimate.change.shape[1] == 6
     assert told.after.after_px <= told.after.before_px
     scan = load_scan(folder)
@@ -140,7 +145,7 @@ def stuck(tmp_path_factory):
 
 
 def test_balls_on_the_specimen_tell_the_geometry_of_their_own_scan(stuck):
-    told = calibrate_balls(stuck, PosePrior(0.5, 0.2), radius_mm=3.0, align=True)
+    told = calibrate(stuck, Balls(3.0, PosePrior(0.5, 0.2), align=True))
     assert len(told.estimate.bundle.balls) == len(STUCK) and not told.estimate.problems
     scan = load_scan(stuck)
     assert off_px(scan, "balls") < 0.1 < 0.2 < off_px(scan, "believed")
@@ -149,9 +154,9 @@ def test_balls_on_the_specimen_tell_the_geometry_of_their_own_scan(stuck):
 
 def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
     with pytest.raises(CalibrationError, match=r"agree on [01] balls of radius 1.5 mm"):
-        calibrate_balls(finished.paths.path)
+        calibrate(finished.paths.path, "balls")
     with pytest.raises(InputError, match="every scan already has"):
-        calibrate_balls(finished.paths.path, name="believed")
+        calibrate(finished.paths.path, "balls", name="believed")
     assert "balls" not in load_scan(finished.paths.path).derived
 
 

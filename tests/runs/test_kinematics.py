@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from twinct import run, simulate
-from twinct.calibration.arm_calibration import apply_kinematics, calibrate_kinematics
+from twinct.calibration.arm_calibration import Kinematics
+from twinct.calibration.calibrate import calibrate
 from twinct.cli import run_command
 from twinct.core.errors import CalibrationError, InputError
 from twinct.evaluation import pose_errors
@@ -58,7 +59,7 @@ def later(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(balls, later):
-    return calibrate_kinematics(balls, others=[later])
+    return calibrate(balls, Kinematics(to=(later,)))
 
 
 def rms_mm(scan, name):
@@ -92,7 +93,7 @@ def test_the_scenario_may_name_the_arms(found, balls, later):
 
 
 def test_arms_from_a_file_serve_later_scans(found, balls, later):
-    apply_kinematics(later, balls / "arms.json", name="again")
+    calibrate(later, Kinematics(arms=balls / "arms.json"), name="again")
     scan = load_scan(later)
     again = scan.poses("again").source[2].position
     assert np.array_equal(again, scan.poses("kinematics").source[2].position)
@@ -103,11 +104,11 @@ def test_what_has_no_arms_or_others_is_refused(found, balls, later, tmp_path, ca
     scenario = load_scenario(SCENARIOS / "demo.yaml", [*gantry, KEYS[1], LATER[1]])
     folder = run(scenario, tmp_path / "gantry", link="local").paths.path
     with pytest.raises(InputError, match="cell.kind: gantry: a scan without joints"):
-        apply_kinematics(folder, balls / "arms.json")
+        calibrate(folder, Kinematics(arms=balls / "arms.json"))
     with pytest.raises(CalibrationError, match="no part is a ball_helix"):
-        calibrate_kinematics(later, name="other")
+        calibrate(later, "kinematics", name="other")
     with pytest.raises(InputError, match="every scan already has"):
-        apply_kinematics(later, balls / "arms.json", name="believed")
+        calibrate(later, Kinematics(arms=balls / "arms.json"), name="believed")
     told = json.loads((balls / "arms.json").read_text())
     told["detector"]["nominal"][0][0][3] += 10
     other = tmp_path / "other.json"
@@ -129,7 +130,7 @@ def test_arms_on_rails_are_calibrated_by_a_phantoms_scan(tmp_path):
     with no_report():
         for name, scenario in scenarios.items():
             run(scenario, tmp_path / name, link="local")
-    found = calibrate_kinematics(tmp_path / "balls", others=[tmp_path / "later"])
+    found = calibrate(tmp_path / "balls", Kinematics(to=(tmp_path / "later",)))
     assert found.views >= 16 and found.misfit < 2
     assert np.ptp(load_scan(tmp_path / "balls").joints[:, [0, 7]], axis=0).min() > 0.3, "m"
     scan = load_scan(tmp_path / "later")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from twinct import run
-from twinct.calibration.scan_calibration import calibrate_self
+from twinct.calibration.calibrate import calibrate
 from twinct.core.errors import InputError
 from twinct.core.files.folder_paths import names_below
 from twinct.measured.prediction import predict
@@ -81,7 +81,7 @@ def test_a_run_in_a_folder_with_a_planted_link(
     [
         reconstruct_run,
         rewrite_report,
-        calibrate_self,
+        lambda folder: calibrate(folder, "self"),
         predict,
     ],
     ids=["reconstruct", "report", "calibrate", "predict"],

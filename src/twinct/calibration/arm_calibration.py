@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +18,15 @@ from twinct.calibration import (
     frames_of,
     require_same_arms,
 )
-from twinct.calibration.scan_calibration import balls_of, store_geometries
+from twinct.calibration.scan_calibration import balls_of, owners_of, store_geometries
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry import Chain, Floats, Panel, ScanGeometry
-from twinct.observers import Observers, audience_of
+from twinct.observers import Audience
 from twinct.robots.cell import nominal_chains
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import NamedGeometry, Scan, free_geometry_name
+from twinct.scan import NamedGeometry, Scan
 from twinct.scan.encoder_model import encoders_of
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import AnyCell, Cell, Uncertainty
@@ -117,29 +117,54 @@ def chains_of_scan(cell: AnyCell, panel: Panel) -> tuple[Chain, Chain]:
     return nominal_chains(cell, panel)
 
 
-def calibrate_kinematics(
-    path: str | Path,
-    *,
-    name: str = "kinematics",
-    others: Iterable[str | Path] = (),
-    observers: Observers = (),
-) -> KinematicCalibration:
-    """Calibrate both arms from a phantom's scan; store ``arms.json`` and the resulting geometry.
+@dataclass(frozen=True)
+class Kinematics:
+    """Calibrate both arms from all views of a phantom of balls, and store them in DIR/arms.json.
 
-    Args:
-        path: folder of a run whose specimen is a phantom.
-        name: name of the geometry.
-        others: folders of runs with the same arms, along any trajectory; each gets its geometry.
-        observers: notified of each view.
+    The scan is one of a specimen with a ball_helix.
 
-    Raises:
-        CalibrationError: the specimen is no phantom, or too few views can be used.
-        InputError: a reserved name, no scan, a scan without arms or with other arms; nothing is
-            written.
-        ScanExistsError: another geometry has this name; nothing is written.
+    Attributes:
+        to: Folders of scans of the same arms, along any trajectory, that get the geometry, too.
+        arms: An arms.json; the scan then needs no balls.
     """
-    free_geometry_name(name)
-    folders = [Folder(Path(folder)) for folder in (path, *others)]
+
+    to: tuple[Path, ...] = ()
+    arms: Path | None = None
+
+    def run(
+        self, folder: Folder, name: str, audience: Audience
+    ) -> KinematicCalibration | CalibratedArms:
+        """Estimate, store and describe the arms and the geometry.
+
+        Raises:
+            CalibrationError: the specimen is no phantom, or too few views can be used.
+            InputError: no scan, a scan without arms or with other arms, or no file of arms; nothing
+                is written.
+            ScanExistsError: another geometry has this name; nothing is written.
+        """
+        folders = [folder, *(Folder(other) for other in self.to)]
+        if self.arms is not None:
+            arms = [_apply(self.arms, name, one) for one in folders]
+            audience.say(f"{name}: made with the arms in {self.arms}")
+            return arms[0]
+        fit = calibrate_arms(folders, name, audience)
+        audience.say(
+            f"{name}: arms calibrated from {fit.views} views; source off by "
+            f"{fit.left_mm[0]:.3f} mm, panel by {fit.left_mm[1]:.3f} mm (RMS), "
+            f"{fit.predicted_mm[0]:.3f} and {fit.predicted_mm[1]:.3f} mm in every "
+            f"fifth view, predicted from the others; residuals {fit.misfit:.1f} times their noise; "
+            f"stored in {folder.arms}"
+        )
+        for one in fit.undetermined:
+            share = 100 * one.left
+            audience.say(f"hardly determined ({share:.0f} % of its prior spread is left): {one}")
+        return fit
+
+
+def calibrate_arms(
+    folders: Sequence[Folder], name: str, audience: Audience
+) -> KinematicCalibration:
+    """Calibrate the arms from the first folder's scan of a phantom; store arms and geometries."""
     scans = [load_scan(folder.path) for folder in folders]
     scan, scenario = scans[0], scans[0].scenario
     chains = chains_of_scan(scenario.cell, scenario.detector.panel)
@@ -148,10 +173,7 @@ def calibrate_kinematics(
     for folder, other in zip(folders[1:], scans[1:], strict=True):
         cell, panel = other.scenario.cell, other.scenario.detector.panel
         require_same_arms(frames_of(chains), chains_of_scan(cell, panel), str(folder.path))
-    with ExitStack() as stack:
-        audience = stack.enter_context(audience_of(observers))
-        for folder in folders:
-            stack.enter_context(sole_owner(folder.lock))
+    with owners_of(folders):
         views = balls_of(scan, audience).views
         arms = calibrated_arms(
             chains,
@@ -164,27 +186,12 @@ def calibrate_kinematics(
     return arms
 
 
-def apply_kinematics(
-    path: str | Path, arms: str | Path, *, name: str = "kinematics", observers: Observers = ()
-) -> CalibratedArms:
-    """Compute and store the geometry of a scan from its encoder readings and calibrated arms.
-
-    Args:
-        path: folder of a run.
-        arms: file of ``calibrate_kinematics``.
-        name: name of the geometry.
-        observers: attached during the call; they receive no events.
-
-    Raises:
-        InputError: a reserved name, no scan, no file of arms, or arms of another cell.
-        ScanExistsError: another geometry has this name.
-    """
-    free_geometry_name(name)
-    folder = Folder(Path(path))
+def _apply(arms: Path, name: str, folder: Folder) -> CalibratedArms:
+    """Compute and store the geometry of a scan from its encoder readings and calibrated arms."""
     scan = load_scan(folder.path)
     chains = chains_of_scan(scan.scenario.cell, scan.scenario.detector.panel)
-    calibrated = CalibratedArms.read(Path(arms), chains)
-    with audience_of(observers), sole_owner(folder.lock):
+    calibrated = CalibratedArms.read(arms, chains)
+    with sole_owner(folder.lock):
         _add(calibrated, name, [(folder, scan)])
     return calibrated
 

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from twinct.calibration.resection import moved
+from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry
 
 What = Literal["arms", "patient"]
@@ -25,18 +26,26 @@ NUGGET = 0.02
 
 @dataclass(frozen=True)
 class PosePrior:
-    """Prior on the errors of the believed geometry.
+    """Expected errors of the believed poses, of source and panel or of the patient.
 
     Attributes:
-        sigma_mm: standard deviation along each axis, of source and panel or of the patient.
-        sigma_deg: standard deviation about each axis, of the panel or of the patient.
-        correlation_views: correlation length of the errors in views (a Gaussian process); 0 for
-            independent views.
+        sigma_mm: Expected position error along each axis, mm.
+        sigma_deg: Expected rotation error about each axis, degrees.
+        correlation_views: Number of views over which errors are correlated (a Gaussian process); 0:
+            independent errors.
     """
 
     sigma_mm: float = 0.5
     sigma_deg: float = 0.2
     correlation_views: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise ``InputError`` for a number out of range."""
+        for key, value in (("sigma_mm", self.sigma_mm), ("sigma_deg", self.sigma_deg)):
+            if not value > 0:
+                raise InputError(f"{key} {value:g}: must be more than 0")
+        if not self.correlation_views >= 0:
+            raise InputError(f"correlation_views {self.correlation_views:g}: must be at least 0")
 
     def precision(self, views: int, what: What = "arms") -> Floats:
         """Return the inverse covariance of all errors, (views * n, views * n)."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -27,13 +27,14 @@ from twinct.calibration import (
 )
 from twinct.core.errors import CalibrationError, InputError, ScanExistsError
 from twinct.core.files.lock import sole_owner
+from twinct.core.foreign_text import counted
 from twinct.core.progress import Progress
 from twinct.geometry import Floats, VolumeGrid
 from twinct.geometry.wire import PosePairs
-from twinct.observers import Audience, Observers, audience_of
+from twinct.observers import Audience
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import NamedGeometry, Scan, free_geometry_name
+from twinct.scan import NamedGeometry, Scan
 from twinct.scan.integrals import line_integrals
 from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Specimen
 from twinct.specimen.balls import nominal_centres
@@ -94,46 +95,52 @@ def phantom_of(specimen: Specimen) -> BallPhantom:
     raise CalibrationError(f"specimen.parts: no part is a ball_helix, only {kinds}")
 
 
-def calibrate_beads(
-    path: str | Path,
-    *,
-    name: str = "beads",
-    others: Iterable[str | Path] = (),
-    observers: Observers = (),
-) -> BallCalibration:
-    """Estimate the geometry of a phantom's scan, and store it beside the believed one.
+@dataclass(frozen=True)
+class Beads:
+    """Calibrate each view from a phantom of balls at known positions.
 
-    Args:
-        path: folder of a run whose specimen is a phantom.
-        name: name of the geometry.
-        others: folders of runs with the same commanded views; they get the geometry, too.
-        observers: notified of each view.
+    The scan is one of a specimen with a ball_helix.
 
-    Raises:
-        CalibrationError: the specimen is no phantom, or no view can be calibrated.
-        InputError: a reserved name, no scan, or a scan of other views; nothing is written.
-        ScanExistsError: another geometry has this name; nothing is written.
+    Attributes:
+        to: Folders of scans with the same views that get the geometry, too.
     """
-    free_geometry_name(name)
-    folders = [Folder(Path(folder)) for folder in (path, *others)]
-    scans = [load_scan(folder.path) for folder in folders]
-    scan = scans[0]
-    for folder, other in zip(folders[1:], scans[1:], strict=True):
-        _same_views(folder.path, other, scan)
+
+    to: tuple[Path, ...] = ()
+
+    def run(self, folder: Folder, name: str, audience: Audience) -> BallCalibration:
+        """Estimate, store and describe the geometry.
+
+        Raises:
+            CalibrationError: the specimen is no phantom, or no view can be calibrated.
+            InputError: no scan, or a scan of other views; nothing is written.
+            ScanExistsError: another geometry has this name; nothing is written.
+        """
+        folders = [folder, *(Folder(other) for other in self.to)]
+        scans = [load_scan(folder.path) for folder in folders]
+        scan = scans[0]
+        for folder, other in zip(folders[1:], scans[1:], strict=True):
+            _same_views(folder.path, other, scan)
+        with owners_of(folders):
+            calibration = balls_of(scan, audience)
+            made_by = {
+                "model": "beads",
+                "scan": scan.scenario.name,
+                "told": len(scan) - len(calibration.problems),
+                "rms_px": round(float(np.nanmedian(calibration.rms_px)), 4),
+            }
+            geometry = NamedGeometry(name, PosePairs.from_geometry(calibration.geometry), made_by)
+            store_geometries([geometry] * len(folders), list(zip(folders, scans, strict=True)))
+        _say_beads(name, calibration, audience)
+        return calibration
+
+
+@contextmanager
+def owners_of(folders: Iterable[Folder]) -> Iterator[None]:
+    """Own several folders."""
     with ExitStack() as stack:
-        audience = stack.enter_context(audience_of(observers))
         for folder in folders:
             stack.enter_context(sole_owner(folder.lock))
-        calibration = balls_of(scan, audience)
-        made_by = {
-            "model": "beads",
-            "scan": scan.scenario.name,
-            "told": len(scan) - len(calibration.problems),
-            "rms_px": round(float(np.nanmedian(calibration.rms_px)), 4),
-        }
-        geometry = NamedGeometry(name, PosePairs.from_geometry(calibration.geometry), made_by)
-        store_geometries([geometry] * len(folders), list(zip(folders, scans, strict=True)))
-    return calibration
+        yield
 
 
 def balls_of(scan: Scan, audience: Audience) -> BallCalibration:
@@ -159,139 +166,137 @@ def _blur_px(scan: Scan, audience: Audience) -> float:
     return spread.sigma_mm / panel.pitch_u if isinstance(spread, GaussianSpread) else 0.0
 
 
-def calibrate_balls(
-    path: str | Path,
-    prior: PosePrior | None = None,
-    *,
-    radius_mm: float = 1.5,
-    align: bool = False,
-    name: str = "balls",
-    observers: Observers = (),
-) -> OnlineCalibrated:
-    """Estimate and store the geometry of a scan from balls at unknown places on its specimen.
+@dataclass(frozen=True)
+class Balls:
+    """Calibrate a scan from a few balls at unknown positions on its specimen.
 
-    Args:
-        path: folder of a run.
-        prior: spread of the errors; by default 0.5 mm and 0.2 deg, independent for each view.
-        radius_mm: radius of each ball.
-        align: as for ``calibrate_self``.
-        name: name of the geometry.
-        observers: notified of each round.
-
-    Raises:
-        CalibrationError: fewer than five balls are detected, or no view sees five.
-        InputError: a reserved name, or no scan; nothing is written.
-        ScanExistsError: another geometry has this name; nothing is written.
+    Attributes:
+        ball_radius_mm: Radius of each ball.
+        errors: expected errors of the believed poses.
+        align: Move the result as a whole to the executed geometry, by the seven modes that no image
+            shows, for figures that compare volumes.
     """
-    free_geometry_name(name)
-    folder, prior = Folder(Path(path)), prior or PosePrior()
-    scan = load_scan(folder.path)
-    with audience_of(observers) as audience, sole_owner(folder.lock):
-        panel = scan.settings.detector.panel
-        believed = scan.believed.geometry(panel)
-        estimate = online_calibrated(
-            scan.transmission,
-            believed,
-            radius_mm,
-            prior,
-            blur_px=_blur_px(scan, audience),
-            progress=audience,
-        )
-        executed = scan.relative.geometry(panel)
-        points = _points_of(scan.settings.reconstruction.volume_grid)
-        at_executed = aligned(estimate.geometry, executed, points)
-        geometry = NamedGeometry(
-            name,
-            PosePairs.from_geometry(at_executed.geometry if align else estimate.geometry),
-            {
+
+    ball_radius_mm: float = 1.5
+    errors: PosePrior = PosePrior()
+    align: bool = False
+
+    def __post_init__(self) -> None:
+        """Raise ``InputError`` for a radius out of range."""
+        if not self.ball_radius_mm > 0:
+            raise InputError(f"ball_radius_mm {self.ball_radius_mm:g}: must be more than 0")
+
+    def run(self, folder: Folder, name: str, audience: Audience) -> OnlineCalibrated:
+        """Estimate, store and describe the geometry.
+
+        Raises:
+            CalibrationError: fewer than five balls are detected, or no view sees five.
+            InputError: no scan; nothing is written.
+            ScanExistsError: another geometry has this name; nothing is written.
+        """
+        scan = load_scan(folder.path)
+        with sole_owner(folder.lock):
+            panel = scan.settings.detector.panel
+            believed = scan.believed.geometry(panel)
+            estimate = online_calibrated(
+                scan.transmission,
+                believed,
+                self.ball_radius_mm,
+                self.errors,
+                blur_px=_blur_px(scan, audience),
+                progress=audience,
+            )
+            executed = scan.relative.geometry(panel)
+            points = _points_of(scan.settings.reconstruction.volume_grid)
+            at_executed = aligned(estimate.geometry, executed, points)
+            stored = at_executed.geometry if self.align else estimate.geometry
+            made_by = {
                 "model": "balls",
                 "balls": len(estimate.bundle.balls),
-                "radius_mm": radius_mm,
+                "radius_mm": self.ball_radius_mm,
                 "told": len(scan) - len(estimate.problems),
                 "rms_px": round(estimate.rms_px, 4),
-                "aligned": align,
+                "aligned": self.align,
                 **scan.provenance.made_for,
                 "believed": scan.reported.digest,
-                **asdict(prior),
-            },
-        )
-        store_geometries([geometry], [(folder, scan)])
-    return OnlineCalibrated(estimate, aligned(believed, executed, points), at_executed)
+                **asdict(self.errors),
+            }
+            geometry = NamedGeometry(name, PosePairs.from_geometry(stored), made_by)
+            store_geometries([geometry], [(folder, scan)])
+        found = OnlineCalibrated(estimate, aligned(believed, executed, points), at_executed)
+        _say_balls(name, found, scan, audience)
+        return found
 
 
-def calibrate_self(
-    path: str | Path,
-    prior: PosePrior | None = None,
-    *,
-    what: What = "arms",
-    start: Start = "believed",
-    align: bool = False,
-    name: str = "self",
-    observers: Observers = (),
-) -> SelfCalibrated:
-    """Estimate and store the geometry of a scan from its own projections.
+@dataclass(frozen=True)
+class OwnProjections:
+    """Calibrate a scan from its projections alone: move each view until all views agree.
 
-    Args:
-        path: folder of a run; the grid of its scenario should hold the whole specimen.
-        prior: spread of the errors; by default 0.5 mm and 0.2 deg, independent for each view.
-        what: the part that may have moved: source and panel, or the patient between them.
-        start: initial geometry; ``epipolar`` first corrects each view, without a volume, until it
-            agrees with the other views on the planes through both sources.
-        align: align the stored geometry with the executed one, by the seven modes that no image
-            shows: figures then compare the volumes, not their positions.
-        name: name of the geometry.
-        observers: notified of each round.
+    The grid of the scan's scenario should hold the whole specimen.
 
-    Raises:
-        InputError: a reserved name, or no scan; nothing is written.
-        ScanExistsError: another geometry has this name; nothing is written.
-        CalibrationError: no view shares an informative plane with another one.
+    Attributes:
+        what: Parts that may have moved: source and panel, or the patient between them.
+        start: Initial poses; epipolar: each view is first moved until it is consistent with other
+            views in planes through both sources, without a volume.
+        errors: expected errors of the believed poses.
+        align: Move the result as a whole to the executed geometry, by the seven modes that no image
+            shows, for figures that compare volumes.
     """
-    free_geometry_name(name)
-    folder, prior = Folder(Path(path)), prior or PosePrior()
-    scan = load_scan(folder.path)
-    with audience_of(observers) as audience, sole_owner(folder.lock):
-        panel, grid = scan.settings.detector.panel, scan.settings.reconstruction.volume_grid
-        believed = scan.believed.geometry(panel)
-        first, estimate = _from_projections(scan, prior, what, start, audience)
-        executed, points = scan.relative.geometry(panel), _points_of(grid)
-        at_executed = aligned(estimate.geometry, executed, points)
-        stored = at_executed.geometry if align else estimate.geometry
-        geometry = NamedGeometry(
-            name,
-            PosePairs.from_geometry(stored),
-            {
+
+    what: What = "arms"
+    start: Start = "believed"
+    errors: PosePrior = PosePrior()
+    align: bool = False
+
+    def run(self, folder: Folder, name: str, audience: Audience) -> SelfCalibrated:
+        """Estimate, store and describe the geometry.
+
+        Raises:
+            InputError: no scan; nothing is written.
+            ScanExistsError: another geometry has this name; nothing is written.
+            CalibrationError: no view shares an informative plane with another one.
+        """
+        scan = load_scan(folder.path)
+        with sole_owner(folder.lock):
+            panel, grid = scan.settings.detector.panel, scan.settings.reconstruction.volume_grid
+            believed = scan.believed.geometry(panel)
+            first, estimate = self._estimate(scan, audience)
+            executed, points = scan.relative.geometry(panel), _points_of(grid)
+            at_executed = aligned(estimate.geometry, executed, points)
+            stored = at_executed.geometry if self.align else estimate.geometry
+            made_by = {
                 "model": "self",
-                "what": what,
-                "start": start,
-                "aligned": align,
+                "what": self.what,
+                "start": self.start,
+                "aligned": self.align,
                 **scan.provenance.made_for,
                 "believed": scan.reported.digest,
-                **asdict(prior),
-            },
+                **asdict(self.errors),
+            }
+            geometry = NamedGeometry(name, PosePairs.from_geometry(stored), made_by)
+            store_geometries([geometry], [(folder, scan)])
+        found = SelfCalibrated(
+            estimate,
+            aligned(believed, executed, points),
+            at_executed,
+            first,
+            None if first is None else aligned(first.geometry, executed, points),
         )
-        store_geometries([geometry], [(folder, scan)])
-    return SelfCalibrated(
-        estimate,
-        aligned(believed, executed, points),
-        at_executed,
-        first,
-        None if first is None else aligned(first.geometry, executed, points),
-    )
+        _say_self(name, self.what, found, scan, audience)
+        return found
 
-
-def _from_projections(
-    scan: Scan, prior: PosePrior, what: What, start: Start, progress: Progress
-) -> tuple[EpipolarConsistency | None, SelfCalibration]:
-    """Estimate a scan's geometry, by epipolar planes first if the start asks for it."""
-    believed = scan.believed.geometry(scan.settings.detector.panel)
-    mask = None if scan.bad_pixels is None else ~scan.bad_pixels
-    p, grid = line_integrals(scan.transmission), scan.settings.reconstruction.volume_grid
-    how: Any = {"what": what, "mask": mask, "progress": progress}
-    if start != "epipolar":
-        return None, self_calibrated(p, believed, grid, prior, **how)
-    first = epipolar_consistent(p, believed, grid, prior, **how)
-    return first, self_calibrated(p, believed, grid, prior, start=first.change, **how)
+    def _estimate(
+        self, scan: Scan, progress: Progress
+    ) -> tuple[EpipolarConsistency | None, SelfCalibration]:
+        """Estimate a scan's geometry, by epipolar planes first if the start asks for it."""
+        believed = scan.believed.geometry(scan.settings.detector.panel)
+        mask = None if scan.bad_pixels is None else ~scan.bad_pixels
+        p, grid = line_integrals(scan.transmission), scan.settings.reconstruction.volume_grid
+        how: Any = {"what": self.what, "mask": mask, "progress": progress}
+        if self.start != "epipolar":
+            return None, self_calibrated(p, believed, grid, self.errors, **how)
+        first = epipolar_consistent(p, believed, grid, self.errors, **how)
+        return first, self_calibrated(p, believed, grid, self.errors, start=first.change, **how)
 
 
 def _points_of(grid: VolumeGrid) -> Floats:
@@ -335,3 +340,85 @@ def _same_views(path: Path, scan: Scan, phantom: Scan) -> None:
                 f"{path}: view {view} was commanded {far_mm:.3g} mm away from the phantom's scan; "
                 "calibration needs identical views"
             )
+
+
+def _say_beads(name: str, found: BallCalibration, audience: Audience) -> None:
+    calibrated = [view for view in found.views if view]
+    left_out = sum(int(view.outliers.sum()) for view in calibrated)
+    audience.say(
+        f"{name}: {len(calibrated)} of {len(found.views)} views calibrated, "
+        f"median {np.median([len(view.shadows) for view in calibrated]):.0f} balls per view, "
+        f"reprojection error {np.median([view.rms_px for view in calibrated]):.3f} px (median), "
+        f"{counted(left_out, 'outlier')}"
+    )
+    _say_kept(found.problems, audience)
+
+
+def _say_kept(problems: Mapping[int, str], audience: Audience) -> None:
+    for view, problem in sorted(problems.items()):
+        audience.say(f"view {view} keeps its believed pose: {problem}", warning=True)
+
+
+def _say_balls(name: str, found: OnlineCalibrated, scan: Scan, audience: Audience) -> None:
+    estimate, bundle = found.estimate, found.estimate.bundle
+    seen = np.isfinite(bundle.residuals).all(axis=2).sum(axis=1)
+    audience.say(
+        f"{name}: {len(seen) - len(estimate.problems)} of {len(seen)} views calibrated, "
+        f"{counted(len(bundle.balls), 'ball')} found, median {np.median(seen):.0f} per view, "
+        f"reprojection error {estimate.rms_px:.3f} px (RMS), "
+        f"{counted(bundle.outliers.sum(), 'outlier')}"
+    )
+    _say_distance(found.believed, found.after, scan, audience)
+    for view, ball in np.argwhere(bundle.outliers):
+        place = ", ".join(f"{x:.1f}" for x in bundle.balls[ball])
+        audience.say(f"view {view}: the shadow of the ball at ({place}) mm is an outlier")
+    _say_kept(estimate.problems, audience)
+
+
+def _say_self(name: str, what: What, found: SelfCalibrated, scan: Scan, audience: Audience) -> None:
+    if found.start is not None and found.started is not None:
+        _say_start(found.start, found.started, audience)
+    estimate = found.estimate
+
+    def rms(part: slice) -> float:
+        return float(np.sqrt((estimate.change[:, part] ** 2).sum(axis=1).mean()))
+
+    if what == "arms":
+        moved = f"source moved by {rms(slice(0, 3)):.3f} mm, panel by {rms(slice(3, 6)):.3f} mm"
+    else:
+        moved = (
+            f"patient moved by {rms(slice(0, 3)):.3f} mm, {np.degrees(rms(slice(3, 6))):.3f} deg"
+        )
+    audience.say(
+        f"{name}: {counted(len(estimate.change), 'view')}, {moved} (RMS); residual "
+        f"{estimate.residuals[0]:.4g} at first, {estimate.residuals[-1]:.4g} in the last round"
+    )
+    _say_distance(found.believed, found.after, scan, audience)
+
+
+def _say_start(start: EpipolarConsistency, started: Aligned, audience: Audience) -> None:
+    views, planes = len(start.planes), int(start.planes.sum())
+    audience.say(
+        f"start: {views - len(start.problems)} of {views} views aligned by the planes they share "
+        f"with others, median {np.median(start.planes):.0f} planes per view, "
+        f"{start.complete.sum() / planes:.0%} of them with the specimen inside both panels; "
+        f"difference {start.residuals[0]:.4g} before, {start.residuals[-1]:.4g} after; "
+        f"{started.after_px:.3f} px from the executed geometry"
+    )
+    for view, problem in sorted(start.problems.items()):
+        audience.say(f"view {view} starts from its believed pose: {problem}", warning=True)
+
+
+def _say_distance(believed: Aligned, after: Aligned, scan: Scan, audience: Audience) -> None:
+    if scan.settings.specimen is None:
+        audience.say(
+            f"distance to the imported geometry: {after.after_px:.3f} px (RMS over points of the "
+            f"grid, after removing the motion and scale that no image shows; scale "
+            f"{after.scale:.5f}); no truth shows which is right: compare the residuals of both"
+        )
+        return
+    audience.say(
+        f"distance to the executed geometry: {believed.after_px:.3f} px believed, "
+        f"{after.after_px:.3f} px found (RMS over points of the grid, after removing the motion "
+        f"and scale that no image shows; scale {after.scale:.5f})"
+    )

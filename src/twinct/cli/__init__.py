@@ -117,20 +117,21 @@ def _code_of(arguments: list[str]) -> int:
         load_blas_if_limited()
         if arguments[:1] in (["node"], ["drive"]):
             arguments = take_ros_arguments(arguments)
-        from twinct.cli.commands import app, check_names, overview
+        from twinct.cli import commands
 
         alone = arguments in ([], ["-h"], ["--help"])
-        if arguments[:1] == ["--completion"]:
-            arguments = ["--tyro-print-completion", *arguments[1:]]
-        elif not alone:
-            check_names(arguments)
-        (overview() if alone else app).cli(
+        completion = arguments[:1] == ["--completion"]
+        if not (alone or completion):
+            commands.check_names(arguments)
+            commands.execute(arguments)
+            return EXIT_DONE
+        commands.application(overview=alone).cli(
             prog="twinct",
             description="Simulates a twin robotic CT system from one scenario file: two arms, "
             "X-ray projections, ROS 2, reconstruction and evaluation.\n\n"
             "twinct COMMAND --help explains a command, --version prints the version, and "
             "--completion bash|zsh|fish prints what a shell needs to complete commands.",
-            args=["--help"] if alone else arguments,
+            args=["--help"] if alone else ["--tyro-print-completion", *arguments[1:]],
         )
     except SystemExit as stop:  # tyro: 0 after --help, 2 after invalid arguments
         if isinstance(stop.__context__, BrokenPipeError):  # rich

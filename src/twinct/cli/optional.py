@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from inspect import Parameter, signature
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -16,7 +16,9 @@ _OPTIONAL, _REQUIRED = (
 )
 
 
-def mark_optional(command: Command, group: str = "") -> Command:
+def mark_optional(
+    command: Command, group: str = "", facts: Mapping[str, Any] | None = None
+) -> Command:
     """Mark arguments of a command, or of a group of arguments, as optional in its help.
 
     Otherwise tyro would say that their default is None, or nothing. An argument that states its own
@@ -26,19 +28,21 @@ def mark_optional(command: Command, group: str = "") -> Command:
     Args:
         command: function, or class of a group.
         group: what stands before the names of the group's options, such as ``arms.``.
+        facts: arguments as tyro shows them, by name, besides what their types state.
     """
     hints = get_type_hints(command, include_extras=True)
     for name, parameter in signature(command).parameters.items():
         hint, default = hints[name], parameter.default
-        base, *facts = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-        if tyro.conf.UseAppendAction in facts:  # tyro calls it repeatable
+        base, *known = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+        known += [facts[name]] if facts and name in facts else []
+        if tyro.conf.UseAppendAction in known:  # tyro calls it repeatable
             continue
         option = f"--{group}{name.strip('_').replace('_', '-')}"
-        read = read_here(base, name if tyro.conf.Positional in facts else option)
+        read = read_here(base, name if tyro.conf.Positional in known else option)
         if default in (None, (), ""):
-            facts = [_OPTIONAL, *facts]
+            known = [_OPTIONAL, *known]
         elif default is Parameter.empty and get_origin(base) is tuple:
-            facts = [_REQUIRED, *facts]
-        hints[name] = Annotated[(read, *facts)] if facts else read
+            known = [_REQUIRED, *known]
+        hints[name] = Annotated[(read, *known)] if known else read
     command.__annotations__ = hints
     return command

@@ -6,13 +6,21 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from rich import progress
-    from rich.console import Console
+from rich import progress
+from rich.console import Console
 
-    from twinct.observers import Audience, Event, Observer
+from twinct.observers import (
+    Audience,
+    Event,
+    Observer,
+    Said,
+    StageBegan,
+    StageEnded,
+    StageStep,
+    audience_of,
+)
 
 NOTICED = "twinct.recon", "twinct.specimen"
 """Loggers whose warnings are shown, and their notices, such as of kernels that are compiled."""
@@ -24,25 +32,20 @@ _PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False
 @contextmanager
 def on_terminal(others: Iterable[Observer] = ()) -> Iterator[Audience]:
     """Yield an audience that shows the progress of work; others may listen as well."""
-    from twinct.observers import Observer, Said, StageBegan, StageEnded, StageStep, audience_of
-
     kinds = (StageBegan, StageStep, StageEnded, Said)
     with audience_of([Observer(_while_read(TerminalProgress()), kinds), *others]) as audience:
         with _noticed(lambda text, warning: audience.say(text, warning=warning)):
             yield audience
 
 
-@contextmanager
-def warnings_into(told: list[str]) -> Iterator[None]:
-    """Show the warnings of twinct's own libraries at once, and add them to a list."""
+def warnings_to(told: list[str]) -> Observer:
+    """Return an observer that adds warnings to a list."""
 
-    def hear(text: str, warning: bool) -> None:
-        say(text, warning=warning)
-        if warning:
-            told.append(text)
+    def hear(said: Said) -> None:
+        if said.warning:
+            told.append(said.text)
 
-    with _noticed(hear):
-        yield
+    return Observer(hear, (Said,))
 
 
 @contextmanager
@@ -86,14 +89,10 @@ class _Notices(logging.Handler):
 
 def say(text: str, *, warning: bool = False) -> None:
     """Print one message."""
-    from twinct.observers import Said
-
     TerminalProgress()(Said(text, warning))
 
 
 def _console(*, stderr: bool = False) -> Console:
-    from rich.console import Console
-
     class Unhidden(Console):
         """A console whose own way with a closed pipe ends the thread without a word."""
 
@@ -114,8 +113,6 @@ class TerminalProgress:
 
     def __call__(self, event: Event) -> None:
         """Show an event, if it belongs to a stage."""
-        from twinct.observers import Said, StageBegan, StageEnded, StageStep
-
         match event:
             case StageBegan(name, total, done):
                 self._shown = time.monotonic()
@@ -142,8 +139,6 @@ class TerminalProgress:
                 pass
 
     def _new_bar(self) -> progress.Progress:
-        from rich import progress
-
         return progress.Progress(
             progress.TextColumn("{task.description:<28}"),
             progress.BarColumn(bar_width=None),

@@ -7,14 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from twinct.core.errors import InputError
+from twinct.core.errors import InputError, TimeUpError
 
 MOST_S = 1e8
 """Largest limit, three years; the operating system takes no 1e18 seconds."""
-
-
-class TimeUpError(InputError):
-    """The time that a command may take is over."""
 
 
 @contextmanager

@@ -153,3 +153,7 @@ class TargetRefusedError(MotionError):
 
 class LinkError(TwinctError):
     """The link between the simulations broke: a process died or did not answer."""
+
+
+class TimeUpError(InputError):
+    """The time that a command may take is over."""

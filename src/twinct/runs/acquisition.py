@@ -28,7 +28,7 @@ from twinct.scan import (
     acquire,
     local_rig,
 )
-from twinct.scenario import Scenario, load_scenario
+from twinct.scenario import Scenario, as_scenario
 
 if TYPE_CHECKING:
     from twinct.link.tap import Heard
@@ -96,9 +96,7 @@ def scenario_with(
     """
     if keys and builder:
         raise InputError(f"builder: it has its own scenario: change {', '.join(keys)} there")
-    if isinstance(scenario, Scenario):
-        return scenario.with_(keys) if keys else scenario
-    return load_scenario(scenario, keys)
+    return as_scenario(scenario, keys)
 
 
 def simulate(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from twinct.xray.chain import ViewImages
 
 
-def import_scan(paths: Sequence[str | Path], out: str | Path) -> Recorded:
+def import_recordings(paths: Sequence[str | Path], out: str | Path) -> Recorded:
     """Create a run's folder from recordings of a scan.
 
     ``run(..., resume=True)`` acquires the views that are missing. Raw, flat and dark images are not

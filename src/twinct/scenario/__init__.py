@@ -25,6 +25,7 @@ from twinct.scenario.catalogue import scenario_names
 from twinct.scenario.digests import plan_digest, specimen_digest, stage_digests
 from twinct.scenario.loading import (
     Template,
+    as_scenario,
     load_scenario,
     named_places,
     parse_scenario,
@@ -217,6 +218,7 @@ __all__ = [
     "ViewTask",
     "Xray",
     "Zone",
+    "as_scenario",
     "load_scenario",
     "named_places",
     "parse_scenario",

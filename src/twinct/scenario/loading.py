@@ -54,6 +54,17 @@ def load_scenario(
     return scenario
 
 
+def as_scenario(scenario: Scenario | str | Path, keys: Mapping[str, Any] | None = None) -> Scenario:
+    """Return a scenario, or that of a file, with other values of some keys.
+
+    Raises:
+        ScenarioError: the file, a key or its value is wrong.
+    """
+    if isinstance(scenario, Scenario):
+        return scenario.with_(keys) if keys else scenario
+    return load_scenario(scenario, keys or {})
+
+
 @cache
 def _warn_once(sentence: str) -> None:
     """Log a warning, once per process: a loop over scenarios would repeat it."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,11 +12,15 @@ from typing import Any
 import numpy as np
 
 from twinct.core.errors import InputError, TrajectoryError
+from twinct.core.extras import require
 from twinct.core.files.lock import sole_owner
+from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import check_folder, storage_errors, write_json
 from twinct.core.interruption import keeping
 from twinct.core.progress import SILENT, Progress
+from twinct.core.threads import limit_threads
 from twinct.geometry import Floats, ScanGeometry
+from twinct.observers import Observers, audience_of
 from twinct.robots.motion import save_plan
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, ViewTask, load_scenario, stage_digests, write_scenario
@@ -37,7 +41,8 @@ from twinct.view_plans.picture import draw_view_plan
 from twinct.view_plans.scout import Scouted, scouted
 from twinct.view_plans.task_goals import goals_of
 from twinct.view_plans.trial import tried
-from twinct.workers import Pool
+from twinct.workers import LocalPool, Pool
+from twinct.workers.cluster import RayPool
 
 SEARCH, VIEWS, SCENARIO, JOINTS = "search.json", "views.csv", "planned.yaml", "plan.npz"
 RESULT, PICTURE, LOCK = "plan.json", "plan.png", "plan.lock"
@@ -69,6 +74,73 @@ class ViewPlan:
     clearance_mm: float | None
     scouted: Scouted | None = None
     tried: Mapping[str, float] | None = None
+
+
+def plan(
+    source: str | Path,
+    out: str | Path,
+    overrides: Sequence[str] = (),
+    *,
+    scout: str | Path | None = None,
+    try_views: bool = False,
+    resume: bool = False,
+    address: str | None = None,
+    jobs: int | None = None,
+    threads: int | None = None,
+    observers: Observers = (),
+) -> ViewPlan:
+    """Choose views for the task of a scenario, with the processes of this machine or of a cluster.
+
+    Args:
+        source: scenario file.
+        out: folder for the results.
+        overrides: changes ``KEY=VALUE`` to the scenario.
+        scout: run of a few views to which the specimen is registered first.
+        try_views: simulate images of the planned views and of the scenario's path.
+        resume: continue an interrupted search.
+        address: address of Ray; ``local`` starts Ray on this machine; None: local processes.
+        jobs: number of processes; None: as many as there are threads.
+        threads: number of threads of all processes; see ``limit_threads``.
+        observers: notified of the progress.
+
+    Raises:
+        TwinctError: see ``plan_views``.
+    """
+    if jobs is not None and jobs < 1:
+        raise InputError(f"--jobs {jobs}: must be at least 1")
+    bound = limit_threads(threads)
+    if load_scenario(source, overrides).cell.kind == "arms":
+        require("robots")
+    with audience_of(observers) as audience, _pool(address, jobs, bound) as pool:
+        return plan_views(
+            Path(source),
+            Path(out),
+            overrides,
+            scout=None if scout is None else Path(scout),
+            try_views=try_views,
+            resume=resume,
+            pool=pool,
+            progress=audience,
+        )
+
+
+@contextmanager
+def _pool(address: str | None, jobs: int | None, bound: int) -> Iterator[Pool | None]:
+    """Yield the pool of workers for a search, or None for a single thread; clean up afterwards."""
+    workers = jobs or bound
+    if address is None and workers == 1:
+        yield None
+        return
+    with temporary_folder() as folder:
+        if address is None:
+            share = max(bound // workers, 1)
+            pool: Pool = LocalPool(folder, workers=workers, threads=share)
+        else:
+            pool = RayPool(address, name=folder.name, workers=jobs)
+        try:
+            yield pool
+        finally:
+            pool.close(clear=True)
 
 
 def plan_views(

@@ -5,21 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
 from twinct.cli.arguments import Overrides, ScenarioFile
 from twinct.cli.progress import on_terminal, say
+from twinct.cli.scenario_at import scenario_at
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.extras import require
+from twinct.core.files.writing import storage_errors
 from twinct.link import require_ros
+from twinct.link.arm_types import follow_joint_trajectory
 from twinct.link.environment import ROS_ARGUMENTS
-
-if TYPE_CHECKING:
-    from twinct.robots.motion import Gate
-    from twinct.robots.programs import Program
-    from twinct.scenario import Scenario
+from twinct.runs import motion_program
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC")]
 
@@ -97,23 +96,20 @@ def _drive(
     choices: tuple[Any, ...],
 ) -> None:
     """Plan, send, and say what was recorded; ``choices`` are the fields of ``DriveSettings``."""
-    from twinct.core.files.writing import storage_errors
-
     if out.suffix.lower() != ".mcap":
         raise InputError(f"--out {out}: a recording is an MCAP file; its name must end in .mcap")
     if out.exists():
         raise ScanExistsError(f"{out} exists already: choose another --out")
     require("robots", "record")
     require_ros()
-    from twinct.link.arm_types import follow_joint_trajectory
-
-    follow_joint_trajectory()  # before a plan takes its time
-    loaded, program, gate = planned(scenario, set_, prefixes)
     from twinct.link.driving import Drive, DriveSettings, names_of
     from twinct.link.follow import courses
     from twinct.link.participant import Station
     from twinct.link.recording.drive_file import DriveFile
 
+    follow_joint_trajectory()  # before a plan takes its time
+    with scenario_at(scenario, set_) as loaded, on_terminal() as audience:
+        program, gate = motion_program(loaded, prefixes, audience)
     parts = courses(program, actions, speed)
     names = names_of(parts, program.plan.joint_names)
     run: Drive | None = None
@@ -138,33 +134,3 @@ def _drive(
                 say(sentence, warning=True)
     heard = ", ".join(f"{count} of {topic}" for topic, count in file.heard.items())
     say(f"the controllers followed the plan; wrote {out} with {heard}")
-
-
-def planned(
-    scenario: Path, set_: Sequence[str], prefixes: tuple[str, str]
-) -> tuple[Scenario, Program, Gate]:
-    """Return a scenario, its plan under the names of the drivers, and the gate of its joints.
-
-    Raises:
-        InputError: the scenario has no arms, or no plan.
-    """
-    from twinct.scan import SimulationBuilder
-    from twinct.scenario import load_scenario, named_places
-
-    loaded = load_scenario(scenario, set_)
-    if loaded.cell.kind != "arms":
-        raise InputError(f"cell.kind: a {loaded.cell.kind} has no arms to move")
-    if loaded.motion.scheme == "reactive":
-        raise InputError("motion.scheme: reactive has no plan to write; set it to planned")
-    require("robots")
-    from twinct.robots.motion import gate_of
-    from twinct.robots.programs import program_of
-
-    builder = SimulationBuilder(loaded)
-    with named_places(scenario, set_), on_terminal() as audience:
-        with audience.stage("planning the motion", 1) as step:
-            plan = builder.followed
-            step()
-    assert plan is not None
-    program = program_of(plan, f"{loaded.name}, plan {plan.digest[:12]}", prefixes)
-    return loaded, program, gate_of(builder.cell, loaded.motion)

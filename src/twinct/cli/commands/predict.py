@@ -10,6 +10,9 @@ import tyro
 from twinct.cli.arguments import Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.core.threads import limit_threads
+from twinct.measured import prediction
+from twinct.scan.named_geometries import named_geometries
+from twinct.scenario import named_places
 
 
 def predict(
@@ -38,14 +41,10 @@ def predict(
         as_: Name of the result, below DIR/predictions; by default, volume or the mesh's name.
         set_: Keys of source, detector, specimen, reconstruction or xray, for the prediction only.
     """
-    from twinct.measured.prediction import predict
-    from twinct.scan.named_geometries import named_geometries
-    from twinct.scenario import named_places
-
     limit_threads(threads)
     how = {"geometry": geometry, "mesh": mesh, "material": material, "name": as_}
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
-        made = predict(folder, set_, **how, observers=audience)
+        made = prediction.predict(folder, set_, **how, observers=audience)
     for sentence in made.notes:
         say(sentence)
     if geometry is None and (others := ", ".join(named_geometries(folder / "geometries"))):

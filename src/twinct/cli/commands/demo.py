@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from twinct import runs
 from twinct.cli.arguments import Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import say_result
@@ -17,6 +18,7 @@ from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.extras import WAY_OUT, require
 from twinct.core.threads import limit_threads
 from twinct.link import require_ros
+from twinct.scenario import load_scenario, named_places
 
 NAME = "demo"
 _TRY_GVXR = """
@@ -45,9 +47,6 @@ def demo(
     Args:
         out: Folder for the results.
     """
-    from twinct import runs
-    from twinct.scenario import load_scenario, named_places
-
     limit_threads(threads)
     load_scenario(NAME, set_)  # a mistake in it is told before anything is tried
     chosen = (*_arms(), *_engine(set_), *set_)  # what the user sets comes last, and counts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from rich.console import Console
@@ -18,9 +18,9 @@ from twinct.cli.progress import on_terminal
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import counted, shortened
 from twinct.core.memory import if_little
-
-if TYPE_CHECKING:
-    from twinct.study import DryRun, Tally
+from twinct.report.template import duration
+from twinct.study import DryRun, Tally, run_study
+from twinct.study import dry_run as preview
 
 _LINE_EVERY_S = 30.0
 _MOST_SHOWN = 40
@@ -60,8 +60,6 @@ def study(
     if dry_run:
         _show(_planned(file, out, jobs, retry_failed))
         return
-    from twinct.study import run_study
-
     with on_terminal() as audience, _Line() as line:
         finished = run_study(
             file,
@@ -88,10 +86,8 @@ def study(
 
 
 def _planned(file: Path, out: Path, jobs: int | None, retry: bool) -> DryRun:
-    from twinct.study import dry_run
-
     with on_terminal() as audience:
-        return dry_run(file, out, jobs=jobs, retry=retry, observers=audience)
+        return preview(file, out, jobs=jobs, retry=retry, observers=audience)
 
 
 def _show(preview: DryRun) -> None:
@@ -121,8 +117,6 @@ def _show(preview: DryRun) -> None:
     )
     console.print(f"disk: {size}{known}", highlight=False)
     if estimate.seconds is not None:
-        from twinct.report.template import duration
-
         console.print(f"time: about {duration(estimate.seconds)}", highlight=False)
 
 
@@ -155,8 +149,6 @@ class _Line:
         text = f"{tally.done} done, {tally.running} running, {tally.failed} failed"
         text += f" of {tally.total}"
         if tally.left_s is not None and tally.left_s > 0:
-            from twinct.report.template import duration
-
             text += f", about {duration(tally.left_s)} left"
         if self._console.is_terminal:
             self._live.start()

@@ -7,8 +7,11 @@ from typing import Annotated
 
 import tyro
 
+from twinct.cli.progress import say
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
+from twinct.robots.cell.vendor import write_arm
+from twinct.robots.programs import check_absent
 
 _SUPPLY = {
     "joint_torque_nm": "no torque limit",
@@ -36,10 +39,6 @@ def arm(
         arguments: Values of xacro's arguments.
         out: Folder to write, which must not exist.
     """
-    from twinct.cli.progress import say
-    from twinct.robots.cell.vendor import write_arm
-    from twinct.robots.programs import check_absent
-
     given = dict(_pair(text) for text in arguments)
     check_absent(out)
     written = write_arm(file, given, out)

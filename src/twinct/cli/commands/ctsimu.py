@@ -6,19 +6,24 @@ import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 from rich.console import Console
+from rich.table import Table
 
 from twinct.cli.arguments import Flag
 from twinct.cli.optional import mark_optional
 from twinct.cli.progress import on_terminal
 from twinct.core.errors import InputError, MemoryShortageError
+from twinct.core.files.writing import check_folder
 from twinct.core.interruption import keeping
-
-if TYPE_CHECKING:
-    from twinct.ctsimu.scenario import CtsimuScenario
+from twinct.ctsimu import Options, load_ctsimu, suite
+from twinct.ctsimu import render as render_ctsimu
+from twinct.ctsimu.export import export_scan
+from twinct.ctsimu.outputs import Files
+from twinct.ctsimu.scenario import CtsimuScenario
+from twinct.scan import ScanStore, SimulationBuilder, named_geometries
 
 ctsimu = tyro.extras.SubcommandApp()
 
@@ -54,9 +59,6 @@ def render(
         seed: Seed of the noise, 0 or more.
         resume: Resume an interrupted rendering.
     """
-    from twinct.core.files.writing import check_folder
-    from twinct.ctsimu import Options, load_ctsimu, render
-
     _check_options(samples, spot_points, seed)
     check_folder(out)
     loaded = load_ctsimu(scenario)
@@ -67,7 +69,7 @@ def render(
             audience.stage("projections", loaded.frames) as step,
             keeping(partial(_kept, loaded, out)),
         ):
-            files = render(loaded, out, options, resume=resume, step=step)
+            files = render_ctsimu(loaded, out, options, resume=resume, step=step)
     except MemoryError as error:
         columns, rows = reversed(loaded.frame(0).panel.shape)
         raise MemoryShortageError(
@@ -96,10 +98,6 @@ def export(
         geometry: Geometry for the reconstruction: believed, executed, commanded, or one made by
             twinct geometry.
     """
-    from twinct.core.files.writing import check_folder
-    from twinct.ctsimu.export import export_scan
-    from twinct.scan import ScanStore, SimulationBuilder, named_geometries
-
     store = scan if scan.suffix == ".zarr" else scan / "scan.zarr"
     if not store.is_dir():
         raise InputError(f"{scan} holds no scan; expected a scan.zarr, as 'twinct run' writes it")
@@ -129,29 +127,22 @@ def qualify(
         out: Folder for samples, images and results; figures go to qualification.json.
         tests: Names such as 2D-FB-1; by default, all supported tests, eight of ten.
     """
-    from rich.table import Table
-
-    from twinct.core.files.writing import check_folder
-    from twinct.ctsimu.suite import NOT_TAKEN, TESTS, qualify
-
     check_folder(out)
     console, say = Console(), partial(Console(stderr=True).print, highlight=False)
     table = Table("test", "figure", "required", "measured", "")
     marks = {True: "passed", False: "FAILED", None: ""}
     with keeping(lambda: f"{out} keeps its images; the same command continues"):
-        verdicts = qualify(out, tests or TESTS, step=say)
+        verdicts = suite.qualify(out, tests or suite.TESTS, step=say)
     for v in verdicts:
         table.add_row(v.test, v.what, v.required, v.measured, marks[v.passed])
     console.print(table)
-    for name, why in NOT_TAKEN.items():
+    for name, why in suite.NOT_TAKEN.items():
         console.print(f"{name} is skipped: {why}", highlight=False)
     if any(verdict.passed is False for verdict in verdicts):
         raise SystemExit(1)
 
 
 def _kept(scenario: CtsimuScenario, out: Path) -> str:
-    from twinct.ctsimu.outputs import Files
-
     files = Files(out, scenario.name)
     done = sum(files.projection(index).exists() for index in range(scenario.frames))
     return f"{out} keeps {done} of {scenario.frames} projections; --resume continues"

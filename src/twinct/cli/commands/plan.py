@@ -1,0 +1,85 @@
+"""``twinct plan``: views for a task."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from twinct.cli.arguments import Flag, Overrides, ScenarioFile, Threads
+from twinct.cli.progress import on_terminal
+from twinct.cli.scenario_at import scenario_at
+from twinct.core.foreign_text import counted
+from twinct.view_plans import planner
+
+
+def plan(
+    scenario: ScenarioFile,
+    *,
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    scout: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None,
+    try_views: Annotated[Flag, tyro.conf.arg(name="try")] = False,
+    address: Annotated[str | None, tyro.conf.arg(metavar="auto|local|HOST:PORT")] = None,
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
+    resume: Flag = False,
+    threads: Threads = None,
+    set_: Overrides = (),
+) -> None:
+    """Choose views for the section task of a scenario, among the views that the arms can reach.
+
+    Writes views.csv, planned.yaml (which twinct run executes), plan.npz, plan.json and plan.png.
+
+    Args:
+        out: Folder for the results.
+        scout: Run of a few views, used to locate the specimen before planning.
+        try_views: Simulate images of the planned views and of the scenario's path, and compare
+            the volumes in tried.png.
+        address: Address of Ray; local starts Ray on this machine. Default: local processes.
+        jobs: Processes that search for reachable views and evaluate paths of a family (default: as
+            many as there are threads).
+        resume: Resume an interrupted search.
+    """
+    with scenario_at(scenario, set_) as loaded, on_terminal() as audience:
+        plan = planner.plan(
+            scenario,
+            out,
+            set_,
+            scout=scout,
+            try_views=try_views,
+            resume=resume,
+            address=address,
+            jobs=jobs,
+            threads=threads,
+            observers=audience,
+        )
+    table = Table(
+        title=f"{counted(len(plan.views), 'view')}; "
+        f"{plan.reachable} of {plan.candidates} candidates reachable"
+    )
+    for name in ("", "planned", "evenly spread", "the scenario's path"):
+        table.add_column(name)
+    assert loaded.task is not None
+    for name, figures in plan.figures.items():
+        label = loaded.task.label(name)
+        table.add_row(
+            label, *("-" if value is None else f"{value:.4g}" for value in figures.values())
+        )
+    console = Console()
+    console.print(table)
+    if (seen := plan.scouted) is not None:
+        moved = f"{seen.moved_mm:.2f} mm and {seen.turned_deg:.2f} deg"
+        console.print(
+            f"registering {seen.views} scout views moved the specimen by {moved}", highlight=False
+        )
+    if plan.tried is not None:
+        own, planned = (100 * plan.tried[name] for name in ("own_path", "planned"))
+        words = f"error in the region: {planned:.2f} % planned, {own:.2f} % on the scenario's path"
+        console.print(words, highlight=False)
+    if plan.scan_s is not None:
+        motion = f"motion {plan.scan_s:.1f} s, smallest clearance {plan.clearance_mm:.1f} mm"
+        console.print(motion, highlight=False)
+    written = out / planner.SCENARIO
+    console.print(f"wrote {out}; twinct run {written} takes these views", highlight=False)
