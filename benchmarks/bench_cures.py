@@ -18,10 +18,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from twinct.cli.reach import LEAST_WORK, SHARE, pictured, remedies
 from twinct.core.cached import forget
 from twinct.core.errors import TrajectoryError
 from twinct.core.progress import Effort, counted
+from twinct.runs.remedies import LEAST_WORK, SHARE, pictured, remedies
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 

@@ -15,7 +15,7 @@ from pydantic_core import PydanticUndefined
 from pygments.lexers.special import TextLexer
 from scenario_page import scenario, stages
 
-from twinct.cli.commands import app
+from twinct.cli.commands import application
 from twinct.evaluation import IMAGE_FIGURES, figure_kinds
 from twinct.evaluation.figure import Figure
 
@@ -32,7 +32,7 @@ def command_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     with warnings.catch_warnings():  # tyro offers no other way to the parser
         warnings.simplefilter("ignore", DeprecationWarning)
-        return tyro.extras.get_parser(app._build_union(use_underscores=False), prog="twinct")
+        return tyro.extras.get_parser(application()._build_union(use_underscores=False), prog="twinct")
 
 
 def subcommands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:

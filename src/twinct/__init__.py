@@ -14,32 +14,78 @@ from twinct.core.system_libraries import egl_is_there
 from twinct.version import __version__
 
 if TYPE_CHECKING:
+    from twinct.calibration.calibrate import calibrate
+    from twinct.measured.import_scan import import_scan
+    from twinct.measured.prediction import predict
     from twinct.recon.volume import Volume
-    from twinct.runs import compare, evaluate, load_scan, needs, reconstruct, run, simulate
+    from twinct.runs import (
+        check,
+        compare,
+        derive_geometry,
+        draw_view,
+        evaluate,
+        export,
+        load_scan,
+        needs,
+        place,
+        reach,
+        reconstruct,
+        reconstruct_run,
+        rewrite_report,
+        run,
+        simulate,
+        verify,
+        write_motion,
+        write_specimen,
+        write_urdf,
+    )
     from twinct.scenario import load_scenario
     from twinct.study import load_results, run_study
-
+    from twinct.view_plans.effects import effects_of_errors
+    from twinct.view_plans.planner import plan
 
 __all__ = [
     "__version__",
     "Volume",
+    "calibrate",
+    "check",
     "compare",
+    "derive_geometry",
+    "draw_view",
+    "effects_of_errors",
     "evaluate",
+    "export",
+    "import_scan",
     "load_results",
     "load_scan",
     "load_scenario",
     "needs",
+    "place",
+    "plan",
+    "predict",
+    "reach",
     "reconstruct",
+    "reconstruct_run",
+    "rewrite_report",
     "run",
     "run_study",
     "simulate",
+    "verify",
+    "write_motion",
+    "write_specimen",
+    "write_urdf",
 ]
 
 _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
     "Volume": "twinct.recon.volume",
+    "calibrate": "twinct.calibration.calibrate",
+    "effects_of_errors": "twinct.view_plans.effects",
+    "import_scan": "twinct.measured.import_scan",
     "load_results": "twinct.study",
-    "run_study": "twinct.study",
     "load_scenario": "twinct.scenario",
+    "plan": "twinct.view_plans.planner",
+    "predict": "twinct.measured.prediction",
+    "run_study": "twinct.study",
 }
 
 

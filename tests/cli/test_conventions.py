@@ -8,13 +8,8 @@ from pathlib import Path
 import pytest
 
 from twinct.cli import run_command
-from twinct.cli.calibrate import METHODS as CALIBRATIONS
-from twinct.cli.commands import NAMES
-
-METHODS = {
-    "calibrate": tuple(CALIBRATIONS),
-    "ctsimu": ("render", "export", "qualify"),
-}
+from twinct.cli.commands import COMMANDS as NAMES
+from twinct.cli.commands import METHODS, command_named
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -40,6 +35,12 @@ def test_the_help_of_twinct_names_each_command_in_a_sentence(
     assert all(f"• {name} " in text for name in NAMES)
     assert len(text.splitlines()) < 75
     assert said(capsys) == text, "and without arguments"
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in METHODS])
+def test_the_help_of_a_command_begins_with_its_sentence(name: str) -> None:
+    first = (command_named(name).__doc__ or "").partition("\n\n")[0]
+    assert " ".join(first.split()) == NAMES[name]
 
 
 @pytest.mark.parametrize(

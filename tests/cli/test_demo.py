@@ -9,7 +9,8 @@ from unittest.mock import Mock
 
 import pytest
 
-from twinct.cli import demo, run_command
+from twinct.cli import run_command
+from twinct.cli.commands import demo
 
 TINY = [
     "--set", "trajectory.views=6",

@@ -37,11 +37,11 @@ def test_an_interrupt_ends_with_its_signal_and_says_what_is_kept(
     kept: str,
     said: str,
 ) -> None:
-    def interrupted(**_: object) -> None:
+    def interrupted(*_: object) -> None:
         with keeping(lambda: kept):
             signal.raise_signal(number)
 
-    monkeypatch.setattr("twinct.cli.commands.app.cli", interrupted)
+    monkeypatch.setattr("twinct.cli.commands.execute", interrupted)
     assert run_command(["run", "demo.yaml"]) == 128 + number
     assert capfd.readouterr().err == f"twinct: interrupted: {said}\n"
 
@@ -54,18 +54,18 @@ def test_an_interrupt_that_a_library_swallows_is_no_bug(
 ) -> None:
     """As trimesh does, which keeps what the import of another module raises, and fails later."""
 
-    def imported(**_: object) -> None:
+    def imported(*_: object) -> None:
         try:
             signal.raise_signal(number)
         except BaseException as error:
             kept = error
         raise TypeError(f"unsupported operand: {kept!r}")
 
-    monkeypatch.setattr("twinct.cli.commands.app.cli", imported)
+    monkeypatch.setattr("twinct.cli.commands.execute", imported)
     assert run_command(["check"]) == code
     said = "before anything new was complete; earlier results stay"
     assert capfd.readouterr().err == f"twinct: interrupted: {said}\n"
-    monkeypatch.setattr("twinct.cli.commands.app.cli", lambda **_: 1 / 0)
+    monkeypatch.setattr("twinct.cli.commands.execute", lambda *_: 1 / 0)
     assert run_command(["check"]) == 1  # a bug of the next command stays one
     assert "unexpected ZeroDivisionError" in capfd.readouterr().err
 
@@ -85,14 +85,14 @@ def test_an_interrupt_that_a_library_swallows_is_no_bug(
 def test_a_lack_of_memory_is_told_whatever_meets_it(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], error: Exception
 ) -> None:
-    def lacking(**_: object) -> None:
+    def lacking(*_: object) -> None:
         try:
             raise error
         except Exception as first:
             raise TypeError("something failed") from first
 
     for work in (lacking, Mock(side_effect=error)):
-        monkeypatch.setattr("twinct.cli.commands.app.cli", work)
+        monkeypatch.setattr("twinct.cli.commands.execute", work)
         assert run_command(["check"]) == 2
         assert re.match(r"twinct: too little memory, by the .*: \w+: ", capfd.readouterr().err)
     monkeypatch.setattr("twinct.cli._code_of", Mock(side_effect=SystemError("no exception set")))
@@ -143,13 +143,13 @@ def test_readings_that_an_interrupt_cuts_short_do_not_complain(
 def test_a_second_interrupt_cuts_the_end_short_but_not_what_is_said(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(**_: object) -> None:
+    def interrupted(*_: object) -> None:
         with keeping(lambda: "outer"), ExitStack() as stack:
             stack.callback(signal.raise_signal, signal.SIGINT)
             with keeping(lambda: "inner"):
                 signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr("twinct.cli.commands.app.cli", interrupted)
+    monkeypatch.setattr("twinct.cli.commands.execute", interrupted)
     assert run_command(["run", "demo.yaml"]) == 128 + signal.SIGINT
     assert capfd.readouterr().err == "twinct: interrupted: outer; inner\n"
 
@@ -160,12 +160,12 @@ import twinct.cli.commands
 from rich.console import Console
 from twinct.cli import main
 from twinct.cli.progress import on_terminal, say
-def work(**_):
+def work(*_):
     with on_terminal() as audience, audience.stage("work", 1) as step:
         audience.say("begun")
         step()
     {}
-twinct.cli.commands.app.cli = work
+twinct.cli.commands.execute = work
 main(["run"])
 """
 """A command that tells its progress and its result."""
@@ -205,10 +205,10 @@ for number in (signal.SIGINT, signal.SIGHUP):
     signal.signal(number, signal.SIG_IGN)
 import twinct.cli.commands
 from twinct.cli import main
-def work(**_):
+def work(*_):
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.raise_signal(number)
-twinct.cli.commands.app.cli = work
+twinct.cli.commands.execute = work
 main(["run"])
 """
 """A command that Ctrl-C and the end of its terminal meet, as a job in the background."""
@@ -245,7 +245,7 @@ if "{moment}" == "after the last line":
         run(argv)
         signal.raise_signal({number})
     cli.run_command = run_command
-twinct.cli.commands.app.cli = lambda **_: None
+twinct.cli.commands.execute = lambda *_: None
 cli.main(["run"])
 """
 """A command that a signal meets when its work is done."""

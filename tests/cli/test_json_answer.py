@@ -82,8 +82,8 @@ def test_places_in_numbers(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = Mock(before=0, after=1, judged=3, overrides=("cell.table.height_mm=1",))
-    monkeypatch.setattr("twinct.cli.reach.place", Mock(return_value=found))
-    monkeypatch.setattr("twinct.cli.reach._share", Mock(side_effect=[0.5, np.float64(0.75)]))
+    monkeypatch.setattr("twinct.runs.reaching.place_arms", Mock(return_value=found))
+    monkeypatch.setattr("twinct.runs.reaching._share", Mock(side_effect=[0.5, np.float64(0.75)]))
     placed, _ = answer(capsys, "place", "demo", "--set", "trajectory.views=4")
     assert placed == {
         "share_before": 0.5,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -75,10 +76,13 @@ def test_a_search_for_a_cure_can_be_left(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
-        assert "out of reach by 2" in capfd.readouterr().err  # told before it
+        said = ""
+        while "out of reach by 2" not in said:  # told before it, by another thread
+            said += capfd.readouterr().err
+            time.sleep(0.01)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("twinct.cli.reach.reasons", interrupted)
+    monkeypatch.setattr("twinct.runs.remedies.reasons", interrupted)
     picture = tmp_path / "view.png"
     assert run_command(["check", DEMO, *BALL, *TURNED, "--picture", str(picture)]) == 2
     assert "view 2: source arm: out of reach by 2" in capfd.readouterr().err
@@ -88,7 +92,7 @@ def test_a_search_for_a_cure_can_be_left(
 def test_without_cures_only_the_problems_are_told(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twinct.cli.reach.reasons", None)
+    monkeypatch.setattr("twinct.runs.remedies.reasons", None)
     monkeypatch.chdir(tmp_path)
     assert run_command(["check", DEMO, *BALL, *TURNED, "--no-cures", "--threads", "1"]) == 2
     said = capfd.readouterr().err
@@ -102,7 +106,7 @@ def test_a_search_for_a_cure_ends_with_the_time(
     def endless(*_: object, **__: object) -> None:
         signal.raise_signal(signal.SIGALRM)
 
-    monkeypatch.setattr("twinct.cli.reach.reasons", endless)
+    monkeypatch.setattr("twinct.runs.remedies.reasons", endless)
     picture = tmp_path / "view.png"
     limit = ("--time-limit", "3600", "--picture", str(picture))
     assert run_command(["check", DEMO, *BALL, *TURNED, *limit]) == 2
@@ -119,7 +123,7 @@ def test_of_a_plan_in_a_file_no_cure_is_sought(
 ) -> None:
     plan, few = str(tmp_path / "plan.npz"), ("--set", "trajectory.views=4")
     assert run_command(["check", DEMO, *BALL, *few, "--save", plan]) == 0
-    monkeypatch.setattr("twinct.cli.reach.reasons", None)
+    monkeypatch.setattr("twinct.runs.remedies.reasons", None)
     moved = ("--set", "cell.source_arm.base_position_mm=[860, 0, 0]")
     asked = ("--set", f"motion.plan={plan}", *moved)
     assert run_command(["check", DEMO, *BALL, *few, *asked]) == 2

@@ -116,7 +116,7 @@ def test_a_folder_of_other_things_and_no_file_are_one_message(study, tmp_path, c
 
 def test_failed_trials_are_told_with_a_reason(study, tmp_path, capfd, monkeypatch) -> None:
     done = StudyRun(StudyFolder(tmp_path / "out"), 1, 2, "no light")
-    monkeypatch.setattr("twinct.study.run_study", lambda *_, **__: done)
+    monkeypatch.setattr("twinct.cli.commands.study.run_study", lambda *_, **__: done)
     assert study(AXES) == 0
     assert "2 trials failed, the first because: no light" in capfd.readouterr().err
 

@@ -8,16 +8,19 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import pytest
 
-from twinct.cli import commands, ctsimu, run_command
-from twinct.cli.calibrate import METHODS, Errors
+from twinct.calibration.calibrate import METHODS
+from twinct.calibration.freedom import PosePrior
+from twinct.cli import commands, run_command
+from twinct.cli.commands import ctsimu
+from twinct.cli.commands.calibrate import BY_METHOD
 from twinct.link.recording.arms_recording import ArmsRecording
 
-COMMANDS: dict[str, Callable[..., None]] = {
-    **{name: getattr(commands, name, commands.import_) for name in commands.NAMES},
-    **{f"calibrate {name}": method for name, method in METHODS.items()},
+COMMANDS: dict[str, Any] = {
+    **{name: commands.command_named(name) for name in commands.COMMANDS},
+    **{f"calibrate {name}": command for name, command in BY_METHOD.items()},
     **{f"ctsimu {name}": getattr(ctsimu, name) for name in ("render", "export", "qualify")},
 }
-GROUPS = {Errors: "", ArmsRecording: "arms."}
+GROUPS = {**dict.fromkeys([*METHODS.values(), PosePrior], ""), ArmsRecording: "arms."}
 TYPES = {int: "must be a whole number", float: "must be a finite number", Literal: "choose from "}
 
 

@@ -11,7 +11,7 @@ import pytest
 from waiting import HANG_S
 
 from twinct.cli import run_command
-from twinct.cli.view import serving
+from twinct.cli.live_page import serving
 from twinct.viewer.server import address
 
 DEMO = str(Path(__file__).parents[2] / "scenarios" / "demo.yaml")

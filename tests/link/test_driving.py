@@ -6,6 +6,7 @@ import errno
 import json
 import re
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from stand_in import StandIn
 from waiting import HANG_S, until
 
 from twinct.cli import run_command
-from twinct.cli.drive import drive
+from twinct.cli.commands.drive import drive
 from twinct.core.errors import InputError, StorageError
 from twinct.link.driving import Drive, DriveSettings, names_of
 from twinct.link.follow import ControllerError, courses
@@ -290,7 +291,9 @@ def test_a_command_that_ends_before_it_sent_leaves_no_file(
     scenario, program, domain, tmp_path, monkeypatch, where: str, does: Any, error: type
 ) -> None:
     gate = gate_of(SimulationBuilder(scenario).cell, scenario.motion)
-    monkeypatch.setattr("twinct.cli.drive.planned", lambda *_: (scenario, program, gate))
+    here = "twinct.cli.commands.drive"
+    monkeypatch.setattr(f"{here}.scenario_at", lambda *_: nullcontext(scenario))
+    monkeypatch.setattr(f"{here}.motion_program", lambda *_: (program, gate))
     monkeypatch.setattr(where, does)
     with pytest.raises(error):
         drive(Path("s.yaml"), out=tmp_path / "d.mcap", source=ACTIONS[0], detector=ACTIONS[1])

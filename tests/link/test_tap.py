@@ -24,7 +24,7 @@ from twinct.link.senders import Members
 from twinct.link.tap import Tap
 from twinct.link.topics import CLOCK, ROBOTS, TOPICS
 from twinct.robots.motion import MotionPlan
-from twinct.runs import acquire_to_store, import_scan
+from twinct.runs import acquire_to_store, import_recordings
 from twinct.scan import LocalRig, SimulationBuilder
 
 pytestmark = [pytest.mark.ros, pytest.mark.process]
@@ -154,10 +154,10 @@ def test_recordings_over_both_links(
 
     for folder in folders:
         again = tmp_path / f"{folder.name} again"
-        assert import_scan([folder / "scan.mcap"], again).missing == ()
+        assert import_recordings([folder / "scan.mcap"], again).missing == ()
         files = [p.relative_to(again) for p in (again / "scan.zarr").rglob("*") if p.is_file()]
         assert filecmp.cmpfiles(folder, again, files, shallow=False)[1:] == ([], [])
-        killed = import_scan([folder / "scan_1.mcap"], tmp_path / f"{folder.name} killed")
+        killed = import_recordings([folder / "scan_1.mcap"], tmp_path / f"{folder.name} killed")
         assert killed.missing == tuple(range(KILLED, VIEWS))
 
 

@@ -14,7 +14,7 @@ from twinct.core.files.private import DRAFT
 from twinct.link.recording import Recorded
 from twinct.link.recording.bag import Bag
 from twinct.link.topics import IMAGE, JOINTS, REACHED, STATE
-from twinct.runs import import_scan
+from twinct.runs import import_recordings
 from twinct.scan import ScanStore
 from twinct.scenario import load_scenario
 from twinct.trajectory import commanded_views
@@ -54,21 +54,21 @@ def told_again(bag, path, keep=lambda topic: True):
 @pytest.mark.parametrize("keys", [(), ("cell={kind: gantry}",)], ids=["arms", "gantry"])
 def test_a_rebuilt_store_has_the_same_bytes(take, taken, keys, tmp_path):
     scan = take(tmp_path / "scan", *keys) if keys else taken
-    found = import_scan([scan.folder / "scan.mcap"], tmp_path / "again")
+    found = import_recordings([scan.folder / "scan.mcap"], tmp_path / "again")
     assert found.missing == () and found.contents.problems == ()
     assert_same(scan.folder / "scan.zarr", tmp_path / "again" / "scan.zarr")
 
 
 def test_what_was_cut_off_is_resumed(take, taken, tmp_path):
     part = cut(taken.folder / "scan.mcap", 0.7, tmp_path / "cut.mcap")
-    found = import_scan([part], tmp_path / "out")
+    found = import_recordings([part], tmp_path / "out")
     assert 0 < len(found.missing) < 4 and found.missing_in_words.endswith("3")
     assert found.contents.problems == (f"{part} was cut off",)
     assert ScanStore(tmp_path / "out" / "scan.zarr").acquired == 4 - len(found.missing)
 
     rest = take(tmp_path / "out")
     assert_same(taken.folder / "scan.zarr", tmp_path / "out" / "scan.zarr")
-    both = import_scan([part, rest.folder / "scan.mcap"], tmp_path / "both")
+    both = import_recordings([part, rest.folder / "scan.mcap"], tmp_path / "both")
     assert both.missing == ()
     assert_same(taken.folder / "scan.zarr", tmp_path / "both" / "scan.zarr")
 
@@ -85,12 +85,12 @@ def test_an_import_that_is_cut_short_leaves_nothing_and_can_be_repeated(
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(ScanStore, "write", interrupted)
-        import_scan([taken.folder / "scan.mcap"], out)
+        import_recordings([taken.folder / "scan.mcap"], out)
     assert not list(out.iterdir())
     left = out / f"{DRAFT}abcdefgh"  # of a kill
     (left / "scan.zarr" / "images").mkdir(parents=True)
     (left / ".held").touch()
-    import_scan([taken.folder / "scan.mcap"], out)
+    import_recordings([taken.folder / "scan.mcap"], out)
     assert_same(taken.folder / "scan.zarr", out / "scan.zarr")
     assert not [path for path in out.iterdir() if path.name.startswith(".")]
 
@@ -101,7 +101,7 @@ def test_a_damaged_part_costs_its_views_only(taken, tmp_path):
     image = ScanStore(taken.folder / "scan.zarr").transmission(1).tobytes()
     data[data.index(image)] ^= 1
     bag.write_bytes(data)
-    found = import_scan([bag], tmp_path / "out")
+    found = import_recordings([bag], tmp_path / "out")
     assert found.missing == (1,) and found.missing_in_words == "view 1"
     assert found.contents.problems == (f"{bag}: 1 damaged parts",)
 
@@ -115,7 +115,7 @@ def test_another_tools_recording_gives_what_is_there(taken, tmp_path):
         return topic != "/xray/image" or seen != 2
 
     bag = told_again(taken.folder / "scan.mcap", tmp_path / "bag.mcap", all_but_the_second_image)
-    found = import_scan([bag], tmp_path / "out")
+    found = import_recordings([bag], tmp_path / "out")
     assert isinstance(found, Recorded) and found.missing == (1,)
     own = ScanStore(taken.folder / "scan.zarr").read()
     store = ScanStore(tmp_path / "out" / "scan.zarr")
@@ -157,10 +157,10 @@ def test_bad_input(take, taken, tmp_path):
         ([newer], "'twinct recording 2'; this twinct reads 'twinct recording 1'"),
     ]:
         with pytest.raises(InputError, match=words):
-            import_scan(files, tmp_path / "out")
+            import_recordings(files, tmp_path / "out")
         assert not (tmp_path / "out").exists(), words
     with pytest.raises(ScanExistsError, match="already holds scan.zarr"):
-        import_scan([own], taken.folder)
+        import_recordings([own], taken.folder)
 
 
 def test_the_command_names_what_is_missing(taken, tmp_path, capsys):
@@ -215,5 +215,5 @@ def test_messages_that_no_scan_says_are_told_and_nothing_is_left(
     """Found by changing single messages."""
     bag = otherwise(taken.folder / "scan.mcap", tmp_path / "x.mcap", changes, files=files)
     with pytest.raises(InputError, match=why):
-        import_scan([bag], tmp_path / "out")
+        import_recordings([bag], tmp_path / "out")
     assert not (tmp_path / "out" / "scan.zarr").exists()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from twinct.cli import run_command
-from twinct.cli.progress import NOTICED, on_terminal, warnings_into
+from twinct.cli.progress import NOTICED, on_terminal, warnings_to
 from twinct.core.errors import ScenarioError
 from twinct.scenario import load_scenario, scenario_schema
 from twinct.scenario.messages import PATTERNS
@@ -93,7 +93,7 @@ def test_a_notice_is_no_warning(name: str, capsys: pytest.CaptureFixture[str]) -
 
 def test_warnings_are_told_once_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
     log, kept = logging.getLogger(f"{NOTICED[0]}.test"), list[str]()
-    with warnings_into(kept), on_terminal():
+    with on_terminal([warnings_to(kept)]):
         log.warning("a body is cut")
     assert kept == ["a body is cut"]
     assert capsys.readouterr().err == "twinct: warning: a body is cut\n"

@@ -19,7 +19,7 @@ from valid_scans import OLD, SCANS, make_scans
 
 from twinct import load_scan, reconstruct, run
 from twinct.core.errors import InputError
-from twinct.runs import Folder, import_scan, verify
+from twinct.runs import Folder, import_recordings, verify
 from twinct.runs.job import finished_run
 from twinct.runs.reconstruction_folder import stored_reconstructions
 from twinct.runs.repair import resumable
@@ -170,7 +170,7 @@ def _reconstructed(path: Path) -> None:
 
 def _imported(path: Path) -> None:
     if (path / "scan.mcap").exists():  # runs of version 0.1 have none
-        import_scan([path / "scan.mcap"], path.parent / "imported")
+        import_recordings([path / "scan.mcap"], path.parent / "imported")
         everything(load_scan(path.parent / "imported"))
 
 

@@ -28,8 +28,9 @@ calibrate = tyro.extras.SubcommandApp()
 
 def _command(own: str, kind: type[Method]) -> Any:
     """Return the command of a method, whose options are the method's settings."""
+    default = kind()
 
-    def command(folder: Path, method: Method, *, as_: str = own) -> None:
+    def command(folder: Path, *, method: Method = default, as_: str = own) -> None:
         with on_terminal() as audience:
             calibrated(folder, method, name=as_, observers=audience)
 
@@ -45,6 +46,8 @@ def _command(own: str, kind: type[Method]) -> Any:
 
 
 mark_optional(PosePrior)
-for _name, _kind in METHODS.items():
+for _kind in METHODS.values():
     mark_optional(_kind, facts=FACTS)
-    calibrate.command(name=_name)(_command(_name, _kind))
+BY_METHOD = {name: _command(name, kind) for name, kind in METHODS.items()}
+for _name, _function in BY_METHOD.items():
+    calibrate.command(name=_name)(_function)

@@ -17,8 +17,7 @@ from twinct.core.foreign_text import counted
 from twinct.runs.propagating import summary
 from twinct.scenario import ViewTask
 from twinct.uncertainty.propagation import Propagation
-from twinct.view_plans.uncertainty import Effects
-from twinct.view_plans.uncertainty import uncertainty as effects_of
+from twinct.view_plans.effects import Effects, effects_of_errors
 
 UNITS = {"mm": "mm", "deg": "deg", "px": "px"}
 
@@ -41,7 +40,7 @@ def uncertainty(
     """
     with answering(as_json) as answer:
         with scenario_at(scenario, set_) as loaded, on_terminal() as audience:
-            found = effects_of(loaded, draws=draws, out=out, picture=picture, observers=audience)
+            found = effects_of_errors(loaded, draws=draws, out=out, picture=picture, observers=audience)
         if found.propagation is not None:
             title = f"{loaded.name}: executed minus believed, {counted(draws, 'draw')}"
             _show_poses(found.propagation, title)

@@ -41,7 +41,7 @@ class Effects:
     data: Mapping[str, Any]
 
 
-def uncertainty(
+def effects_of_errors(
     scenario: Scenario | str | Path,
     *,
     draws: int = 1000,
