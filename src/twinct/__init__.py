@@ -19,26 +19,23 @@ if TYPE_CHECKING:
     from twinct.measured.prediction import predict
     from twinct.recon.volume import Volume
     from twinct.runs import (
-        check,
         compare,
         derive_geometry,
-        draw_view,
         evaluate,
         export,
         load_scan,
         needs,
-        place,
-        reach,
         reconstruct,
         reconstruct_run,
         rewrite_report,
         run,
         simulate,
         verify,
-        write_motion,
-        write_specimen,
-        write_urdf,
     )
+    from twinct.runs.checking import check
+    from twinct.runs.motion_program import write_motion
+    from twinct.runs.reaching import place, reach
+    from twinct.runs.scenario_files import draw_view, write_specimen, write_urdf
     from twinct.scenario import load_scenario
     from twinct.study import load_results, run_study
     from twinct.view_plans.effects import effects_of_errors
@@ -79,13 +76,20 @@ __all__ = [
 _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
     "Volume": "twinct.recon.volume",
     "calibrate": "twinct.calibration.calibrate",
+    "check": "twinct.runs.checking",
+    "draw_view": "twinct.runs.scenario_files",
     "effects_of_errors": "twinct.view_plans.effects",
     "import_scan": "twinct.measured.import_scan",
     "load_results": "twinct.study",
     "load_scenario": "twinct.scenario",
+    "place": "twinct.runs.reaching",
     "plan": "twinct.view_plans.planner",
     "predict": "twinct.measured.prediction",
+    "reach": "twinct.runs.reaching",
     "run_study": "twinct.study",
+    "write_motion": "twinct.runs.motion_program",
+    "write_specimen": "twinct.runs.scenario_files",
+    "write_urdf": "twinct.runs.scenario_files",
 }
 
 

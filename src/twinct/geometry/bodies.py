@@ -76,7 +76,8 @@ def sampled(inside: Callable[[Floats], NDArray[np.bool_]], grid: VolumeGrid) -> 
     )
     shares = np.empty(grid.shape)
     for k, layer in enumerate(z.reshape(-1, SAMPLES)):
-        points = np.stack(np.meshgrid(layer, y, x, indexing="ij")[::-1], axis=-1)
+        zs, ys, xs = np.meshgrid(layer, y, x, indexing="ij")
+        points = np.stack([xs, ys, zs], axis=-1)
         hits = inside(grid.world_from_grid.apply(points))
         split = hits.reshape(SAMPLES, grid.shape[1], SAMPLES, grid.shape[2], SAMPLES)
         shares[k] = split.mean(axis=(0, 2, 4))

@@ -1,7 +1,6 @@
 """Runs: from a scenario to a scan, a volume and its figures, in memory or in a folder."""
 
 from twinct.runs.acquisition import acquire_to_store, machine_frames, simulate
-from twinct.runs.checking import Checked, check
 from twinct.runs.checks import (
     check_geometries,
     check_physics,
@@ -16,13 +15,10 @@ from twinct.runs.figures import Figures
 from twinct.runs.folder import Folder
 from twinct.runs.importing import import_recordings
 from twinct.runs.job import Run, rewrite_report, run
-from twinct.runs.motion_program import motion_program, write_motion
 from twinct.runs.needs import Need, needs, require_memory
-from twinct.runs.reaching import Placed, place, reach
 from twinct.runs.reconstruction import derive_geometry, load_scan, reconstruct_run
 from twinct.runs.reconstruction_folder import Reconstruction
 from twinct.runs.reporting import evaluate, judge
-from twinct.runs.scenario_files import draw_view, write_specimen, write_urdf
 from twinct.runs.truth import Truth, truth_of
 from twinct.runs.verify import Verdict, verify
 from twinct.runs.volume_export import Water, export_volume
@@ -30,25 +26,21 @@ from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import line_integrals
 
 __all__ = [
-    "Checked",
     "Figures",
     "Folder",
     "Need",
-    "Placed",
     "Reconstruction",
     "Run",
     "Truth",
     "Verdict",
     "Water",
     "acquire_to_store",
-    "check",
     "check_geometries",
     "check_physics",
     "check_sight",
     "compare",
     "derive_geometry",
     "evaluate",
-    "draw_view",
     "export",
     "export_scan",
     "export_volume",
@@ -58,10 +50,7 @@ __all__ = [
     "line_integrals",
     "load_scan",
     "machine_frames",
-    "motion_program",
     "needs",
-    "place",
-    "reach",
     "require_memory",
     "reconstruct",
     "reconstruct_run",
@@ -73,7 +62,4 @@ __all__ = [
     "simulate",
     "truth_of",
     "verify",
-    "write_motion",
-    "write_specimen",
-    "write_urdf",
 ]

@@ -29,6 +29,7 @@ from twinct.scan import (
     local_rig,
 )
 from twinct.scenario import Scenario, as_scenario
+from twinct.xray import prepare_engine
 
 if TYPE_CHECKING:
     from twinct.link.tap import Heard
@@ -72,8 +73,6 @@ def rig_factory(
         InputError: the link's extra, the requested ROS domain or the X-ray engine cannot be used.
     """
     if link == "local":
-        from twinct.xray import prepare_engine
-
         if engine is not None:
             prepare_engine(engine)
         yield local_rig

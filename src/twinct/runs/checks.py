@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twinct.core import card
 from twinct.core.errors import (
     InputError,
     MissingExtraError,
@@ -19,6 +20,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.evaluation import sight
 from twinct.recon.engine import requested_engine
+from twinct.recon.moving import refuse_card
 from twinct.report import physics_in_words
 from twinct.runs.integrals import check_hardening
 from twinct.runs.metal_reduction import check_metal
@@ -29,6 +31,9 @@ from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
 from twinct.specimen.size import SpecimenSize, specimen_size
+from twinct.xray.check import check_parts
+from twinct.xray.engines import engine_extras, engine_named
+from twinct.xray.scatter_range import scatter_doubts
 
 MOST_CUT = 0.01
 """Share of a view's rays that may cross a cut face of a CT without a warning."""
@@ -133,8 +138,6 @@ def _scatter(builder: SimulationBuilder) -> list[str]:
     scenario = builder.scenario
     if scenario.detector.scatter is None:
         return []
-    from twinct.xray.scatter_range import scatter_doubts
-
     parts = builder.specimen, builder.commanded, builder.beam_objects
     return scatter_doubts(scenario.source, scenario.detector, *parts)
 
@@ -151,8 +154,6 @@ def check_physics(builder: SimulationBuilder) -> None:
         InputError: every file, material or number that cannot be used, each with its key.
         MissingExtraError: SpekPy is needed and not installed.
     """
-    from twinct.xray.check import check_parts
-
     scenario = builder.scenario
     _check_all(
         lambda: check_parts(scenario.source, scenario.detector, builder.commanded, scenario.seed),
@@ -232,7 +233,7 @@ NAMED_SHARE = 0.05
 
 def _duration(builder: SimulationBuilder, plan: MotionPlan) -> str:
     """Describe the duration of a plan, and the limits that determine it."""
-    from twinct.robots.motion import limiting
+    from twinct.robots.motion import limiting  # 50 ms
 
     shares = limiting(plan, builder.cell, builder.scenario.motion, builder.shutter)
     named = [
@@ -291,8 +292,6 @@ def require_extras(scenario: Scenario) -> None:
         InputError: a package is missing; names the extra that provides it. Or the X-ray engine is
             unknown or cannot be used.
     """
-    from twinct.xray.engines import engine_extras, engine_named
-
     robots = ["robots"] if scenario.cell.kind == "arms" else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
     require(*robots, *engine_extras(scenario.engine), *rtk)
@@ -308,9 +307,6 @@ def check_engine(settings: ScanSettings) -> None:
     """
     if requested_engine() != "cuda" or settings.reconstruction.algorithm == "rtk_sart":
         return
-    from twinct.core import card
-    from twinct.recon.moving import refuse_card
-
     card.device()
     motion = settings.reconstruction.motion
     if motion is not None and motion.compensate:

@@ -25,6 +25,7 @@ from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import SECTIONS, Scenario, specimen_digest
 from twinct.specimen import BuiltSpecimen
 from twinct.version import __version__
+from twinct.xray.build import effective_energy_kev
 
 
 def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Comparison:
@@ -233,8 +234,6 @@ def _compared(
     entry: _Entry, label: str, specimen: BuiltSpecimen, planes: dict[str, Plane], truth: str
 ) -> Compared:
     """Cut a volume along the planes; choose the planes if there are none yet."""
-    from twinct.xray.build import effective_energy_kev
-
     scenario, run, reconstruction = entry.scenario, entry.run, entry.reconstruction
     energy = effective_energy_kev(scenario.source, scenario.detector)
     scan, grid = run.scan, scenario.reconstruction.volume_grid

@@ -30,6 +30,11 @@ from twinct.runs.integrals import (
 )
 from twinct.scenario import KnownImplants, Part
 from twinct.scenario.imported import ScanSettings, beam_of
+from twinct.specimen.materials import material
+from twinct.specimen.shapes import shape_surface
+from twinct.specimen.voxels import volume_fractions
+from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.implants import Corrected, MetalModel
 
 if TYPE_CHECKING:
     from twinct.specimen.materials import Material
@@ -77,8 +82,6 @@ class WithoutImplants:
 
         The estimates of the implants are added to the extras, as ``implants``.
         """
-        from twinct.specimen.voxels import volume_fractions
-
         array = np.array(volume.array)
         for one, fitted in zip(self.known, self.fitted, strict=True):
             body, mu = one.implant.body, one.material.mu_per_mm(self.energy_kev)
@@ -139,8 +142,6 @@ def without_implants_of(
         mask: True where a pixel counts.
         callback: callback of each ``sart``, except in the correction of beam hardening.
     """
-    from twinct.xray.build import effective_energy_kev
-
     known = known_implants(settings, section)
     energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
     mus: dict[str, Any] = {name: m.mu_per_mm(energy) for name, m in _prior(section).items()}
@@ -208,9 +209,6 @@ def known_implants(settings: ScanSettings, section: KnownImplants) -> list[Impla
     Raises:
         InputError: unknown names of parts; shapes or materials that cannot be built.
     """
-    from twinct.specimen.materials import material
-    from twinct.specimen.shapes import shape_surface
-
     parts = {part.label: part for part in settings.specimen.parts} if settings.specimen else {}
     problems: list[str] = []
     known: list[ImplantModels] = []
@@ -253,8 +251,6 @@ def check_implants(settings: ScanSettings, section: KnownImplants, views: ScanGe
         InputError: see ``known_implants``; attenuations that do not rise from tissue to bone to
             implant; implants outside the grid; views whose rays all pass through implants.
     """
-    from twinct.xray.build import effective_energy_kev
-
     energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
     known = known_implants(settings, section)
     tissue, bone = (one.mu_per_mm(energy) for one in _prior(section).values())
@@ -278,8 +274,6 @@ def check_implants(settings: ScanSettings, section: KnownImplants, views: ScanGe
 
 
 def _prior(section: KnownImplants) -> dict[str, Material]:
-    from twinct.specimen.materials import material
-
     names = ("tissue", "bone")
     return {name: material(getattr(section, name), f"{_KEY}.{name}") for name in names}
 
@@ -292,10 +286,6 @@ def _beam(
     mask: NDArray[np.bool_] | None,
 ) -> Beam:
     """Return the beam's attenuation model for a background together with the implants."""
-    from twinct.specimen.materials import material
-    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
-    from twinct.xray.implants import Corrected, MetalModel
-
     section = settings.reconstruction.beam_hardening
     energy: float | None = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
     spectrum, response = build_spectrum(beam_of(settings, _KEY)), build_response(settings.detector)

@@ -15,6 +15,9 @@ from twinct.recon.sart import sart
 from twinct.scan import SimulationBuilder, scenario_in
 from twinct.scenario import BeamHardening
 from twinct.scenario.imported import ScanSettings, beam_of
+from twinct.specimen.materials import material
+from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.hardening import Hardening
 
 if TYPE_CHECKING:
     from twinct.specimen.materials import Material
@@ -40,9 +43,6 @@ def hardening_corrected(
     section = settings.reconstruction.beam_hardening
     if section is None:
         return integrals
-    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
-    from twinct.xray.hardening import Hardening
-
     source, detector = beam_of(settings, _KEY), settings.detector
     energy = effective_energy_kev(source, detector)
     known = build_spectrum(source), build_response(detector)
@@ -91,9 +91,6 @@ def corrected_for(
     The volume is (z, y, x). With ``keep``, also return the path lengths in the dense material,
     (views, rows, columns), mm.
     """
-    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
-    from twinct.xray.hardening import Hardening
-
     section = settings.reconstruction.beam_hardening
     assert section is not None
     source, detector = beam_of(settings, _KEY), settings.detector
@@ -139,8 +136,6 @@ def check_hardening(settings: ScanSettings) -> None:
         return
     materials = materials_of(section)
     if section.kind == "two_materials":
-        from twinct.xray.build import effective_energy_kev
-
         energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
         base, dense = (substance.mu_per_mm(energy) for substance in materials)
         if dense <= base:
@@ -152,8 +147,6 @@ def check_hardening(settings: ScanSettings) -> None:
 
 def materials_of(section: BeamHardening) -> list[Material]:
     """Return the materials that the section names: none, one, or base and dense."""
-    from twinct.specimen.materials import material
-
     names = ("material",) if section.kind == "one_material" else ("base", "dense")
     materials: list[Material] = []
     problems: list[str] = []

@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
+from twinct.recon.moving import MovingProjector, moving_bytes
 from twinct.recon.projector import Projector
 from twinct.scan import Scan
 from twinct.scenario import KnownMotion, Scenario
 from twinct.scenario.imported import ScanSettings
 from twinct.specimen import BuiltSpecimen
+from twinct.specimen.body_motion import body_motion
+from twinct.specimen.breathing import Breath, gated
+from twinct.specimen.deformation import Between
 
 if TYPE_CHECKING:
     from twinct.specimen.body_motion import BodyMotion
@@ -30,15 +34,11 @@ def _motion_of(settings: ScanSettings) -> BodyMotion | None:
     """Return the motion of a known specimen, whose modules load only where one moves."""
     if settings.specimen is None or settings.specimen.motion is None:
         return None
-    from twinct.specimen.body_motion import body_motion
-
     return body_motion(settings.specimen)
 
 
 def state_of_volume(scenario: Scenario) -> Breath:
     """Return the state of breathing that a scenario reconstructs, and its truth shows."""
-    from twinct.specimen.breathing import Breath
-
     known = scenario.reconstruction.motion
     return Breath(known.phase if known else 0.0)
 
@@ -69,8 +69,6 @@ def views_that_count(settings: ScanSettings, times_s: Floats) -> list[int] | Non
     known, motion = settings.reconstruction.motion, _motion_of(settings)
     if known is None or known.gate is None or motion is None:
         return None
-    from twinct.specimen.breathing import gated
-
     chosen = gated([motion.at(float(t)) for t in times_s], known.gate)
     if not chosen:
         low, high = known.gate
@@ -94,8 +92,6 @@ def projector_of(scan: Scan, poses: ScanGeometry, grid: VolumeGrid) -> Projector
     known, motion = scan.settings.reconstruction.motion, _motion_of(scan.settings)
     if known is None or not known.compensate or motion is None:
         return Projector(poses, grid)
-    from twinct.recon.moving import MovingProjector
-
     states = deformations(motion, known, scan.middle_s, scan.stands)
     return MovingProjector(poses, grid, states)
 
@@ -105,8 +101,6 @@ def motion_bytes(settings: ScanSettings, views: int) -> int:
     known, grid = settings.reconstruction.motion, settings.reconstruction.volume_grid
     if known is None or not known.compensate:
         return 0
-    from twinct.recon.moving import moving_bytes
-
     return moving_bytes(grid, views)
 
 
@@ -114,9 +108,6 @@ def deformations(
     motion: BodyMotion, known: KnownMotion, times_s: Floats, world_from_specimen: Pose
 ) -> list[Deformation | Between]:
     """Return the believed deformation of the body in each view, from the volume's state."""
-    from twinct.specimen.breathing import Breath
-    from twinct.specimen.deformation import Between
-
     believed = motion.scaled(known.amplitude_rel)
     state = Breath(known.phase)
     held = believed.deformation(state, world_from_specimen)

@@ -13,6 +13,9 @@ from twinct.scan import Scan
 from twinct.scan.integrals import line_integrals
 from twinct.scenario import Nmar
 from twinct.scenario.imported import ScanSettings, beam_of
+from twinct.specimen.materials import material
+from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.hardening import Hardening
 
 _KEY = "reconstruction.metal"
 
@@ -70,10 +73,6 @@ def _excess(
     source, detector = beam_of(scan.settings, _KEY), scan.settings.detector
     if source.spectrum is None:
         return True
-    from twinct.specimen.materials import material
-    from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
-    from twinct.xray.hardening import Hardening
-
     energy = effective_energy_kev(source, detector)
     known = build_spectrum(source), build_response(detector)
     metal, soft = material(section.metal), material(section.tissue)
@@ -132,9 +131,6 @@ def check_metal(settings: ScanSettings) -> None:
 
 def _attenuations(settings: ScanSettings, section: Nmar) -> dict[str, float]:
     """Return the attenuation of tissue, bone and metal at the detected mean energy, 1/mm."""
-    from twinct.specimen.materials import material
-    from twinct.xray.build import effective_energy_kev
-
     energy = effective_energy_kev(beam_of(settings, _KEY), settings.detector)
     attenuations: dict[str, float] = {}
     problems: list[str] = []

@@ -14,6 +14,7 @@ from twinct.runs.volumes import memory_needed
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
 from twinct.specimen.memory import moved_bytes, part_bytes, specimen_bytes
+from twinct.xray.engines import engine_named
 
 PROCESS_BYTES = 400 * 2**20
 """Memory of a process with its libraries and kernels, without any data of the scan."""
@@ -51,8 +52,6 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
         The stages in their order: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``
         and ``report``.
     """
-    from twinct.xray.engines import engine_named
-
     views = SimulationBuilder(
         scenario
     ).requested  # choices of the plan, such as an order, need no memory

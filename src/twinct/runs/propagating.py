@@ -9,6 +9,7 @@ import numpy as np
 from twinct.core.errors import InputError
 from twinct.geometry import Floats
 from twinct.report import plain
+from twinct.robots.cell import chains_of
 from twinct.scan import SimulationBuilder
 from twinct.scenario import GantryCell
 from twinct.uncertainty.nominal_scan import NominalScan
@@ -36,8 +37,6 @@ def nominal_scan(builder: SimulationBuilder) -> NominalScan:
     if isinstance(cell, GantryCell):
         views = builder.commanded
         return NominalScan.of_gantry(views, cell.view_s * np.arange(1.0, len(views) + 1))
-    from twinct.robots.cell import chains_of
-
     plan = builder.plan
     assert plan is not None
     speeds = plan.state[plan.waypoints, 1]

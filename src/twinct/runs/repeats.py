@@ -15,6 +15,7 @@ from twinct.observers import Audience
 from twinct.runs.volumes import reconstruct
 from twinct.scan import Scan, SimulationBuilder
 from twinct.specimen.signals import GaussianSignal, Inserts, SphereSignal
+from twinct.xray.build import effective_energy_kev
 
 Volume = NDArray[np.float32]
 
@@ -80,8 +81,6 @@ class Repeats:
         return reconstruct(replace(self.scan, transmission=transmission), geometry=which).array
 
     def _inserted(self, signal: SphereSignal | GaussianSignal, centres_mm: Floats) -> Volume:
-        from twinct.xray.build import effective_energy_kev
-
         scenario, specimen = self.scan.scenario, self.builder.specimen
         mu = specimen.reference_mu(effective_energy_kev(scenario.source, scenario.detector))
         inserts = Inserts(signal, self.scan.simulated.stands.inverse().apply(centres_mm), mu)

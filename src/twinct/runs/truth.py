@@ -31,6 +31,7 @@ from twinct.recon.volume import Volume
 from twinct.runs.known_motion import as_reconstructed
 from twinct.scan import Scan, SimulationBuilder
 from twinct.specimen import BuiltSpecimen, material
+from twinct.xray.build import effective_energy_kev
 
 log = logging.getLogger(__name__)
 
@@ -117,8 +118,6 @@ def truth_of(
         grid: grid of the truth; the scenario's if None.
         file: file of ``Truth.written``, which is read if it holds this truth.
     """
-    from twinct.xray.build import effective_energy_kev
-
     scenario = scan.scenario
     specimen = as_reconstructed(builder.specimen, scenario)
     grid = grid or scenario.reconstruction.volume_grid

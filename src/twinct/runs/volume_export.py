@@ -12,10 +12,14 @@ from twinct.core.files.writing import require_space
 from twinct.core.foreign_text import quoted
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.volume import Volume
+from twinct.recon.volume_formats import VolumeFacts, volume_format_named
 from twinct.runs.folder import Folder, refuse_result
 from twinct.runs.reconstruction import load_scan
+from twinct.runs.regions import Places
 from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario.imported import ScanSettings
+from twinct.specimen.materials import material
+from twinct.xray.build import effective_energy_kev
 
 VolumeValues = Literal["attenuation", "hounsfield"]
 
@@ -67,8 +71,6 @@ def export_volume(
         ScanExistsError: the file or folder exists.
         StorageError: the disk is too small or not writable.
     """
-    from twinct.recon.volume_formats import VolumeFacts
-
     folder = Folder(Path(path))
     file = _file_of(folder, volume)
     out = _free_path(folder, volume, to, out)
@@ -112,8 +114,6 @@ def _check_water(water: Water, volume: Volume, audience: Audience) -> None:
 
 def _free_path(folder: Folder, volume: str, to: str, out: str | Path | None) -> Path:
     """Return where a volume may be written in a format."""
-    from twinct.recon.volume_formats import volume_format_named
-
     form = volume_format_named(to)
     ending = form.endings[0] or f"-{form.name}"
     path = folder.path / f"export-{volume}{ending}" if out is None else Path(out)
@@ -152,10 +152,6 @@ def _water_of(
     Raises:
         InputError: they are ``needed``, and unknown.
     """
-    from twinct.runs.regions import Places
-    from twinct.specimen.materials import material
-    from twinct.xray.build import effective_energy_kev
-
     if settings.specimen is None or settings.source is None:
         if needed:
             raise InputError(

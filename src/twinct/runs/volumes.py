@@ -26,6 +26,7 @@ from twinct.recon.memory import advice, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, metal_bytes
 from twinct.recon.projector import Projector, check_grid
 from twinct.recon.surroundings import check_margin, surroundings_bytes, without_surroundings
+from twinct.recon.unexplained import compared_views
 from twinct.recon.volume import Volume
 from twinct.runs.checkpoints import Checkpoints, Follower
 from twinct.runs.checks import check_engine
@@ -33,6 +34,12 @@ from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, wi
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
+from twinct.runs.model_doubts import (
+    doubt_of_grid,
+    doubt_of_prior,
+    doubt_of_thin_parts,
+    judged_by_rays,
+)
 from twinct.runs.truth import held_bytes
 from twinct.scan import Scan
 from twinct.scenario import (
@@ -149,9 +156,6 @@ def _reconstruct(
         if (results := saved.results()) is not None:
             return _counted(Volume(finished, grid, results), section, done)
     # Only here: few modules at the start.
-    from twinct.recon.unexplained import compared_views
-    from twinct.runs.model_doubts import doubt_of_prior, doubt_of_thin_parts, judged_by_rays
-
     A = projector_of(scan, poses, grid)
     integrals, metal, warnings = _corrected(scan, A, algorithm, pixels, audience)
     if finished is not None:
@@ -262,8 +266,6 @@ def _corrected(
     if section.around is not None:
         integrals = _grid_alone(A, integrals, section, algorithm, pixels, audience)
     else:
-        from twinct.runs.model_doubts import doubt_of_grid  # only here, as in ``_reconstruct``
-
         _warn(audience, warnings, doubt_of_grid(A, integrals, pixels))
     if isinstance(section.metal, Nmar):
         with audience.stage("metal", section.metal.first_iterations * len(A)) as tick:

@@ -9,13 +9,13 @@ import tyro
 from rich.console import Console
 from rich.table import Column, Table
 
-from twinct import runs
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile, Threads
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, warnings_to
 from twinct.cli.scenario_at import scenario_at
 from twinct.cli.time_limit import limited
 from twinct.core.threads import limit_threads
+from twinct.runs import checking
 
 
 def check(
@@ -50,7 +50,7 @@ def check(
             scenario_at(scenario, set_) as loaded,
             on_terminal([warnings_to(answer["warnings"])]) as audience,
         ):
-            checked = runs.check(
+            checked = checking.check(
                 loaded,
                 save=save,
                 cures=not no_cures,

@@ -18,7 +18,7 @@ from twinct.core.files.writing import storage_errors
 from twinct.link import require_ros
 from twinct.link.arm_types import follow_joint_trajectory
 from twinct.link.environment import ROS_ARGUMENTS
-from twinct.runs import motion_program
+from twinct.runs.motion_program import motion_program
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="TOPIC")]
 

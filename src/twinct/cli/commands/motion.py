@@ -11,7 +11,7 @@ from twinct.cli.arguments import Overrides, ScenarioFile
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.scenario_at import scenario_at
 from twinct.core.foreign_text import counted
-from twinct.runs import write_motion
+from twinct.runs.motion_program import write_motion
 
 
 def motion(

@@ -7,13 +7,13 @@ from typing import Annotated
 
 import tyro
 
-from twinct import runs
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.scenario_at import scenario_at
 from twinct.core.files.writing import storage_errors
 from twinct.robots.reach import Bounds
+from twinct.runs import reaching
 from twinct.scenario import write_scenario
 
 
@@ -48,7 +48,7 @@ def place(
     bounds = Bounds(x, y, z, standoff, tool_rotation)
     with answering(as_json) as answer:
         with scenario_at(scenario, set_) as loaded, on_terminal() as audience:
-            found = runs.place(
+            found = reaching.place(
                 loaded, sphere=sphere, bounds=bounds, samples=samples, seed=seed, observers=audience
             )
         what = "directions" if sphere else "views"

@@ -9,12 +9,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from twinct import runs
 from twinct.cli.arguments import Flag, Json, Overrides, ScenarioFile
 from twinct.cli.json_answer import answering
 from twinct.cli.progress import on_terminal
 from twinct.cli.scenario_at import scenario_at
 from twinct.robots.reach.results import shares
+from twinct.runs import reaching
 
 
 def reach(
@@ -41,7 +41,7 @@ def reach(
     """
     with answering(as_json) as answer:
         with scenario_at(scenario, set_) as loaded, on_terminal() as audience:
-            result = runs.reach(
+            result = reaching.reach(
                 loaded,
                 out=out,
                 radii_mm=radii,

@@ -11,7 +11,7 @@ from rich.console import Console
 from twinct.cli.arguments import Overrides, ScenarioFile
 from twinct.cli.progress import say
 from twinct.cli.scenario_at import scenario_at
-from twinct.runs import draw_view
+from twinct.runs.scenario_files import draw_view
 
 
 def render(

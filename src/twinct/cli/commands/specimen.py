@@ -11,7 +11,7 @@ from rich.table import Table
 
 from twinct.cli.arguments import Overrides, ScenarioFile
 from twinct.cli.scenario_at import scenario_at
-from twinct.runs import write_specimen
+from twinct.runs.scenario_files import write_specimen
 
 
 def specimen(

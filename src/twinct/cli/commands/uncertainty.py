@@ -40,7 +40,9 @@ def uncertainty(
     """
     with answering(as_json) as answer:
         with scenario_at(scenario, set_) as loaded, on_terminal() as audience:
-            found = effects_of_errors(loaded, draws=draws, out=out, picture=picture, observers=audience)
+            found = effects_of_errors(
+                loaded, draws=draws, out=out, picture=picture, observers=audience
+            )
         if found.propagation is not None:
             title = f"{loaded.name}: executed minus believed, {counted(draws, 'draw')}"
             _show_poses(found.propagation, title)

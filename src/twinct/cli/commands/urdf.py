@@ -10,7 +10,7 @@ from rich.console import Console
 
 from twinct.cli.arguments import Flag, Overrides, ScenarioFile
 from twinct.cli.scenario_at import scenario_at
-from twinct.runs import write_urdf
+from twinct.runs.scenario_files import write_urdf
 
 
 def urdf(
