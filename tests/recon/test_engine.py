@@ -344,9 +344,10 @@ def test_the_process_that_compiles_gives_the_bits_of_later_ones(name, tmp_path):
 def test_kernels_on_disk_go_by_all_their_sources(tmp_path, monkeypatch):
     from twinct.recon._vector import cache
 
-    package = tmp_path / "_vector"
-    package.mkdir()
-    others = (tmp_path / f"{name}.py" for name in ("_linear", "_plain", "joseph"))
+    package = tmp_path / "recon" / "_vector"
+    package.mkdir(parents=True)
+    (tmp_path / "rays").mkdir()
+    others = (tmp_path / f"{name}.py" for name in ("recon/_linear", "recon/_plain", "rays/joseph"))
     engine = (package / "march.py", *others)
     for source in (*engine, package / "rays.py"):
         source.write_text("old")

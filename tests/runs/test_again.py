@@ -208,7 +208,7 @@ def test_what_cannot_be_asked_is_said_and_nothing_is_written(
 
 
 def test_where_there_is_no_run_it_is_said(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no finished run"):
+    with pytest.raises(InputError, match="not a run folder"):
         reconstruct_run(tmp_path)
     with pytest.raises(InputError, match="not a run folder"):
         load_scan(tmp_path)

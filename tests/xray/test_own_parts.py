@@ -12,7 +12,7 @@ import trimesh
 from xray_scenes import body, front_view, random_pose, random_view, sphere
 
 from twinct.core.errors import SpecimenError
-from twinct.core.part_kinds import PartKind, PartSettings
+from twinct.specimen.part_kinds import PartKind, PartSettings
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.geometry.bodies import Voxels, sampled
 from twinct.scenario import Detector, Source

@@ -139,13 +139,13 @@ class Reconstruction:
             # Earlier versions stored these two keys at the top level instead of in ``found``.
             before = {key: data.pop(key) for key in ("implants", "passes") if key in data}
             results = data.pop("found", {key: value for key, value in before.items() if value})
+            slices = _sections(path, data.pop("slices"))
             figures = {
                 key: np.nan if value is None else value
                 for key, value in data.pop("figures").items()
             }
             of = Judgement if "residual_by_view" in figures else ImageFigures
             residuals = tuple(data.pop("residuals"))
-            slices = _sections(path, data.pop("slices"))
             return cls(
                 **data,
                 slices=slices,

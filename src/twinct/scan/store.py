@@ -483,7 +483,7 @@ class ScanStore:
 
     @property
     def provenance(self) -> Provenance:
-        """Who took the views on disk, at which poses, and with which settings."""
+        """Provenance of the views on disk."""
         settings, views = self.settings, self.acquired
         if isinstance(settings, ImportedSettings):
             # Earlier versions stored the stated poses as executed ones of a gantry.

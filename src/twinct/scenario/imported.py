@@ -122,7 +122,7 @@ class ScanSettings(Protocol):
 
 
 class ImportedSettings(Section):
-    """What is known of an imported scan, besides its images and their geometry."""
+    """Settings of an imported scan: all that is known besides its images and their geometry."""
 
     name: str = setting("measured", "Name of the scan in the report and messages.", min_length=1)
     description: str = setting("", "Origin of the scan; the report shows it.")

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from twinct.core.part_kinds import PartKind, PartSettings
+from twinct.specimen.part_kinds import PartKind, PartSettings
 from twinct.geometry import VolumeGrid
 from twinct.geometry.bodies import sampled
 
