@@ -32,7 +32,9 @@ def command_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     with warnings.catch_warnings():  # tyro offers no other way to the parser
         warnings.simplefilter("ignore", DeprecationWarning)
-        return tyro.extras.get_parser(application()._build_union(use_underscores=False), prog="twinct")
+        return tyro.extras.get_parser(
+            application()._build_union(use_underscores=False), prog="twinct"
+        )
 
 
 def subcommands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:

@@ -138,7 +138,7 @@ CLAIMS = [
         "exchange.md",
         "`--geometry believed` (default;",
         _argument(export_scan, "geometry"),
-        "believed",
+        None,
     ),
     (
         "physics.md",

@@ -99,7 +99,9 @@ def test_a_folder_of_results_holds_none(special: tuple[Path, str]) -> None:
 @pytest.mark.parametrize("name", ["sections.npz", "reconstruction.json"])
 def test_parts_of_a_reconstruction_are_files(special: tuple[Path, str], name: str) -> None:
     folder, what = special[0].parent, special[1]
-    (folder / "reconstruction.json").write_text(f'{{"format": "{FORMAT}", "slices": {{}}}}')
+    (folder / "reconstruction.json").write_text(
+        f'{{"format": "{FORMAT}", "slices": {{"xy": [[0, 1, 0, 1], ["x", "y"], 0.0]}}}}'
+    )
     (folder / name).unlink(missing_ok=True)
     special[0].rename(folder / name)
     with pytest.raises(InputError, match=re.escape(f"{name} {what}")):

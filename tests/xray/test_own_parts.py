@@ -12,13 +12,13 @@ import trimesh
 from xray_scenes import body, front_view, random_pose, random_view, sphere
 
 from twinct.core.errors import SpecimenError
-from twinct.specimen.part_kinds import PartKind, PartSettings
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.geometry.bodies import Voxels, sampled
 from twinct.scenario import Detector, Source
-from twinct.specimen import BuiltPart, BuiltSpecimen, own_parts
+from twinct.specimen import BuiltPart, BuiltSpecimen
 from twinct.specimen.materials import material
 from twinct.specimen.own_parts import SolidPart, own_part
+from twinct.specimen.part_kinds import PartKind, PartSettings
 from twinct.xray import Imager
 from twinct.xray.paths import PathRenderer
 
@@ -38,8 +38,8 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
         if kind is None:
             module = __import__(f"twinct_tiny.{name}", fromlist=[name.upper()])
             kind = getattr(module, name.upper())
-        monkeypatch.setattr(own_parts, "PART_KINDS", {name: kind})
-        monkeypatch.setattr("twinct.specimen.shapes.PART_KINDS", {name: kind})
+        for user in ("own_parts", "shapes"):
+            monkeypatch.setattr(f"twinct.specimen.{user}.part_kinds", lambda: {name: kind})
         shape: Any = kind.settings.model_validate({"kind": name, **keys})
         return own_part(shape, name, WATER, pose or Pose.identity())
 

@@ -5,9 +5,9 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from twinct.specimen.part_kinds import PartKind, PartSettings
 from twinct.geometry import VolumeGrid
 from twinct.geometry.bodies import Voxels
+from twinct.specimen.part_kinds import PartKind, PartSettings
 
 
 class Foam(PartSettings):
