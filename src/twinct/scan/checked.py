@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from pathlib import Path
 
 from zarr.abc.store import ByteRequest
@@ -63,17 +62,10 @@ class CheckedStore(LocalStore):
             DamagedError: the file is damaged.
             InputError: it unpacks to more than its array states.
         """
-        data = None
-        if (self.root / key).is_file():  # a pipe would block until somebody writes
-            data = super().get_sync(key, prototype=prototype, byte_range=byte_range)
-        if data is not None and byte_range is None and key.rpartition("/")[2] == ROOT:
-            data = type(data).from_bytes(with_legal_chunks(data.to_bytes()))
-        if (view := view_of(key)) is not None and not key.startswith(FOLDER):
-            self._check(key, view, None if data is None else data.to_bytes())
-            packing = self.packings.get(key.rpartition("/")[0])
-            if packing is not None and data is not None:
-                packing.require(data.to_bytes(), f"{self.root}/{key}")
-        return data
+        found = None
+        if self._is_file(key):
+            found = super().get_sync(key, prototype=prototype, byte_range=byte_range)
+        return self._checked(key, found, whole=byte_range is None)
 
     async def get(
         self,
@@ -81,10 +73,26 @@ class CheckedStore(LocalStore):
         prototype: BufferPrototype | None = None,
         byte_range: ByteRequest | None = None,
     ) -> Buffer | None:
-        """See ``get_sync``."""
-        return await asyncio.to_thread(
-            self.get_sync, key, prototype=prototype, byte_range=byte_range
-        )
+        """See ``get_sync``; Zarr before 3.1.6 reads by this function alone."""
+        found = None
+        if self._is_file(key):
+            found = await super().get(key, prototype, byte_range)
+        return self._checked(key, found, whole=byte_range is None)
+
+    def _is_file(self, key: str) -> bool:
+        """Return False for a pipe too, which would block until somebody writes."""
+        return (self.root / key).is_file()
+
+    def _checked(self, key: str, data: Buffer | None, *, whole: bool) -> Buffer | None:
+        """Return data of a file, checked; ``whole``: all its bytes were asked for."""
+        if data is not None and whole and key.rpartition("/")[2] == ROOT:
+            data = type(data).from_bytes(with_legal_chunks(data.to_bytes()))
+        if (view := view_of(key)) is not None and not key.startswith(FOLDER):
+            self._check(key, view, None if data is None else data.to_bytes())
+            packing = self.packings.get(key.rpartition("/")[0])
+            if packing is not None and data is not None:
+                packing.require(data.to_bytes(), f"{self.root}/{key}")
+        return data
 
     async def set(self, key: str, value: Buffer) -> None:
         """See ``LocalStore``; also note the digest for the manifest."""
