@@ -49,17 +49,17 @@ def test_by_hand():
     error = np.array([0.01, 0, 0.02, 0, -0.01, 0, 0, 0.03, 0, 9.0]).reshape(1, 1, 10)
     roi = np.ones((1, 1, 10), dtype=bool)
     roi[..., 9] = False
-    figures = image_figures(truth + error, truth, roi, mu, grid, bone_distance_mm=4.0)
+    figures = image_figures(truth + error, truth, roi, mu, grid, near_mm=4.0)
     # Squares in the region: (1 + 4 + 1 + 9) 1e-4 = 0.0015 over 9 voxels.
     assert figures.rmse_rel == pytest.approx(math.sqrt(0.0015 / 9) / 0.5)
     # Bone: voxels 4 and 5 (half counts). Within 4 mm: 2 to 7, with 0.0004 + 0.0001 + 0.0009 over 6.
-    assert figures.rmse_bone_rel == pytest.approx(math.sqrt(0.0014 / 6) / 0.5)
+    assert figures.rmse_near_rel == pytest.approx(math.sqrt(0.0014 / 6) / 0.5)
     assert figures.psnr_db == pytest.approx(20 * math.log10(0.5 / math.sqrt(0.0015 / 9)))
-    assert figures.mean_bone_rel == pytest.approx((0.5 - 0.01) / 0.5), (
+    assert figures.mean_reference_rel == pytest.approx((0.5 - 0.01) / 0.5), (
         "only the voxel that is all bone"
     )
     assert figures.roi_fraction == pytest.approx(0.9)
-    assert figures.roi_bone_fraction == pytest.approx(2 / 9)
+    assert figures.roi_reference_fraction == pytest.approx(2 / 9)
     assert math.isnan(figures.ssim), "no 7^3 window fits"
 
 
@@ -73,12 +73,14 @@ def test_against_whole_arrays(shape):
     distance = ndimage.distance_transform_edt(truth < 0.5 * MU, sampling=grid.voxel[::-1])
     near = roi & (distance <= 3.0)
     assert 0.05 < near.sum() / roi.sum() < 0.9, "the case must tell near from far"
-    assert figures.rmse_bone_rel == pytest.approx(
+    assert figures.rmse_near_rel == pytest.approx(
         np.sqrt((error[near] ** 2).mean()) / MU, rel=FLOAT32
     )
     pure = roi & (truth == np.float32(MU))
-    assert figures.mean_bone_rel == pytest.approx(volume[pure].mean(dtype=float) / MU, rel=FLOAT32)
-    assert figures.roi_bone_fraction == pytest.approx((truth[roi] >= 0.5 * MU).mean())
+    assert figures.mean_reference_rel == pytest.approx(
+        volume[pure].mean(dtype=float) / MU, rel=FLOAT32
+    )
+    assert figures.roi_reference_fraction == pytest.approx((truth[roi] >= 0.5 * MU).mean())
     whole = ndimage.binary_erosion(roi, np.ones((7, 7, 7)), border_value=0)
     assert whole.sum() > 100
     _, similarity = structural_similarity(
@@ -86,7 +88,7 @@ def test_against_whole_arrays(shape):
     )
     assert figures.ssim == pytest.approx(similarity[whole].mean(), abs=SSIM_FLOAT32)
     assert 0.1 < (whole & near).sum() / whole.sum() < 0.9
-    assert figures.ssim_bone == pytest.approx(similarity[whole & near].mean(), abs=SSIM_FLOAT32)
+    assert figures.ssim_near == pytest.approx(similarity[whole & near].mean(), abs=SSIM_FLOAT32)
 
 
 def test_zeros_are_the_baseline():
@@ -94,14 +96,14 @@ def test_zeros_are_the_baseline():
     grid = VolumeGrid(truth.shape, 1.0)
     of_zeros = image_figures(np.zeros_like(truth), truth, roi, MU, grid)
     figures = image_figures(volume, truth, roi, MU, grid)
-    assert set(figures.zero) == {"rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "ssim_bone"}
-    told = {name: getattr(of_zeros, name) for name in ("rmse_rel", "rmse_bone_rel", "psnr_db")}
+    assert set(figures.zero) == {"rmse_rel", "rmse_near_rel", "psnr_db", "ssim", "ssim_near"}
+    told = {name: getattr(of_zeros, name) for name in ("rmse_rel", "rmse_near_rel", "psnr_db")}
     assert {name: figures.zero[name] for name in told} == pytest.approx(told, rel=1e-6)
     zeros = np.zeros(truth.shape)
     similarity = structural_similarity(truth.astype(float), zeros, data_range=MU, full=True)[1]
     whole = ndimage.binary_erosion(roi, np.ones((7, 7, 7)), border_value=0)
     assert figures.zero["ssim"] == pytest.approx(similarity[whole].mean(), rel=1e-6)
-    assert math.isnan(of_zeros.ssim) and math.isnan(of_zeros.ssim_bone) and not of_zeros.signal_rel
+    assert math.isnan(of_zeros.ssim) and math.isnan(of_zeros.ssim_near) and not of_zeros.signal_rel
     assert figures.zero["ssim"] < 1 and figures.zero["rmse_rel"] != figures.rmse_rel
 
 
@@ -111,7 +113,7 @@ def test_what_was_told_is_read_again():
     further = replace(figures, further={"edge_width_mm": 1.5, "nps": {"a": {"noise_rel": 0.1}}})
     assert ImageFigures.of(further.as_dict()) == further
     older = {name: 1.0 for name in list(figures.as_dict())[:7]}
-    assert math.isnan(ImageFigures.of(older).ssim_bone) and not ImageFigures.of(older).zero
+    assert math.isnan(ImageFigures.of(older).ssim_near) and not ImageFigures.of(older).zero
 
 
 def test_whole_grid_gives_what_scikit_image_says():
@@ -154,7 +156,7 @@ def test_distance_to_bone_is_euclidean(distance, bone):
     error = 1.0 + np.arange(truth.size).reshape(shape) / 2**13  # numbers of float32
     figures = image_figures(truth + error, truth, np.ones(shape, bool), 1.0, grid, distance)
     expected = np.sqrt((error[apart <= distance] ** 2).mean())
-    assert figures.rmse_bone_rel == pytest.approx(expected, rel=1e-9)
+    assert figures.rmse_near_rel == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -171,7 +173,7 @@ def test_bone_outside_the_region_counts_for_the_distance(axis, side):
     error = 1.0 + np.arange(truth.size).reshape(shape) / 2**14
     figures = image_figures(truth + error, truth, roi, 1.0, VolumeGrid(shape, 1.0), 3.0)
     expected = np.sqrt((error[roi & (apart <= 3.0)] ** 2).mean())
-    assert figures.rmse_bone_rel == pytest.approx(expected, rel=1e-9)
+    assert figures.rmse_near_rel == pytest.approx(expected, rel=1e-9)
 
 
 def test_nothing_outside_the_region_counts():
@@ -219,16 +221,16 @@ def test_each_axis_counts():
     again = image_figures(*turned, MU, VolumeGrid(turned[0].shape, turned_edges))
     assert flat(again) == pytest.approx(flat(straight), rel=1e-5)
     swapped = image_figures(volume, truth, roi, MU, VolumeGrid(truth.shape, edges[::-1]))
-    assert swapped.rmse_bone_rel != pytest.approx(straight.rmse_bone_rel, rel=1e-4)
+    assert swapped.rmse_near_rel != pytest.approx(straight.rmse_near_rel, rel=1e-4)
 
 
 def test_perfect_volume():
     _, truth, roi = scene((20, 21, 22))
     figures = image_figures(truth, truth, roi, MU, VolumeGrid(truth.shape, 1.0))
-    assert figures.rmse_rel == figures.rmse_bone_rel == 0
+    assert figures.rmse_rel == figures.rmse_near_rel == 0
     assert figures.psnr_db == math.inf
     assert figures.ssim == pytest.approx(1.0)
-    assert figures.mean_bone_rel == pytest.approx(1.0, rel=FLOAT32)
+    assert figures.mean_reference_rel == pytest.approx(1.0, rel=FLOAT32)
 
 
 def test_no_bone_in_the_region():
@@ -237,8 +239,8 @@ def test_no_bone_in_the_region():
         np.ones(grid.shape), np.zeros(grid.shape), np.ones(grid.shape), 2.0, grid
     )
     assert figures.rmse_rel == pytest.approx(0.5)
-    assert math.isnan(figures.rmse_bone_rel) and math.isnan(figures.mean_bone_rel)
-    assert figures.roi_bone_fraction == 0
+    assert math.isnan(figures.rmse_near_rel) and math.isnan(figures.mean_reference_rel)
+    assert figures.roi_reference_fraction == 0
 
 
 def test_refusals():

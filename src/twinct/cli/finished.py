@@ -346,6 +346,7 @@ def reconstruct(
         as_: Name of the result, below DIR/reconstructions; by default, it follows the algorithm.
         halves: For a measured scan: also reconstruct the even and the odd views, for the noise.
     """
+    from twinct.evaluation.figure import REFERENCE
     from twinct.runs import reconstruct_run
     from twinct.runs.folder import read_metrics
     from twinct.scenario import named_places
@@ -354,7 +355,7 @@ def reconstruct(
     how = {"geometry": geometry, "name": as_, "halves": halves}
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_run(folder, set_, **how, observers=audience)
-    material = read_metrics(folder / "metrics.json").get("reference_material", "bone")
+    material = read_metrics(folder / "metrics.json").get("reference_material", REFERENCE)
     say(f"{made.judged_in_words(material)}\n{made.path}; report: {folder / 'report.html'}")
 
 
