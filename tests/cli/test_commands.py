@@ -347,7 +347,7 @@ def test_a_specimen_that_no_view_sees_is_refused_before_planning(
 
 
 @pytest.mark.tutorial
-def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
+def test_an_image_without_reference_in_its_region_is_judged_as_far_as_it_goes(
     capfd, tmp_path: Path
 ) -> None:
     """A small ball beside the grid."""

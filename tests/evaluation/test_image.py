@@ -23,7 +23,7 @@ SSIM_FLOAT32 = 1e-4
 
 
 def scene(shape, seed=0):
-    """Asymmetric bone with partial voxels, noise, and a crooked region."""
+    """Asymmetric body with partial voxels, noise, and a crooked region."""
     rng = np.random.default_rng(seed)
     z, y, x = np.indices(shape) / np.array(shape)[:, None, None, None]
     fraction = np.clip(
@@ -42,7 +42,7 @@ def flat(figures):
 
 
 def test_by_hand():
-    """A line of ten voxels of 2 mm: one bone voxel, one half, the region all but one."""
+    """A line of ten voxels of 2 mm: one full voxel, one half, the region all but one."""
     grid = VolumeGrid((1, 1, 10), 2.0)
     mu = 0.5
     truth = np.array([0, 0, 0, 0, 0.5, 0.25, 0, 0, 0, 0]).reshape(1, 1, 10)
@@ -52,11 +52,11 @@ def test_by_hand():
     figures = image_figures(truth + error, truth, roi, mu, grid, near_mm=4.0)
     # Squares in the region: (1 + 4 + 1 + 9) 1e-4 = 0.0015 over 9 voxels.
     assert figures.rmse_rel == pytest.approx(math.sqrt(0.0015 / 9) / 0.5)
-    # Bone: voxels 4 and 5 (half counts). Within 4 mm: 2 to 7, with 0.0004 + 0.0001 + 0.0009 over 6.
+    # Reference: voxels 4 and 5 (half counts). Within 4 mm: 2 to 7, with 0.0004 + 0.0001 + 0.0009 over 6.
     assert figures.rmse_near_rel == pytest.approx(math.sqrt(0.0014 / 6) / 0.5)
     assert figures.psnr_db == pytest.approx(20 * math.log10(0.5 / math.sqrt(0.0015 / 9)))
     assert figures.mean_reference_rel == pytest.approx((0.5 - 0.01) / 0.5), (
-        "only the voxel that is all bone"
+        "only the voxel that is full"
     )
     assert figures.roi_fraction == pytest.approx(0.9)
     assert figures.roi_reference_fraction == pytest.approx(2 / 9)
@@ -140,17 +140,17 @@ def test_similarity_is_that_of_scikit_image_in_double_precision():
     assert figures.ssim == pytest.approx(similarity[3:-3, 3:-3, 3:-3].mean(), rel=1e-9)
 
 
-@pytest.mark.parametrize("bone", [(23, 4, 8), (25, 4, 8)], ids=["slab below", "slab above"])
+@pytest.mark.parametrize("full", [(23, 4, 8), (25, 4, 8)], ids=["slab below", "slab above"])
 @pytest.mark.parametrize("distance", [0.0, 1.9, 2.0, 2.5, 40.0])
-def test_distance_to_bone_is_euclidean(distance, bone):
-    """A single bone voxel off centre, voxels of unequal edges, distances on and between nodes."""
+def test_distance_to_the_reference_is_euclidean(distance, full):
+    """A single full voxel off centre, voxels of unequal edges, distances on and between nodes."""
     shape, edges = (29, 14, 11), (0.5, 1.0, 2.0)
     grid = VolumeGrid(shape, edges)
     truth = np.zeros(shape)
-    truth[bone] = 1.0
+    truth[full] = 1.0
     k, j, i = np.indices(shape)
     apart = np.sqrt(
-        (2.0 * (k - bone[0])) ** 2 + (1.0 * (j - bone[1])) ** 2 + (0.5 * (i - bone[2])) ** 2
+        (2.0 * (k - full[0])) ** 2 + (1.0 * (j - full[1])) ** 2 + (0.5 * (i - full[2])) ** 2
     )
     # An error in one voxel too far or too near changes the figure: all values differ.
     error = 1.0 + np.arange(truth.size).reshape(shape) / 2**13  # numbers of float32
@@ -161,10 +161,10 @@ def test_distance_to_bone_is_euclidean(distance, bone):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize(
-    "side", [slice(None, 10), slice(11, None)], ids=["bone above", "bone below"]
+    "side", [slice(None, 10), slice(11, None)], ids=["full above", "full below"]
 )
-def test_bone_outside_the_region_counts_for_the_distance(axis, side):
-    """The region's box ends beside the bone voxel, on either side of it."""
+def test_reference_outside_the_region_counts_for_the_distance(axis, side):
+    """The region's box ends beside the full voxel, on either side of it."""
     shape = (21, 21, 21)
     truth, roi = np.zeros(shape), np.zeros(shape, bool)
     truth[10, 10, 10] = 1.0
@@ -233,7 +233,7 @@ def test_perfect_volume():
     assert figures.mean_reference_rel == pytest.approx(1.0, rel=FLOAT32)
 
 
-def test_no_bone_in_the_region():
+def test_no_reference_in_the_region():
     grid = VolumeGrid((8, 9, 10), 1.0)
     figures = image_figures(
         np.ones(grid.shape), np.zeros(grid.shape), np.ones(grid.shape), 2.0, grid

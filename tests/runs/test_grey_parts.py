@@ -88,7 +88,7 @@ def test_hu_by_regions_of_water_and_air(grey: Maker) -> None:
 
 
 def test_a_label_is_the_reference(grey: Maker) -> None:
-    """Near bone is near the label, and its mean is 1 for the truth itself."""
+    """Near the reference is near the label, and its mean is 1 for the truth itself."""
     specimen = SimulationBuilder(grey("specimen.reference=skull")).specimen
     grid = grid_of_ct()
     truth, body = specimen.truth(grid, KEV), specimen.reference_voxels(grid, Pose.identity())

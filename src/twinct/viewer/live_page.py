@@ -49,7 +49,7 @@ BROWSER_COMES_S, BROWSER_DRAWS_S = 2.0, 2.0
 """Time for a first browser to connect, and then to draw, before heavy work begins."""
 
 SURFACE_SHARE = 0.5
-"""Initial level of the bone surface, as a share of the densest material in the window."""
+"""Initial level of the surface, as a share of the densest material in the window."""
 
 HANGS_S = 60.0
 """Time that closing waits for the painter, which a large surface keeps busy for seconds."""
@@ -189,7 +189,7 @@ class Page:
             self._shown: Any = gui.add_dropdown("slices of", (RECONSTRUCTION,))
             self._planes = tuple(gui.add_slider(axis, 0, 1, 1, 0) for axis in AXES)
             self._window = gui.add_multi_slider("window, 1/mm", 0.0, 1.0, 0.001, (0.0, 1.0))
-            self._surface_of: Any = gui.add_dropdown("bone surface", (NOTHING,))
+            self._surface_of: Any = gui.add_dropdown("surface of", (NOTHING,))
             self._level = gui.add_number("at, 1/mm", 0.02, min=0.0, step=0.001)
         with gui.add_folder("Selected"):
             self._numbers = gui.add_markdown("*Click a path, the panel, a slice or an arm.*")

@@ -11,13 +11,14 @@ import numpy as np
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
-from twinct.core.files.plain_json import json_of, read_json
+from twinct.core.files.plain_json import json_of
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.observers import IterationDone
 from twinct.recon.volume import Volume
 from twinct.runs import Folder
 from twinct.runs.checkpoints import read_checkpoint
+from twinct.runs.folder import read_metrics
 from twinct.scan import OWN, Readings, ScanStore, SimulationBuilder, named_geometries
 from twinct.scenario import Scenario
 from twinct.viewer.locate import folder_of_run
@@ -212,7 +213,7 @@ class RunFolder:
         return self._show.scenario if self._show else self._scenario(self._store)
 
     def _residuals(self) -> Mapping[str, tuple[float, ...]]:
-        residuals = self._cached(self.paths.metrics, _read_json, {}).get("residuals", {})
+        residuals = self._cached(self.paths.metrics, read_metrics, {}).get("residuals", {})
         by_name = {name: tuple(values) for name, values in residuals.items()}
         if not by_name and (under_way := self._checkpoint()) is not None:
             by_name = {under_way[1]: under_way[3]}
@@ -252,11 +253,3 @@ class RunFolder:
                 }
             self._known[path] = known = mark, read(path)
         return known[1]
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        data = read_json(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot read the figures of a run: {error}") from None
-    return data if isinstance(data, dict) else {}

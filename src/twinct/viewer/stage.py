@@ -27,7 +27,7 @@ COLOURS: dict[str, tuple[int, int, int]] = {
 OTHERS = ((46, 139, 87), (148, 82, 175), (190, 60, 90), (140, 110, 60))
 REFUSED = (214, 40, 40)
 BEAM = (246, 200, 80)
-BONE = (232, 220, 190)
+IVORY = (232, 220, 190)
 
 IN_FRONT_MM = 6.0
 """Distance of the drawn projection from the pixel plane, so that the housing does not hide it."""
@@ -118,7 +118,7 @@ class Stage:
 
     def set_specimen(self, mesh: trimesh.Trimesh) -> None:
         """Set the surface of the specimen, in its own frame, mm."""
-        self._mesh("specimen", mesh, BONE, None)
+        self._mesh("specimen", mesh, IVORY, None)
 
     def set_field_of_view(self, mesh: trimesh.Trimesh | None) -> None:
         """Set the surface of the region that every view sees, mm."""
@@ -158,7 +158,7 @@ class Stage:
         if mesh is None:
             self._remove("surface")
             return
-        self._mesh("surface", mesh, BONE, opacity)
+        self._mesh("surface", mesh, IVORY, opacity)
 
     def _draw_arms(self, show: Show, view: int) -> None:
         if self._room is not None:
