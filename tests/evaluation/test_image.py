@@ -52,7 +52,7 @@ def test_by_hand():
     figures = image_figures(truth + error, truth, roi, mu, grid, near_mm=4.0)
     # Squares in the region: (1 + 4 + 1 + 9) 1e-4 = 0.0015 over 9 voxels.
     assert figures.rmse_rel == pytest.approx(math.sqrt(0.0015 / 9) / 0.5)
-    # Reference: voxels 4 and 5 (half counts). Within 4 mm: 2 to 7, with 0.0004 + 0.0001 + 0.0009 over 6.
+    # Reference: voxels 4 and 5 (half counts). Within 4 mm: 2 to 7, 0.0004 + 0.0001 + 0.0009 over 6.
     assert figures.rmse_near_rel == pytest.approx(math.sqrt(0.0014 / 6) / 0.5)
     assert figures.psnr_db == pytest.approx(20 * math.log10(0.5 / math.sqrt(0.0015 / 9)))
     assert figures.mean_reference_rel == pytest.approx((0.5 - 0.01) / 0.5), (
