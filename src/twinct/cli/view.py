@@ -56,11 +56,11 @@ def view_command(
     if export is not None or movie is not None:
         if len(folders) > 1:
             raise InputError("--export and --movie take one folder")
-        from twinct.scan import SimulationBuilder
+        from twinct.viewer.filling import builder_of
         from twinct.viewer.run_folder import RunFolder
 
         show = RunFolder(folders[0]).look()
-        _write(show, SimulationBuilder(show.scenario, show.plan), export, movie)
+        _write(show, builder_of(show), export, movie)
         return
     # A browser loads the page while the modules that read the run are imported.
     with suppress(KeyboardInterrupt), serving(host, port, allow_network) as server:
@@ -164,7 +164,9 @@ def _stay() -> None:
         return
 
 
-def _write(show: Show, builder: SimulationBuilder, export: Path | None, movie: Path | None) -> None:
+def _write(
+    show: Show, builder: SimulationBuilder | None, export: Path | None, movie: Path | None
+) -> None:
     """Write the page, the film, or both."""
     with on_terminal() as audience:
         if export is not None:
