@@ -171,7 +171,7 @@ def volumes(views, voxels):
     p = line_integrals(taken.transmission)
 
     def near_bone(volume: NDArray[np.float32]) -> float:
-        return image_figures(volume, truth, region, mu, grid).rmse_bone_rel
+        return image_figures(volume, truth, region, mu, grid).rmse_near_rel
 
     points = 30.0 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1]])
     # What is believed is moved as a whole to where the executed lies; what is found stays.

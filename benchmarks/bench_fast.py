@@ -100,7 +100,7 @@ def main():
         seconds[name] = float(done.stdout)
         found = image_figures(np.load(file), truth, region, mu, grid)
         print(
-            f"{name}: {seconds[name]:.1f} s of processor, {100 * found.rmse_bone_rel:.2f} % near "
+            f"{name}: {seconds[name]:.1f} s of processor, {100 * found.rmse_near_rel:.2f} % near "
             f"bone, {100 * found.rmse_rel:.2f} % in the region",
             flush=True,
         )

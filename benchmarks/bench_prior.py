@@ -103,7 +103,7 @@ class Judge:
         truth, mu = self.truth, self.truth.mu_reference
         figures = image_figures(volume, truth.volume, truth.region, mu, self.grid)
         return {
-            "near_bone": figures.rmse_bone_rel,
+            "near_bone": figures.rmse_near_rel,
             "region": figures.rmse_rel,
             "contrast": self.contrast(volume) / self.contrast(truth.volume),
         }

@@ -69,7 +69,7 @@ class Case:
             "passes": passes,
             "seconds": seconds,
             "rmse_rel": found.rmse_rel,
-            "rmse_bone_rel": found.rmse_bone_rel,
+            "rmse_near_rel": found.rmse_near_rel,
             "edge_width_mm": width,
         }
 
@@ -112,8 +112,8 @@ def passes_of(case, solve, options, seconds=0.0, finish=as_it_is):
             spent = time.perf_counter() - clock[0]
             passes = step.iteration + 1
             judged = (case.judged(one, spent, passes) for one in finish(case, step.volume))
-            points.append(min(judged, key=lambda point: point["rmse_bone_rel"]))
-            print(f"  {points[-1]['seconds']:.1f} s: {points[-1]['rmse_bone_rel']:.4f}", flush=True)
+            points.append(min(judged, key=lambda point: point["rmse_near_rel"]))
+            print(f"  {points[-1]['seconds']:.1f} s: {points[-1]['rmse_near_rel']:.4f}", flush=True)
             clock[0] = time.perf_counter() - spent
 
     solve(iterations=options.iterations, callback=watch)
@@ -237,7 +237,7 @@ def draw(found, path, title):
     figure, axes = plt.subplots(figsize=(8, 6), layout="constrained")
     for number, name in enumerate(name for name in WAYS if name in found):
         seconds = [point["seconds"] for point in found[name]]
-        errors = [100 * point["rmse_bone_rel"] for point in found[name]]
+        errors = [100 * point["rmse_near_rel"] for point in found[name]]
         look = {
             "marker": "osD^vP"[number % 6],
             "ms": 4,
@@ -284,9 +284,9 @@ def main():
             found[way] = WAYS[way][0](case, options, found)
             kept.write_text(json.dumps(found, indent=1))
     for way, points in found.items():
-        best = min(points, key=lambda point: point["rmse_bone_rel"])
+        best = min(points, key=lambda point: point["rmse_near_rel"])
         print(
-            f"{WAYS[way][1]}: {100 * best['rmse_bone_rel']:.2f} % near bone after "
+            f"{WAYS[way][1]}: {100 * best['rmse_near_rel']:.2f} % near bone after "
             f"{best['passes']} passes, {best['seconds']:.0f} s; "
             f"edges {best['edge_width_mm']:.2f} mm; all passes {points[-1]['seconds']:.0f} s"
         )

@@ -64,7 +64,7 @@ class Scan:
 
     def judge(self, volume: np.ndarray) -> dict[str, float]:
         figures = image_figures(volume, self.truth, self.region, self.mu, self.grid)
-        return {"near_bone": figures.rmse_bone_rel, "region": figures.rmse_rel}
+        return {"near_bone": figures.rmse_near_rel, "region": figures.rmse_rel}
 
 
 def best_sart(scan: Scan, p: np.ndarray) -> list[dict[str, float]]:

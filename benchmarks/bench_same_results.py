@@ -156,7 +156,9 @@ def volumes(out: Path) -> dict[str, str]:
 
 def figures(out: Path) -> dict[str, str]:
     """Return the figures of a run, by dotted key, without those that depend on time and files."""
-    metrics = json.loads((out / "metrics.json").read_text())
+    from twinct.runs.folder import read_metrics
+
+    metrics = read_metrics(out / "metrics.json")  # of today's names
     return {
         f"metrics.{key}": "" if re.match("seconds|real_time_factor|files", key) else repr(value)
         for key, value in flat(metrics)

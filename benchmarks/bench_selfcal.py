@@ -154,7 +154,7 @@ def of_skull(options):
         p,
         executed,
         grid,
-        lambda volume: image_figures(volume, truth, region, mu, grid).rmse_bone_rel,
+        lambda volume: image_figures(volume, truth, region, mu, grid).rmse_near_rel,
     )
 
 

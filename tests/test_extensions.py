@@ -439,7 +439,7 @@ def test_foreign_voxels_and_solids_are_cast_beside_any_engine(
         (y < -25, bone * 9**3),
     ):
         assert values[:, part].sum() * cell == pytest.approx(mu_mm3, rel=0.02)
-    assert json.loads((out / "metrics.json").read_text())["image"]["rmse_bone_rel"] > 0
+    assert json.loads((out / "metrics.json").read_text())["image"]["rmse_near_rel"] > 0
 
 
 @pytest.mark.tutorial

@@ -65,7 +65,7 @@ def test_it_is_reported_reconstructed_once_more_and_exported(folder: Path) -> No
     assert now["image"]["rmse_rel"] == pytest.approx(then["image"]["rmse_rel"], rel=1e-4)
     # Two iterations reach 38 % of the contrast: nearer to a constant than to the truth.
     assert now["image"]["signal_rel"] == pytest.approx(0.379, abs=0.001)
-    assert (now["image"]["ssim"], now["image"]["mean_bone_rel"]) == (None, None)
+    assert (now["image"]["ssim"], now["image"]["mean_reference_rel"]) == (None, None)
     assert now["pose_error"] == then["pose_error"]
     assert (folder / "report.html").read_text().count("Cross-sections of") == 2
     assert run_command(["export", str(folder), "--to", "astra"]) == 0

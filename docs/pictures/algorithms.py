@@ -74,7 +74,7 @@ def line_integrals(geometry: ScanGeometry, noisy: bool = True) -> np.ndarray:
 def near_bone(volume: np.ndarray, geometry: ScanGeometry) -> tuple[float, float]:
     """Return the RMSE within 3 mm of bone and in the region, % of mu(bone)."""
     figures = image_figures(volume, truth, region_of_interest(geometry, grid), mu, grid)
-    return 100 * figures.rmse_bone_rel, 100 * figures.rmse_rel
+    return 100 * figures.rmse_near_rel, 100 * figures.rmse_rel
 
 
 Panels = dict[str, tuple[np.ndarray, np.ndarray]]

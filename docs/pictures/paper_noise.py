@@ -25,11 +25,11 @@ KEPT = ROOT / "benchmarks" / "results" / "paper_noise.csv"
 PICTURE = ROOT / "docs" / "images" / "paper_noise.png"
 SIGMA, ITERATIONS = "sigma / mm", "reconstruction.iterations"
 FIGURES = {
-    "image.rmse_bone_rel": ("RMSE within 3 mm of bone / %", 100, 2),
+    "image.rmse_near_rel": ("RMSE within 3 mm of bone / %", 100, 2),
     "image.rmse_rel": ("RMSE in the region / %", 100, 2),
-    "image.mean_bone_rel": ("mean bone value / %", 100, 2),
+    "image.mean_reference_rel": ("mean bone value / %", 100, 2),
     "image.psnr_db": ("PSNR / dB", 1, 2),
-    "image.ssim_bone": ("SSIM near bone", 1, 4),
+    "image.ssim_near": ("SSIM near bone", 1, 4),
     "image.ssim": ("SSIM in the region", 1, 4),
     "image.edge_width_mm": ("bone edges, 10 to 90 % / mm", 1, 3),
 }

@@ -60,13 +60,13 @@ print(scan.transmission.shape, scan.transmission.min())
 
 volume = reconstruct(scan)
 volume.show("volume.png")
-print(f"{evaluate(scan, volume).rmse_bone_rel:.1%} error near bone")
+print(f"{evaluate(scan, volume).rmse_near_rel:.1%} error near bone")
 
 # %%
 # The algorithm ``fast`` takes less time, and its error is smaller.
 
 fast = reconstruct(scan, algorithm="fast")
-print(f"{evaluate(scan, fast).rmse_bone_rel:.1%} error near bone")
+print(f"{evaluate(scan, fast).rmse_near_rel:.1%} error near bone")
 
 # %%
 # What the robots cost
@@ -77,7 +77,7 @@ print(f"{evaluate(scan, fast).rmse_bone_rel:.1%} error near bone")
 # geometry, and can reconstruct from it.
 
 ideal = reconstruct(scan, algorithm="fast", geometry="executed")
-print(f"{evaluate(scan, ideal).rmse_bone_rel:.1%} error near bone from the executed geometry")
+print(f"{evaluate(scan, ideal).rmse_near_rel:.1%} error near bone from the executed geometry")
 
 middle = volume.shape[0] // 2
 figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")

@@ -68,7 +68,7 @@ scan.show("part.png", views=[0, 20, 40, 60])
 
 volume = reconstruct(scan)
 volume.show("part_volume.png")
-print(f"{evaluate(scan, volume).rmse_bone_rel:.1%} error near the part")
+print(f"{evaluate(scan, volume).rmse_near_rel:.1%} error near the part")
 
 # %%
 # Ask the volume

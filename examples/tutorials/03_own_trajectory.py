@@ -56,7 +56,7 @@ SimulationBuilder(scenario).draw("own_path_room.png", view=30, width=1000, heigh
 scan = simulate(scenario)
 volume = reconstruct(scan, algorithm="fast")
 volume.show("own_path.png")
-print(f"{evaluate(scan, volume).rmse_bone_rel:.1%} error near bone")
+print(f"{evaluate(scan, volume).rmse_near_rel:.1%} error near bone")
 
 # %%
 # The figure shows where the source really was, and how far that is from the commanded positions:

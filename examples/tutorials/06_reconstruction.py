@@ -44,7 +44,7 @@ volumes = {
 }
 sections(volumes)
 for name, volume in volumes.items():
-    print(f"{name:16} {evaluate(scan, volume).rmse_bone_rel:.1%} error near bone")
+    print(f"{name:16} {evaluate(scan, volume).rmse_near_rel:.1%} error near bone")
 
 # %%
 # More passes of SART help up to a point: after ten of them the error hardly changes, because 20
@@ -63,7 +63,7 @@ def keep(event):
 
 
 reconstruct(scan, algorithm="sart", iterations=12, observers=[keep])
-errors = [evaluate(scan, one).rmse_bone_rel for one in passes]
+errors = [evaluate(scan, one).rmse_near_rel for one in passes]
 figure, axis = plt.subplots(figsize=(6, 3), layout="constrained")
 axis.plot(np.arange(1, len(errors) + 1), np.multiply(100, errors), marker="o")
 axis.set(xlabel="passes of SART", ylabel="error near bone / %")
@@ -83,7 +83,7 @@ cleaned = reconstruct(
 )
 sections({"nothing taken out": plain, "surroundings taken out": cleaned}, index=20)
 for name, volume in {"nothing taken out": plain, "surroundings taken out": cleaned}.items():
-    print(f"{name:24} {evaluate(more, volume).rmse_bone_rel:.1%} error near bone")
+    print(f"{name:24} {evaluate(more, volume).rmse_near_rel:.1%} error near bone")
 
 # %%
 # A path that misses directions
@@ -114,7 +114,7 @@ for axis, (name, one) in zip(
     axis.imshow(volume[:, volume.shape[1] // 2], cmap="gray", vmin=0, vmax=0.025, origin="lower")
     axis.set_title(name)
     axis.axis("off")
-    print(f"{name:16} {evaluate(one, volume).rmse_bone_rel:.1%} error near the discs")
+    print(f"{name:16} {evaluate(one, volume).rmse_near_rel:.1%} error near the discs")
 
 # %%
 # That is why twin arms are worth their trouble: they go where a gantry cannot.

@@ -67,7 +67,7 @@ volumes = {
 figure, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
 for axis, (name, volume) in zip(axes, volumes.items(), strict=True):
     axis.imshow(volume[volume.shape[0] // 2], cmap="gray", vmin=0, vmax=0.06, origin="lower")
-    axis.set_title(f"{name}: {evaluate(scan, volume).rmse_bone_rel:.1%} near bone")
+    axis.set_title(f"{name}: {evaluate(scan, volume).rmse_near_rel:.1%} near bone")
     axis.axis("off")
 
 # %%

@@ -36,7 +36,7 @@ axes:
     key: [uncertainty.source.sigma_mm, uncertainty.detector.sigma_mm]
     values: [0, 1]
 repetitions: {number: 3, key: uncertainty.seed}
-figures: [image.rmse_bone_rel]
+figures: [image.rmse_near_rel]
 """)
 
 # %%
@@ -53,7 +53,7 @@ study = run_study("passes.yaml", "passes", jobs=1)
 # ``study.html`` shows the results as diagrams and tables.
 
 table = study.results
-print(len(table), "trials,", sorted({one for one in table.columns if "rmse_bone" in one}))
+print(len(table), "trials,", sorted({one for one in table.columns if "rmse_near" in one}))
 
 # %%
 # The answer
@@ -64,7 +64,7 @@ print(len(table), "trials,", sorted({one for one in table.columns if "rmse_bone"
 passes, sigma = "reconstruction.iterations", "sigma / mm"
 figure, axis = plt.subplots(figsize=(6.5, 3.6), layout="constrained")
 for value, rows in table.groupby(sigma):
-    error = 100 * rows.groupby(passes)["image.rmse_bone_rel"].agg(["mean", "std"])
+    error = 100 * rows.groupby(passes)["image.rmse_near_rel"].agg(["mean", "std"])
     axis.errorbar(
         error.index, error["mean"], error["std"], marker="o", capsize=4, label=f"{value:g} mm"
     )

@@ -102,9 +102,9 @@ def test_a_run_keeps_the_contract(finished: Path) -> None:
         assert 0 < metrics["pose_error"][arm]["position_mm"]["max"] < 1.0
     assert metrics["clearance_mm"]["min"] >= 10
     assert set(metrics["image"]) == {
-        "rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "mean_bone_rel",
-        "roi_fraction", "roi_bone_fraction",
-        "ssim_bone", "signal_rel", "signal_error_rel", "edge_width_mm", "rmse_rel_by_depth", "zero",
+        "rmse_rel", "rmse_near_rel", "psnr_db", "ssim", "mean_reference_rel",
+        "roi_fraction", "roi_reference_fraction",
+        "ssim_near", "signal_rel", "signal_error_rel", "edge_width_mm", "rmse_rel_by_depth", "zero",
     }  # fmt: skip
     seconds = metrics["seconds"]
     assert sum(seconds.values()) == pytest.approx(2 * seconds["total"])
@@ -347,7 +347,7 @@ def test_a_specimen_that_no_view_sees_is_refused_before_planning(
 
 
 @pytest.mark.tutorial
-def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
+def test_an_image_without_reference_in_its_region_is_judged_as_far_as_it_goes(
     capfd, tmp_path: Path
 ) -> None:
     """A small ball beside the grid."""
@@ -359,7 +359,7 @@ def test_an_image_without_bone_in_its_region_is_judged_as_far_as_it_goes(
     said = capfd.readouterr()
     assert "warning: " in said.err and "outside the voxels that are judged" in said.err
     assert "no figure near bone" in said.out
-    assert json.loads((out / "metrics.json").read_text())["image"]["rmse_bone_rel"] is None
+    assert json.loads((out / "metrics.json").read_text())["image"]["rmse_near_rel"] is None
 
 
 @pytest.fixture

@@ -31,7 +31,7 @@ FROM_PYTHON = (
     "prints {rmse:.3f}: with 40 views, the error near bone is {percent} of the attenuation of bone"
 )
 DEMO_SENTENCES = (
-    ("start/report.md", "its RMSE near bone is {sart}, its mean bone {mean}."),
+    ("start/report.md", "its RMSE near bone is {sart}, its mean in bone {mean}."),
     ("start/report.md", "The algorithm `fast` lowers the RMSE to {fast}, in less time."),
     ("start/report.md", "it reaches {around} if the parts of the skull outside the grid are"),
     ("reconstruction.md", "after the paper's 10 iterations from {sart_alone} to {around},"),
@@ -73,12 +73,12 @@ def test_the_demo_has_the_figures_of_the_pages(tmp_path: Path) -> None:
     scan, image = finished.scan, finished.figures.image
 
     def rmse(**settings: Any) -> str:
-        return percent(evaluate(scan, reconstruct(scan, **settings)).rmse_bone_rel)
+        return percent(evaluate(scan, reconstruct(scan, **settings)).rmse_near_rel)
 
     figures = {
-        "sart": percent(image.rmse_bone_rel),
-        "sart_alone": f"{100 * image.rmse_bone_rel:.1f}",
-        "mean": percent(image.mean_bone_rel),
+        "sart": percent(image.rmse_near_rel),
+        "sart_alone": f"{100 * image.rmse_near_rel:.1f}",
+        "mean": percent(image.mean_reference_rel),
         "fast": rmse(algorithm="fast"),
         "around": rmse(**AROUND),
     }

@@ -82,7 +82,7 @@ def test_only_the_reference_material_within_the_region_counts() -> None:
     volume = MU * (blurred_ball(left, 8, 0.5) + 5 * blurred_ball(right, 8, 1.0)).astype(np.float32)
     everywhere = np.ones(grid.shape, bool)
     found = edge_width(volume, truth, everywhere, MU, grid)
-    assert found == pytest.approx(WIDTH * 0.5, rel=0.03), "metal has no edges of bone"
+    assert found == pytest.approx(WIDTH * 0.5, rel=0.03), "metal has no edges of the reference"
     assert edge_width(volume, truth, everywhere, 5 * MU, grid) == pytest.approx(
         WIDTH * 1.0, rel=0.03
     )

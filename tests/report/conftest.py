@@ -89,6 +89,7 @@ def make_report(views=24, panel=(80, 60), voxels=48, description="A run that nev
         projections=[(int(k), np.roll(egg, int(k) % 9, axis=1)) for k in shown],
         slices=cross_sections(volume, truth, roi, grid),
         mu_reference=MU,
+        reference="bone",
     )
 
 

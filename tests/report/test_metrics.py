@@ -52,9 +52,9 @@ def test_keys_are_those_that_scripts_rely_on():
     contract |= {
         f"image.{name}"
         for name in (
-            "rmse_rel rmse_bone_rel psnr_db ssim mean_bone_rel roi_fraction roi_bone_fraction "
-            "ssim_bone signal_rel signal_error_rel zero.rmse_rel zero.ssim edge_width_mm "
-            "mtf.ball.f50_per_mm mtf.ball.mtf"
+            "rmse_rel rmse_near_rel psnr_db ssim mean_reference_rel roi_fraction "
+            "roi_reference_fraction ssim_near signal_rel signal_error_rel zero.rmse_rel zero.ssim "
+            "edge_width_mm mtf.ball.f50_per_mm mtf.ball.mtf"
         ).split()
     }
     contract |= {
@@ -94,7 +94,7 @@ def test_strict_json_even_where_a_figure_is_not_finite():
     numpy_seconds = {name: np.float32(value) for name, value in SECONDS.items()}
     result = metrics(image=perfect, seconds=numpy_seconds, views=np.int64(3))
     assert json.loads(json.dumps(result, allow_nan=False)) == result
-    assert result["image"]["psnr_db"] is None and result["image"]["rmse_bone_rel"] is None
+    assert result["image"]["psnr_db"] is None and result["image"]["rmse_near_rel"] is None
     assert metrics(seconds=SECONDS | {"motion": 0.0})["real_time_factor"] is None
 
 

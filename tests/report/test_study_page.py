@@ -170,10 +170,10 @@ def test_what_varies_along_with_an_axis_makes_no_lines():
 @pytest.mark.parametrize(
     ("name", "label", "best"),
     [
-        ("image.rmse_bone_rel", "RMSE near steel / %", "lower"),
+        ("image.rmse_near_rel", "RMSE near steel / %", "lower"),
         ("image_by_geometry.executed.ssim", "SSIM, executed geometry", "higher"),
         ("image.psnr_db", "PSNR / dB", "higher"),
-        ("image.mean_bone_rel", "mean steel / %", "one"),
+        ("image.mean_reference_rel", "mean in steel / %", "one"),
         (
             "pose_error.source.position_mm.max",
             "executed against commanded, source, position, largest / mm",
@@ -214,7 +214,7 @@ def test_figures_have_words(name, label, best):
         (RMSE, "", [1, 2, 5]),
         (RMSE, "higher", [4, 3, 0]),
         (SSIM, "", [4, 3, 0]),
-        ("image.mean_bone_rel", "", [2, 0, 5]),
+        ("image.mean_reference_rel", "", [2, 0, 5]),
         ("views", "", []),
     ],
 )

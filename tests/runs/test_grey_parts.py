@@ -88,7 +88,7 @@ def test_hu_by_regions_of_water_and_air(grey: Maker) -> None:
 
 
 def test_a_label_is_the_reference(grey: Maker) -> None:
-    """Near bone is near the label, and its mean is 1 for the truth itself."""
+    """Near the reference is near the label, and its mean is 1 for the truth itself."""
     specimen = SimulationBuilder(grey("specimen.reference=skull")).specimen
     grid = grid_of_ct()
     truth, body = specimen.truth(grid, KEV), specimen.reference_voxels(grid, Pose.identity())
@@ -96,10 +96,10 @@ def test_a_label_is_the_reference(grey: Maker) -> None:
     mu = specimen.reference_mu(KEV)
     seen = np.ones(grid.shape, dtype=bool)
     reference = ImageReference(truth, seen, mu, grid, body=body)
-    assert reference.figures(truth).mean_bone_rel == pytest.approx(1)
-    assert reference.figures(1.1 * truth).mean_bone_rel == pytest.approx(1.1)
-    assert reference.figures(truth).roi_bone_fraction == pytest.approx(body.mean())
-    near = np.asarray(reference.near_bone)
+    assert reference.figures(truth).mean_reference_rel == pytest.approx(1)
+    assert reference.figures(1.1 * truth).mean_reference_rel == pytest.approx(1.1)
+    assert reference.figures(truth).roi_reference_fraction == pytest.approx(body.mean())
+    near = np.asarray(reference.near_reference)
     assert near[14, 20, 27] and near[14, 20, 31] and not near[14, 20, 15]
     soft = SimulationBuilder(grey("specimen.reference=brain")).specimen
     assert soft.reference_mu(KEV) < 0.6 * mu

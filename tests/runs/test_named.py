@@ -257,5 +257,5 @@ def test_figures_that_every_run_has(finished: Run) -> None:
     assert image["zero"]["rmse_rel"] > 0.1 and image["zero"]["ssim"] < 1
     depth = image["rmse_rel_by_depth"]
     assert list(depth)[0] == "0_to_5_mm" and any(depth.values())
-    assert "edge_width_mm" in image and "ssim_bone" in image
+    assert "edge_width_mm" in image and "ssim_near" in image
     assert "believed_minus_executed" not in finished.figures

@@ -137,7 +137,7 @@ def test_without_the_rule_nothing_would_win(
             value, usual = nested(told, key), nested(decent, key)
             if value is not None and one.best and math.isfinite(value):
                 better += [key] * (BADNESS[one.best](value) < BADNESS[one.best](usual))
-    assert {"nps.box.noise_rel", "streaks.ball.streak_rel", "mean_bone_rel"} <= {*better}
+    assert {"nps.box.noise_rel", "streaks.ball.streak_rel", "mean_reference_rel"} <= {*better}
     assert not {key for key, one in figures(decent) if one.without_signal != "null"} & {*better}
 
 

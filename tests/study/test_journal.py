@@ -35,6 +35,16 @@ def test_a_row_comes_back_from_its_line():
         assert "\n" not in row.to_json()
 
 
+def test_a_row_of_version_1_0_has_todays_names():
+    figures = {"image.rmse_near_rel": 0.125, "image.zero.ssim_near": 0.0}
+    row = replace(ROW, figures=figures, reference_material="steel")
+    then = json.loads(row.to_json().replace("rmse_near", "rmse_bone").replace("m_near", "m_bone"))
+    assert list(then["figures"]) == ["image.rmse_bone_rel", "image.zero.ssim_bone"]
+    assert Row.from_json(json.dumps(then)) == row
+    del then["reference_material"]
+    assert Row.from_json(json.dumps(then)) == replace(row, reference_material="")
+
+
 def test_a_figure_that_is_not_finite_is_none_and_the_line_strict_json():
     row = replace(ROW, figures={"image.psnr_db": math.inf, "image.ssim": math.nan, "a": 1.0})
     told = json.loads(row.to_json(), parse_constant=pytest.fail)

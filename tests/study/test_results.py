@@ -60,6 +60,7 @@ def test_a_line_for_each_trial_with_columns_of_one_type():
         "image.ssim": "float64",
         "seconds.xray": "float64",
         "seconds.other": "float64",
+        "reference_material": "string",
         **dict.fromkeys(("message", "kind", "scan", "report", "key"), "string"),
     }
     assert list(results_table(ROWS).columns[:4]) == ["trial", "noise", "iterations", "algorithm"]

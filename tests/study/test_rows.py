@@ -30,6 +30,7 @@ def done(one: Trial, figure: float | None) -> Done:
     value = {
         "figures": {"image.rmse_rel": figure},
         "seconds": {"total": 2.0},
+        "reference_material": "steel",
         "sections": one.key.encode(),
     }
     return Done(one.key, value, {}, 3.0)
@@ -75,7 +76,7 @@ def test_for_some_figures_more_is_better(folder: StudyFolder) -> None:
     rows = Rows(folder, ranked_by("image.ssim"))
     for seed, figure in enumerate((0.5, 0.9, 0.7)):
         one = trial(seed, 0, seed)
-        value = {"figures": {"image.ssim": figure}, "seconds": {}, "sections": b""}
+        value = done(one, None).value | {"figures": {"image.ssim": figure}}
         rows.done(one, Done(one.key, value, {}, 0.0), {}, "")
     assert kept(folder) == {"key-0-1"}
 

@@ -143,9 +143,9 @@ def test_slices_move_and_show_what_is_there(listener: Listener, show: Show) -> N
 
 
 def test_the_surface_comes_and_goes(listener: Listener) -> None:
-    listener.set("bone surface", "truth")
+    listener.set("surface of", "truth")
     listener.wait(lambda: len(listener.node("/surface")["vertices"]) > 100)
-    listener.set("bone surface", "nothing")
+    listener.set("surface of", "nothing")
     listener.wait(lambda: not [name for name in listener.nodes if "/surface/" in name])
 
 

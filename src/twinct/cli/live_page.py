@@ -13,7 +13,7 @@ from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, named_places
-from twinct.viewer.filling import fill
+from twinct.viewer.filling import builder_of, fill
 from twinct.viewer.following import Follower, LivePage
 from twinct.viewer.live_page import Page
 from twinct.viewer.locate import folder_of_run
@@ -38,7 +38,7 @@ def show_runs(
         if len(folders) > 1:
             raise InputError("--export and --movie take one folder")
         show = RunFolder(folders[0]).look()
-        _write(show, SimulationBuilder(show.scenario, show.plan), *files)
+        _write(show, builder_of(show), *files)
         return
     with suppress(KeyboardInterrupt), serving(host, port, allow_network) as server:
         runs = [RunFolder(folder) for folder in folders]
@@ -130,7 +130,9 @@ def stay() -> None:
         return
 
 
-def _write(show: Show, builder: SimulationBuilder, export: Path | None, movie: Path | None) -> None:
+def _write(
+    show: Show, builder: SimulationBuilder | None, export: Path | None, movie: Path | None
+) -> None:
     """Write the page, the film, or both."""
     with on_terminal() as audience:
         if export is not None:

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 def say_result(run: Run) -> None:
     """Print the main figures, each in words: image, poses, report; or those of all volumes."""
+    from twinct.evaluation.figure import REFERENCE
     from twinct.report.pose_words import named_pose_errors
     from twinct.runs.reconstruction_folder import stored_reconstructions
 
@@ -26,16 +27,16 @@ def say_result(run: Run) -> None:
         f"{error['detector']['position_mm']['mean']:.2f} mm detector"
         for name, error in poses.items()
     )
-    material = run.figures.get("reference_material", "bone")  # older runs do not say
+    material = run.figures.get("reference_material", REFERENCE)  # older runs do not say
     say(
         f"{run.figures['reached']} of {run.figures['views']} views; "
         f"RMSE {percent(image['rmse_rel'])} of mu({material}), "
-        f"{percent(image['rmse_bone_rel'])} near {material}\n"
+        f"{percent(image['rmse_near_rel'])} near {material}\n"
         f"mean distance: {errors}\n"
         f"report: {run.paths.report}"
     )
 
 
 def percent(share: float | None) -> str:
-    """Return a share in percent; None, such as near bone without bone, gives "no figure"."""
+    """Return a share in percent; None, if no voxel counts, gives "no figure"."""
     return "no figure" if share is None else f"{100 * share:.1f} %"

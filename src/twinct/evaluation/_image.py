@@ -32,16 +32,17 @@ def _set(row, i):
 
 
 @njit(**OPTIONS)
-def voxel_sums(volume, truth, region, near, mu, bone, pure, out):
+def voxel_sums(volume, truth, region, near, mu, least, pure, out):
     """Write the sums over the voxels of a region, (z, sums), float64, plane by plane.
 
-    The sums are: voxels; squared errors; voxels near bone; their squared errors; bone voxels; pure
-    ones; the volume in these; squares of the truth; the same near bone; values that are not finite;
-    the truth; the volume; their products. ``near`` are bits. Bone has a truth of at least ``bone``;
-    a pure voxel's differs from ``mu`` by at most ``pure``.
+    The sums are: voxels; squared errors; voxels near the reference material; their squared errors;
+    voxels of this material; pure ones; the volume in these; squares of the truth; the same near the
+    material; values that are not finite; the truth; the volume; their products. ``near`` are bits.
+    A voxel of the material has a truth of at least ``least``; a pure one's differs from ``mu`` by
+    at most ``pure``.
     """
     for k in range(volume.shape[0]):
-        voxels = nearby = bones = pures = wrong = 0
+        voxels = nearby = inside = pures = wrong = 0
         square = near_square = pure_value = zero = near_zero = 0.0
         trues = values = products = 0.0
         for j in range(volume.shape[1]):
@@ -57,7 +58,7 @@ def voxel_sums(volume, truth, region, near, mu, bone, pure, out):
                 trues += true
                 values += value
                 products += true * value
-                bones += true >= bone
+                inside += true >= least
                 if _set(near[k, j], i):
                     nearby += 1
                     near_square += error
@@ -66,7 +67,7 @@ def voxel_sums(volume, truth, region, near, mu, bone, pure, out):
                     pures += 1
                     pure_value += value
         out[k, 0], out[k, 1], out[k, 2], out[k, 3], out[k, 4] = (
-            voxels, square, nearby, near_square, bones
+            voxels, square, nearby, near_square, inside
         )  # fmt: skip
         out[k, 5], out[k, 6], out[k, 7], out[k, 8], out[k, 9] = (
             pures, pure_value, zero, near_zero, wrong
@@ -194,7 +195,7 @@ def window_sums(volume, truth, near, centres, c1, c2, out):
     """Write sums of the structural similarity over windows, (z, strips, sums), all zeros before.
 
     The sums are: windows; their similarity with the volume; that with zeros; the same three over
-    windows centred near bone. ``near`` and ``centres`` are bits.
+    windows centred near the reference material. ``near`` and ``centres`` are bits.
     """
     planes, rows, _ = volume.shape
     strips = out.shape[1]

@@ -27,6 +27,9 @@ Degradation = Literal["noise", "blur", "smoothing", "shift", "contrast"]
 """Ways in which a volume gets worse than the truth: noise; blur; a noisy volume, whose detail is
 lost by blur or a median filter while its noise falls; a shift; less contrast."""
 
+REFERENCE = "the reference material"
+"""Words for the material that figures are relative to, if its name is unknown or differs."""
+
 LEAST_SIGNAL = 0.5
 """Share of the truth's contrast at which a volume is as near to a constant as to the truth.
 
@@ -76,7 +79,7 @@ class Figure:
         """Title and unit."""
         return f"{self.title} / {self.unit}" if self.unit else self.title
 
-    def relative_to(self, reference: str) -> Figure:
+    def relative_to(self, reference: str = REFERENCE) -> Figure:
         """Return the figure in words that name the reference material."""
         words = {name: getattr(self, name) for name in ("title", "meaning", "good")}
         return replace(

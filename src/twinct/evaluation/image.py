@@ -17,11 +17,11 @@ from twinct.evaluation.figure import has_signal, null_without_signal
 from twinct.evaluation.image_words import IMAGE_FIGURES
 from twinct.geometry import VolumeGrid
 
-BONE_SHARE = 0.5
-"""A voxel counts as bone if its true value is at least this share of mu(bone)."""
+REFERENCE_SHARE = 0.5
+"""A voxel counts as reference material if its true value is at least this share of its mu."""
 
-PURE_BONE_TOLERANCE = 1e-3
-"""Largest relative deviation from mu(bone) of a voxel that lies entirely inside bone.
+PURE_TOLERANCE = 1e-3
+"""Largest relative deviation from mu of a voxel that lies entirely in the reference material.
 
 It is far below the weight of one of 4^3 supersamples, 1/64, and far above float32 rounding.
 """
@@ -35,27 +35,27 @@ _STRIP = 32
 
 @dataclass(frozen=True)
 class ImageFigures:
-    """Image quality in a region R of voxels; mu(bone) is the true attenuation of bone.
+    """Image quality in a region R of voxels; mu is the true attenuation of the reference material.
 
-    Voxels outside R have no influence, except that bone outside counts for the distance to bone. A
-    figure without voxels is NaN: without bone near R, or without an SSIM window that fits in R. A
-    volume without signal has NaN for the figures that would reward it, see ``Figure``.
+    Voxels outside R have no influence, except that reference material outside counts for the
+    distance to it. A figure without voxels is NaN: without reference material near R, or without an
+    SSIM window that fits in R. A volume without signal has NaN for the figures that would reward
+    it, see ``Figure``.
 
     Attributes:
-        rmse_rel: root mean square of (volume - truth) over R, relative to mu(bone).
-        rmse_bone_rel: ``rmse_rel`` over the voxels of R whose centres are at most
-            ``bone_distance_mm`` from the centre of a bone voxel (true value at least 0.5 mu(bone)),
-            bone itself included.
-        psnr_db: 20 log10(mu(bone) / RMSE over R), dB; infinite for a perfect volume.
+        rmse_rel: root mean square of (volume - truth) over R, relative to mu.
+        rmse_near_rel: ``rmse_rel`` over the voxels of R whose centres are at most ``near_mm`` from
+            the centre of a reference voxel (true value at least 0.5 mu), these voxels included.
+        psnr_db: 20 log10(mu / RMSE over R), dB; infinite for a perfect volume.
         ssim: mean 3-D structural similarity (Wang et al. 2004, K1 = 0.01, K2 = 0.03, sample
-            covariance, data range mu(bone)) over all 7^3 windows that lie entirely in R.
-        mean_bone_rel: mean of the volume over the voxels of R that lie entirely inside bone (true
-            value mu(bone)), relative to mu(bone); 1 is ideal.
+            covariance, data range mu) over all 7^3 windows that lie entirely in R.
+        mean_reference_rel: mean of the volume over the voxels of R that lie entirely in the
+            reference material (true value mu), relative to mu; 1 is ideal.
         roi_fraction: share of the grid's voxels that are in R.
-        roi_bone_fraction: share of R's voxels that are bone voxels.
-        ssim_bone: ``ssim`` over the windows whose centres are near bone, as in ``rmse_bone_rel``.
-        zero: figures of a volume of zeros, the baseline: ``rmse_rel``, ``rmse_bone_rel``,
-            ``psnr_db``, ``ssim`` and ``ssim_bone``.
+        roi_reference_fraction: share of R's voxels that are reference voxels.
+        ssim_near: ``ssim`` over the windows whose centres are near, as in ``rmse_near_rel``.
+        zero: figures of a volume of zeros, the baseline: ``rmse_rel``, ``rmse_near_rel``,
+            ``psnr_db``, ``ssim`` and ``ssim_near``.
         further: figures of other kinds by name, nested as in ``metrics.json``.
         signal_rel: slope of the straight line that fits the volume over the truth, over R; 1 is
             ideal. An empty or constant volume has 0.
@@ -64,13 +64,13 @@ class ImageFigures:
     """
 
     rmse_rel: float
-    rmse_bone_rel: float
+    rmse_near_rel: float
     psnr_db: float
     ssim: float
-    mean_bone_rel: float
+    mean_reference_rel: float
     roi_fraction: float
-    roi_bone_fraction: float
-    ssim_bone: float = math.nan
+    roi_reference_fraction: float
+    ssim_near: float = math.nan
     zero: Mapping[str, float] = field(default_factory=dict[str, float])
     further: Mapping[str, Any] = field(default_factory=dict[str, Any])
     signal_rel: float = math.nan
@@ -91,7 +91,7 @@ class ImageFigures:
         """Return the main figures in words, relative to a material."""
         rmse, near = (
             "no figure" if math.isnan(share) else f"{100 * share:.1f} %"
-            for share in (self.rmse_rel, self.rmse_bone_rel)
+            for share in (self.rmse_rel, self.rmse_near_rel)
         )
         return f"RMSE {rmse} of mu({material}), {near} near {material}"
 
@@ -109,7 +109,7 @@ def image_figures(
     roi: ArrayLike,
     mu_reference: float,
     grid: VolumeGrid,
-    bone_distance_mm: float = 3.0,
+    near_mm: float = 3.0,
 ) -> ImageFigures:
     """Compare a volume with the truth; ``ImageFigures`` defines each figure.
 
@@ -120,9 +120,10 @@ def image_figures(
         volume: reconstructed attenuation, (z, y, x), 1/mm.
         truth: true attenuation (volume fraction times mu), (z, y, x), 1/mm.
         roi: region to evaluate, (z, y, x), bool; see ``region_of_interest``.
-        mu_reference: mu(bone), 1/mm: unit of all relative figures and data range of PSNR and SSIM.
+        mu_reference: true attenuation of the reference material, 1/mm: unit of all relative figures
+            and data range of PSNR and SSIM.
         grid: the lattice of all three.
-        bone_distance_mm: largest distance of voxels "near bone".
+        near_mm: largest distance of voxels near the reference material.
 
     Raises:
         InputError: the region is empty.
@@ -130,7 +131,7 @@ def image_figures(
         ValueError: an array does not fit the grid, or the reference is not positive.
     """
     truth, roi = np.asarray(truth), np.asarray(roi, dtype=np.bool_)
-    return ImageReference(truth, roi, mu_reference, grid, bone_distance_mm).figures(volume)
+    return ImageReference(truth, roi, mu_reference, grid, near_mm).figures(volume)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,18 +141,19 @@ class ImageReference:
     Attributes:
         truth: true attenuation, (z, y, x), 1/mm.
         roi: region to evaluate, (z, y, x), bool.
-        mu_reference: mu(bone), 1/mm.
+        mu_reference: true attenuation of the reference material, 1/mm.
         grid: the lattice of both.
-        bone_distance_mm: largest distance of voxels "near bone".
-        body: voxels of a grey body that count as bone, (z, y, x), bool; ``mean_bone_rel`` is then
-            the mean in them over that of the truth. None: bone is uniform.
+        near_mm: largest distance of voxels near the reference material.
+        body: voxels of a grey body that count as reference material, (z, y, x), bool;
+            ``mean_reference_rel`` is then the mean in them over that of the truth. None: the
+            material is uniform.
     """
 
     truth: NDArray[Any]
     roi: NDArray[np.bool_]
     mu_reference: float
     grid: VolumeGrid
-    bone_distance_mm: float = 3.0
+    near_mm: float = 3.0
     body: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
@@ -168,8 +170,8 @@ class ImageReference:
         mu = self.mu_reference
         if not (mu > 0 and math.isfinite(mu)):
             raise ValueError(f"mu_reference is {mu}, expected a positive attenuation in 1/mm")
-        if self.bone_distance_mm < 0:
-            raise ValueError(f"bone_distance_mm is {self.bone_distance_mm}, expected 0 or more")
+        if self.near_mm < 0:
+            raise ValueError(f"near_mm is {self.near_mm}, expected 0 or more")
         if not self.roi.any():
             raise InputError(
                 "no voxel of the grid is seen by a view, so the image cannot be judged: move "
@@ -177,14 +179,14 @@ class ImageReference:
             )
 
     @cached_property
-    def near_bone(self) -> Bits:
-        """Voxels within ``bone_distance_mm`` of a bone voxel, between centres."""
+    def near_reference(self) -> Bits:
+        """Voxels within ``near_mm`` of a reference voxel, between centres."""
         body = self.body
         if body is None:
-            bone = Bits.where(lambda planes: self.truth[planes] >= self._bone, self.grid.shape)
+            voxels = Bits.where(lambda planes: self.truth[planes] >= self._least, self.grid.shape)
         else:
-            bone = Bits.where(lambda planes: body[planes], self.grid.shape)
-        return near(bone, self.bone_distance_mm, self.grid.voxel)
+            voxels = Bits.where(lambda planes: body[planes], self.grid.shape)
+        return near(voxels, self.near_mm, self.grid.voxel)
 
     @cached_property
     def windows(self) -> Bits:
@@ -192,8 +194,8 @@ class ImageReference:
         return whole_windows(Bits.where(lambda planes: self.roi[planes], self.grid.shape), WINDOW)
 
     @property
-    def _bone(self) -> float:
-        return BONE_SHARE * self.mu_reference
+    def _least(self) -> float:
+        return REFERENCE_SHARE * self.mu_reference
 
     def figures(self, volume: ArrayLike) -> ImageFigures:
         """Compare a volume (z, y, x), 1/mm, with the truth.
@@ -212,34 +214,34 @@ class ImageReference:
         zero_rel = _root(sums.zero_square, sums.voxels) / mu
         figures = ImageFigures(
             rmse_rel=rmse_rel,
-            rmse_bone_rel=_root(sums.near_square, sums.near) / mu,
+            rmse_near_rel=_root(sums.near_square, sums.near) / mu,
             psnr_db=_psnr(rmse_rel),
             ssim=_ratio(ssim, windows),
-            mean_bone_rel=_ratio(sums.pure_value, sums.pure) / mu,
+            mean_reference_rel=_ratio(sums.pure_value, sums.pure) / mu,
             roi_fraction=sums.voxels / self.roi.size,
-            roi_bone_fraction=sums.bone / sums.voxels,
-            ssim_bone=_ratio(ssim_near, windows_near),
+            roi_reference_fraction=sums.reference / sums.voxels,
+            ssim_near=_ratio(ssim_near, windows_near),
             signal_rel=sums.signal_rel,
             signal_error_rel=sums.signal_error_rel,
             zero={
                 "rmse_rel": zero_rel,
-                "rmse_bone_rel": _root(sums.zero_near_square, sums.near) / mu,
+                "rmse_near_rel": _root(sums.zero_near_square, sums.near) / mu,
                 "psnr_db": _psnr(zero_rel),
                 "ssim": _ratio(zero_ssim, windows),
-                "ssim_bone": _ratio(zero_near, windows_near),
+                "ssim_near": _ratio(zero_near, windows_near),
             },
         )
         return figures.honest()
 
     def _in_body(self, sums: _VoxelSums, volume: NDArray[Any]) -> _VoxelSums:
-        """Return the sums with bone as the body defines it, and the mean in it over the truth's."""
+        """Return the sums with the body's voxels, and the mean in them over the truth's."""
         if self.body is None:
             return sums
         inside = self.body & self.roi
         result, true = (float(a[inside].sum(dtype=np.float64)) for a in (volume, self.truth))
-        bone = float(inside.sum())
         mean_rel = result / true if true else math.nan
-        return replace(sums, bone=bone, pure=1.0, pure_value=self.mu_reference * mean_rel)
+        pure_value = self.mu_reference * mean_rel
+        return replace(sums, reference=float(inside.sum()), pure=1.0, pure_value=pure_value)
 
     def _require_shape(self, name: str, array: NDArray[Any]) -> None:
         if array.shape != self.grid.shape:
@@ -249,10 +251,10 @@ class ImageReference:
         from twinct.evaluation import _image
 
         volume, truth = (read_only(array, np.float32) for array in (volume, self.truth))
-        roi, words = read_only(self.roi, np.bool_), self.near_bone.words
+        roi, words = read_only(self.roi, np.bool_), self.near_reference.words
         out = np.empty((len(volume), len(fields(_VoxelSums))))
-        mu, tolerance = float(self.mu_reference), PURE_BONE_TOLERANCE * self.mu_reference
-        _image.voxel_sums(volume, truth, roi, words, mu, float(self._bone), float(tolerance), out)
+        mu, tolerance = float(self.mu_reference), PURE_TOLERANCE * self.mu_reference
+        _image.voxel_sums(volume, truth, roi, words, mu, float(self._least), float(tolerance), out)
         return out.sum(axis=0).tolist()
 
     def _window_sums(self, volume: NDArray[Any]) -> list[float]:
@@ -261,7 +263,9 @@ class ImageReference:
         volume, truth = (read_only(array, np.float32) for array in (volume, self.truth))
         out = np.zeros((len(volume), math.ceil(volume.shape[1] / _STRIP), 6))
         c1, c2 = ((share * float(self.mu_reference)) ** 2 for share in (0.01, 0.03))
-        _image.window_sums(volume, truth, self.near_bone.words, self.windows.words, c1, c2, out)
+        _image.window_sums(
+            volume, truth, self.near_reference.words, self.windows.words, c1, c2, out
+        )
         return out.sum(axis=(0, 1)).tolist()
 
 
@@ -273,7 +277,7 @@ class _VoxelSums:
     square: float
     near: float
     near_square: float
-    bone: float
+    reference: float
     pure: float
     pure_value: float
     zero_square: float

@@ -17,7 +17,7 @@ _OF_OBJECT: tuple[Degradation, ...] = ("noise", "blur", "smoothing", "shift", "c
 
 IMAGE_FIGURES = (
     percent(
-        "rmse_bone_rel",
+        "rmse_near_rel",
         "RMSE near {0}",
         "of μ({0}), within 3 mm of {0}",
         "lower",
@@ -27,7 +27,7 @@ IMAGE_FIGURES = (
         blind_to=(),
     ),
     Figure(
-        "ssim_bone",
+        "ssim_near",
         "SSIM near {0}",
         meaning=_NEAR,
         best="higher",
@@ -48,8 +48,8 @@ IMAGE_FIGURES = (
         blind_to=("noise", "contrast"),
     ),
     percent(
-        "mean_bone_rel",
-        "mean {0}",
+        "mean_reference_rel",
+        "mean in {0}",
         "of μ({0}), voxels entirely in {0}",
         "one",
         1,
@@ -109,7 +109,7 @@ IMAGE_FIGURES = (
         blind_to=_OF_OBJECT,
     ),
     percent(
-        "roi_bone_fraction",
+        "roi_reference_fraction",
         "{0} in the region",
         "of the region's voxels",
         "higher",

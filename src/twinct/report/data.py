@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.evaluation.figure import REFERENCE
 from twinct.geometry import Floats, Panel, VolumeGrid
 from twinct.geometry.wire import PosePairs
 from twinct.report.style import Picture
@@ -103,7 +104,7 @@ class ReportData:
     projections: Sequence[tuple[int, NDArray[np.floating]]] = ()
     slices: Mapping[str, CrossSection] = field(default_factory=dict)
     mu_reference: float | None = None
-    reference: str = "bone"
+    reference: str = REFERENCE
     room_png: bytes | None = None
     nearest: tuple[str, ...] = ()
     others: Sequence[Another] = ()

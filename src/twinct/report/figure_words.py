@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from twinct.evaluation import IMAGE_FIGURES, MOTION_FIGURES, Figure, figure_kinds
-from twinct.evaluation.figure import Best
+from twinct.evaluation.figure import REFERENCE, Best
 from twinct.report.page import stage_title
 from twinct.report.pose_words import EXECUTED, against_executed
 
@@ -27,7 +27,7 @@ _UNITS |= {"_kev": "keV", "_ma": "mA", "_ms": "ms", "_s": "s"}
 _STATISTICS = {"min": "smallest", "max": "largest", "mean": "mean", "std": "spread"}
 
 
-def figure_words(name: str, reference: str = "bone") -> Figure:
+def figure_words(name: str, reference: str = REFERENCE) -> Figure:
     """Return a figure in words; an unknown figure gets the words of its name.
 
     Args:

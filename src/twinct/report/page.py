@@ -47,7 +47,7 @@ PAPER_TABLE_1 = {
 """Table 1 of the paper: executed against commanded poses, 399 views, trigger at 1 mm."""
 
 
-LEAD = ("rmse_bone_rel", "ssim_bone", "edge_width_mm")
+LEAD = ("rmse_near_rel", "ssim_near", "edge_width_mm")
 """Figures at the top of a report: those near the object."""
 
 Pictures = dict[str, Picture | None]

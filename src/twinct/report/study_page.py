@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from twinct.core.files.writing import write_text
-from twinct.evaluation.figure import BADNESS, Best, Figure
+from twinct.evaluation.figure import BADNESS, REFERENCE, Best, Figure
 from twinct.report.data import CrossSection
 from twinct.report.figure_words import figure_words
 from twinct.report.page import stage_title
@@ -82,7 +82,7 @@ class StudyData:
         sections: cross-sections of some trials, by trial, then plane; see ``best_trials``.
         mu_reference: attenuation to which figures are relative, 1/mm; the largest true value if
             None.
-        reference: name of the material with this attenuation.
+        reference: name of the material that figures are relative to, if all trials have one.
         results: name of the file with all rows.
     """
 
@@ -97,7 +97,7 @@ class StudyData:
     wall_seconds: float | None = None
     sections: Mapping[int, Mapping[str, CrossSection | None]] = field(default_factory=dict)
     mu_reference: float | None = None
-    reference: str = "bone"
+    reference: str = REFERENCE
     results: str = "results.parquet"
 
     @property

@@ -16,6 +16,7 @@ from twinct.core.files.plain_json import read_json
 from twinct.core.files.plain_yaml import read_file, written
 from twinct.core.files.writing import check_folder, write_text
 from twinct.link.recording import recordings
+from twinct.report.earlier_names import with_todays_names
 from twinct.runs.reconstruction_folder import file_digest
 from twinct.scan import OWN, named_geometries, scenario_in
 from twinct.scenario import Scenario, load_scenario, stage_digests, with_paths
@@ -232,7 +233,7 @@ def as_yaml(settings: ScanSettings) -> str:
 
 
 def read_metrics(path: Path) -> dict[str, Any]:
-    """Read the figures of a finished run.
+    """Read the figures of a finished run, also of an earlier version.
 
     Raises:
         InputError: the file cannot be read; names the file.
@@ -243,4 +244,4 @@ def read_metrics(path: Path) -> dict[str, Any]:
             raise ValueError("not a mapping of names to values")
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot read the figures of a run: {error}") from None
-    return cast(dict[str, Any], metrics)
+    return with_todays_names(cast(dict[str, Any], metrics))

@@ -20,6 +20,7 @@ from twinct.core.files.writing import complete, write_json
 from twinct.evaluation import ImageFigures
 from twinct.recon.volume import Volume
 from twinct.report import CrossSection, plain, with_results
+from twinct.report.earlier_names import with_todays_names
 from twinct.runs.judgement import Judgement
 from twinct.scan import Scan, checked_name
 from twinct.scenario.imported import as_stated
@@ -73,7 +74,7 @@ class Reconstruction:
         """Algorithm, settings and further results in one line."""
         return with_results(self.in_words, self.results)
 
-    def judged_in_words(self, material: str = "bone") -> str:
+    def judged_in_words(self, material: str = "") -> str:
         """Return name, settings and main figures in one line.
 
         Args:
@@ -142,7 +143,7 @@ class Reconstruction:
             slices = _sections(path, data.pop("slices"))
             figures = {
                 key: np.nan if value is None else value
-                for key, value in data.pop("figures").items()
+                for key, value in with_todays_names(data.pop("figures")).items()
             }
             of = Judgement if "residual_by_view" in figures else ImageFigures
             residuals = tuple(data.pop("residuals"))

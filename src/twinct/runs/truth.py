@@ -23,7 +23,7 @@ from twinct.evaluation import (
     region_depth,
     region_of_interest,
 )
-from twinct.evaluation.image import BONE_SHARE
+from twinct.evaluation.image import REFERENCE_SHARE
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.geometry.arrays import lock
 from twinct.observers import Audience
@@ -54,7 +54,7 @@ class Truth:
         executed: executed geometry of the views, relative to the specimen.
         note: note in the volume's file, which identifies it.
         mu_water: attenuation of water at the energy of the volume, 1/mm.
-        body: voxels that count as bone, (z, y, x), bool, if the reference is a mixture.
+        body: voxels that count as reference material, (z, y, x), bool, if that is a mixture.
     """
 
     volume: NDArray[np.float32]
@@ -138,7 +138,7 @@ def truth_of(
         if file:  # little else reads the voxels
             for part in (*specimen.parts, *builder.specimen.parts):
                 part.spill(file.parent)
-        body = bone_voxels(specimen, volume, mu, grid, scan.stands)
+        body = reference_voxels(specimen, volume, mu, grid, scan.stands)
         water = material("water").mu_per_mm(energy)
         return Truth(volume, region, mu, grid, executed, note, water, body)
 
@@ -162,14 +162,14 @@ def _is_large(grid: VolumeGrid) -> bool:
     return 5 * math.prod(grid.shape) > _MOST_KEPT
 
 
-def bone_voxels(
+def reference_voxels(
     specimen: BuiltSpecimen,
     volume: NDArray[np.float32],
     mu_reference: float,
     grid: VolumeGrid,
     world_from_specimen: Pose,
 ) -> NDArray[np.bool_] | None:
-    """Return the voxels that count as bone in a mixture: of the reference label, or dense ones.
+    """Return the voxels of the reference in a mixture: those of its label, or dense ones.
 
     None if the reference is a part of one material.
 
@@ -183,7 +183,7 @@ def bone_voxels(
     if specimen.reference_part.homogeneous:
         return None
     label = specimen.reference_voxels(grid, world_from_specimen)
-    return volume >= BONE_SHARE * mu_reference if label is None else label
+    return volume >= REFERENCE_SHARE * mu_reference if label is None else label
 
 
 def _digest(

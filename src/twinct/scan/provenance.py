@@ -67,6 +67,8 @@ class Simulated:
     """
 
     kind: ClassVar[str] = "simulated"
+    own: ClassVar[tuple[str, ...]] = OWN
+    """Names of the geometries that the scan came with, the first one known beforehand."""
     kept: ClassVar[str] = "executed"
     """Name of the stored geometry that is nearest to the truth."""
 
@@ -85,11 +87,6 @@ class Simulated:
     def settings(self) -> Scenario:
         """Settings of beam, panel and reconstruction: the scenario."""
         return self.scenario
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Names of the geometries that the scan came with."""
-        return OWN
 
     def poses(self, name: str) -> PosePairs | None:
         """Return the poses of an own geometry, or ``relative``; None for another name."""
@@ -228,16 +225,12 @@ class Imported:
     """
 
     kind: ClassVar[str] = "imported"
+    own: ClassVar[tuple[str, ...]] = (STATED,)
     kept: ClassVar[str] = STATED
 
     settings: ImportedSettings
     stated: PosePairs
     files: tuple[str, ...] = ()
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Name of the only geometry."""
-        return (STATED,)
 
     def poses(self, name: str) -> PosePairs | None:
         """Return the stated poses; None for another name."""

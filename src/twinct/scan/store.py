@@ -86,17 +86,17 @@ def check_space(folder: Path, settings: ScanSettings, views: int) -> None:
 
 
 class Readings(NamedTuple):
-    """State of the robots in consecutive views of a scan.
+    """Stored poses of consecutive views of a scan, and state of the robots if there are any.
 
     Attributes:
-        executed: poses of source and panel.
-        objects: ``world_from_object``.
+        taken: poses of source and panel at exposure, as far as known.
+        objects: ``world_from_object``; empty if it is not known.
         joints: rad, (views, joints).
-        simulated_s: simulated time at exposure, (views,).
-        clearance_mm: smallest gap on the way to each view, (views,).
+        simulated_s: simulated time at exposure, (views,), or empty.
+        clearance_mm: smallest gap on the way to each view, (views,), or empty.
     """
 
-    executed: PosePairs
+    taken: PosePairs
     objects: tuple[Pose, ...]
     joints: NDArray[np.float64]
     simulated_s: NDArray[np.float64]
@@ -481,21 +481,35 @@ class ScanStore:
         images = self._read("transmission")
         return Scan(provenance, images, bad_pixels=self.bad_pixels, mas=self.mas)
 
+    @cached_property
+    def kind(self) -> type[Provenance]:
+        """Kind of the provenance, which names the geometries."""
+        if isinstance(self._stated_settings(), ImportedSettings):
+            return Imported
+        return self._of_arms
+
+    @property
+    def _of_arms(self) -> type[Simulated]:
+        return Recorded if self._group.attrs.get("recorded") else Simulated
+
+    @property
+    def _taken(self) -> str:
+        """Name below which the poses at exposure are stored."""
+        # Earlier versions stored the stated poses as executed ones of a gantry.
+        return self.kind.kept if self._format >= IMPORTED else "executed"
+
     @property
     def provenance(self) -> Provenance:
         """Provenance of the views on disk."""
         settings, views = self.settings, self.acquired
         if isinstance(settings, ImportedSettings):
-            # Earlier versions stored the stated poses as executed ones of a gantry.
-            stated = STATED if self._format >= IMPORTED else "executed"
             files = tuple(self._group.attrs.get("files", ()))
-            return Imported(settings, self._pairs(stated, views), files)
+            return Imported(settings, self._pairs(self._taken, slice(views)), files)
         exposure: Any = self._read(EXPOSURE, slice(views)) if self._has(EXPOSURE) else np.zeros(0)
-        of_arms = Recorded if self._group.attrs.get("recorded") else Simulated
-        return of_arms(
+        return self._of_arms(
             scenario=scenario_in(settings),
-            commanded=self._pairs("commanded", views),
-            executed=self._pairs("executed", views),
+            commanded=self._pairs("commanded", slice(views)),
+            executed=self._pairs("executed", slice(views)),
             executed_object=self._poses("executed/object", slice(views)),
             joint_names=self.joint_names,
             joints=self._read("joints", slice(views)),
@@ -505,17 +519,13 @@ class ScanStore:
         )
 
     def readings(self, first: int, stop: int) -> Readings:
-        """Return the state of the robots in views ``first`` to ``stop - 1``, which are on disk."""
-
-        def poses(name: str) -> tuple[Pose, ...]:
-            return self._poses(f"executed/{name}", slice(first, stop))
-
-        joints, simulated_s, clearance = (
-            self._read(name, slice(first, stop))
-            for name in ("joints", "simulated_s", "clearance_mm")
-        )
-        executed = PosePairs(poses("source"), poses("detector"))
-        return Readings(executed, poses("object"), joints, simulated_s, clearance)
+        """Return poses and state of the robots in views ``first`` to ``stop - 1``, on disk."""
+        views = slice(first, stop)
+        taken = self._pairs(self._taken, views)
+        if self.kind is Imported:
+            return Readings(taken, (), np.zeros((len(taken), 0)), np.zeros(0), np.zeros(0))
+        of_robots = (self._read(name, views) for name in ("joints", "simulated_s", "clearance_mm"))
+        return Readings(taken, self._poses("executed/object", views), *of_robots)
 
     def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
         """Write one uncompressed chunk: just the bytes of the values, as Zarr 3 specifies.
@@ -534,15 +544,15 @@ class ScanStore:
         Those of an imported scan are the stated ones.
         """
         names = ("commanded", STATED)
-        return self._pairs(next(name for name in names if self._has(name)), self.views)
+        return self._pairs(next(name for name in names if self._has(name)), slice(self.views))
 
     @property
     def reported(self) -> NamedGeometry:
         """Geometry that the machine reports, of the views on disk."""
         return self.provenance.reported
 
-    def _pairs(self, which: str, views: int) -> PosePairs:
-        sides = (self._poses(f"{which}/{body}", slice(views)) for body in ("source", "detector"))
+    def _pairs(self, which: str, views: slice) -> PosePairs:
+        sides = (self._poses(f"{which}/{body}", views) for body in ("source", "detector"))
         return PosePairs(*sides)
 
     def _poses(self, name: str, views: slice) -> tuple[Pose, ...]:

@@ -17,6 +17,7 @@ from twinct.core.files.links import no_link
 from twinct.core.files.reading import reason
 from twinct.core.files.writing import storage_errors
 from twinct.core.foreign_text import quoted
+from twinct.report.earlier_names import with_todays_names
 
 NAME = "journal.jsonl"
 
@@ -40,6 +41,8 @@ class Row:
         kind: class of the error.
         scan: digest of the scan that it used.
         report: path of its report or volume, relative to the study's folder; empty: none.
+        reference_material: material that its image figures are relative to; empty if it failed,
+            or in a journal of an earlier version.
         current: True if the study still has the trial; rows of removed trials are retained, and
             become current again with their trial.
     """
@@ -55,6 +58,7 @@ class Row:
     kind: str = ""
     scan: str = ""
     report: str = ""
+    reference_material: str = ""
     current: bool = True
 
     def to_json(self) -> str:
@@ -77,10 +81,12 @@ class Row:
         data = json.loads(line)
         if not isinstance(data, dict):
             raise ValueError("not a mapping")
+        data.setdefault("reference_material", "")  # of an earlier version
         for name in _MAPPINGS:
             if not isinstance(data.get(name), dict):
                 raise ValueError(f"{name} is missing")
-            data[name] = {sys.intern(key): value for key, value in data[name].items()}
+            named = with_todays_names(data[name]) if name == "figures" else data[name]
+            data[name] = {sys.intern(key): value for key, value in named.items()}
         if odd := sorted(data.keys() ^ _FIELDS):
             raise ValueError(f"{odd[0]} is {'unknown' if odd[0] in data else 'missing'}")
         if not isinstance(data["trial"], int) or not isinstance(data["key"], str):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from twinct.evaluation.figure import REFERENCE
 from twinct.report.figure_words import axis_words, with_companions
 from twinct.report.repetitions import StudyTrial
 from twinct.report.study_page import StudyAxis, StudyData, best_trials, write_study
@@ -27,6 +28,7 @@ def write_page(
     study = design.study
     ranked, better = study.ranked_by
     figures = with_companions((ranked, *(name for name in study.figures if name != ranked)))
+    materials = {row.reference_material or REFERENCE for row in rows if row.status == "done"}
     data = StudyData(
         title=study.name,
         description=study.description,
@@ -48,6 +50,7 @@ def write_page(
             for row in rows
         ],
         yaml=design.text,
+        reference=materials.pop() if len(materials) == 1 else REFERENCE,
         planned=total if len(rows) < total else None,
         wall_seconds=wall_seconds,
     )

@@ -19,22 +19,27 @@ if TYPE_CHECKING:
 
 NAME = "results.parquet"
 
-_FIRST, _LAST = ("trial",), ("message", "kind", "scan", "report", "key")
+_FIRST = ("trial",)
+_LAST = ("reference_material", "message", "kind", "scan", "report", "key")
 _BETWEEN = ("seed", "status")
 OWN_COLUMNS = frozenset(_FIRST + _BETWEEN + _LAST)
 """Names that no axis may have; names of figures and "seconds.*" are reserved, too."""
 
-_JOURNAL_BYTES = b"twinct.journal_bytes"
-"""Metadata key of the journal's size; it dates the results, as copies change file times."""
+_JOURNAL_BYTES = b"twinct.bytes_of_journal"
+"""Metadata key of the journal's size; it dates the results, as copies change file times.
+
+Version 1.0 wrote another key, and other names of figures: its table is made anew.
+"""
 
 
 def results_table(rows: Iterable[Row]) -> pd.DataFrame:
     """Return a table with a line for each trial, sorted by number.
 
     Columns are the trial's number, its value on each axis, seed, status, figures by dotted name,
-    ``seconds.STAGE``, message, kind, scan, report and key. Types do not depend on missing values:
-    whole numbers are Int64, other numbers float64 (NaN: missing), truth values boolean, texts
-    string. An axis with values of several kinds is text, with values other than text as JSON.
+    ``seconds.STAGE``, reference material, message, kind, scan, report and key. Types do not depend
+    on missing values: whole numbers are Int64, other numbers float64 (NaN: missing), truth values
+    boolean, texts string. An axis with values of several kinds is text, with values other than text
+    as JSON.
 
     Raises:
         InputError: two columns would have the same name.

@@ -72,6 +72,7 @@ class Rows:
             figures=event.value["figures"],
             seconds=dict(seconds) | event.value["seconds"],
             report=report,
+            reference_material=event.value["reference_material"],
         )
         if self._among_best(row):
             self._folder.best.mkdir(exist_ok=True)
@@ -82,8 +83,8 @@ class Rows:
 
     def copied(self, one: Trial, row: Row) -> None:
         """Store the row of a trial whose volume is identical to the volume of another row."""
-        data = {"figures": row.figures, "seconds": {}, "report": row.report}
-        self.add([_row(one, status="done", **data)])
+        data = {"figures": row.figures, "reference_material": row.reference_material}
+        self.add([_row(one, status="done", seconds={}, report=row.report, **data)])
 
     def failed(self, trials: Iterable[Trial], event: Failed) -> None:
         """Store rows of trials that failed for the same reason."""

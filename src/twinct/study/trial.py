@@ -39,7 +39,7 @@ from twinct.runs.known_motion import as_reconstructed, phase_of_truth
 from twinct.runs.repeated_figures import repeats_asked
 from twinct.runs.repeats import Repeats
 from twinct.runs.reporting import figures_of
-from twinct.runs.truth import bone_voxels
+from twinct.runs.truth import reference_voxels
 from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario, specimen_digest
 from twinct.scenario.reading import key_of
@@ -139,7 +139,7 @@ def try_trial(spec: TrialSpec, place: Place) -> dict[str, Any]:
     Attach ``volume`` if volumes are stored, or ``run``, the run's folder, if everything is stored.
 
     Returns:
-        Figures, seconds and ``sections``, a small file of cross-sections.
+        Figures, their reference material, seconds and ``sections``, a small file of cross-sections.
 
     Raises:
         InputError: the trial cannot be run.
@@ -261,7 +261,11 @@ def _figures(
             sections = packed_sections(shown, truth.mu_reference)
             if spec.keep == "volume":
                 volume.write(stored, "twinct, 1/mm")
-    result = {"figures": flat_figures(figures_of(scan, images)), "sections": sections}
+    result = {
+        "figures": flat_figures(figures_of(scan, images)),
+        "reference_material": specimen.reference_name,
+        "sections": sections,
+    }
     if shared_scan is None:  # for estimates: later trials may share the scan
         result["scan_bytes"] = bytes_below([path])
     attached = stored if spec.keep == "volume" else None
@@ -297,6 +301,7 @@ def _whole_run(
     shown = cross_sections(finished.volume.array, truth, region, grid)
     return {
         "figures": flat_figures(finished.figures),
+        "reference_material": specimen.reference_name,
         "sections": packed_sections(shown, float(truth.max())),
     }
 
@@ -374,7 +379,7 @@ def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:
             section.volume_grid,
             executed,
             mu_water=material("water").mu_per_mm(energy),
-            body=bone_voxels(specimen, volume, mu, section.volume_grid, stands),
+            body=reference_voxels(specimen, volume, mu, section.volume_grid, stands),
         )
 
     return once("truth", f"{of_truth} {of_region}", both)

@@ -11,7 +11,7 @@ from twinct.scenario import Scenario
 _SECTIONS = ("views", "reached", "simulated_seconds", "clearance_mm", "pose_error")
 _WITH_ARMS = ("tool_speed_mm_s",)
 _IMAGES = ("image", "image_by_geometry", "believed_minus_executed")
-_OF_ZERO = ("rmse_rel", "rmse_bone_rel", "psnr_db", "ssim", "ssim_bone")
+_OF_ZERO = ("rmse_rel", "rmse_near_rel", "psnr_db", "ssim", "ssim_near")
 _OF_IMAGE = (
     *(one.key for one in IMAGE_FIGURES),
     "signal_error_rel",

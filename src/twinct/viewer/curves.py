@@ -1,4 +1,4 @@
-"""Curves beside the room: pose errors and clearance of each view, residuals of each iteration."""
+"""Curves beside the room: pose errors, clearance and residual of each view, and of iterations."""
 
 from __future__ import annotations
 
@@ -44,6 +44,7 @@ def curves(shows: Sequence[Show]) -> list[Curve]:
     errors: dict[str, Floats] = {}
     gaps: dict[str, Floats] = {}
     courses: dict[str, tuple[float, ...]] = {}
+    by_view: dict[str, Floats] = {}
     for show in shows:
         own = f"{show.name}: " if len(shows) > 1 else ""
         for name, values in show.pose_errors_mm().items():
@@ -52,9 +53,13 @@ def curves(shows: Sequence[Show]) -> list[Curve]:
             gaps[f"{own}gap"] = _filled(show.clearance_mm, views)
         for name, values in show.residuals.items():
             courses[own + name] = values
+        for name, values in show.view_residuals.items():
+            by_view[own + name] = _filled(values, views)
+    taken = " or ".join(dict.fromkeys(show.kept for show in shows))
     curves_shown = [
-        Curve("distance from executed, mm", x, True, errors),
+        Curve(f"distance from {taken}, mm", x, True, errors),
         Curve("smallest gap on the way to a view, mm", x, True, gaps),
+        Curve("residual of a view, relative to p", x, True, by_view),
     ]
     most = max(map(len, courses.values()), default=0)
     iterations = np.arange(1, most + 1, dtype=float)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from twinct.geometry import Floats
+from twinct.scan import Simulated
 from twinct.viewer.curves import Curve, curves
 from twinct.viewer.markdown import plain
 from twinct.viewer.numbers import (
@@ -49,7 +50,7 @@ BROWSER_COMES_S, BROWSER_DRAWS_S = 2.0, 2.0
 """Time for a first browser to connect, and then to draw, before heavy work begins."""
 
 SURFACE_SHARE = 0.5
-"""Initial level of the bone surface, as a share of the densest material in the window."""
+"""Initial level of the surface, as a share of the densest material in the window."""
 
 HANGS_S = 60.0
 """Time that closing waits for the painter, which a large surface keeps busy for seconds."""
@@ -177,9 +178,14 @@ class Page:
             self._rate = gui.add_number("views a second", 10.0, min=0.5, max=FASTEST_HZ, step=0.5)
             self._follow = gui.add_checkbox("follow the scan", live, visible=live)
         with gui.add_folder("Geometry"):
-            self._geometry: Any = gui.add_dropdown("beam and panel", ("executed",))
+            self._geometry: Any = gui.add_dropdown("beam and panel", (Simulated.kept,))
             self._factor = gui.add_slider(
-                "magnify differences", 1, 200, 1, 1, hint="Magnified about the executed geometry."
+                "magnify differences",
+                1,
+                200,
+                1,
+                1,
+                hint="Magnified about that of the images.",
             )
             self._beam = gui.add_checkbox("beam", True)
             self._paths = gui.add_checkbox("paths of the source", True)
@@ -189,7 +195,7 @@ class Page:
             self._shown: Any = gui.add_dropdown("slices of", (RECONSTRUCTION,))
             self._planes = tuple(gui.add_slider(axis, 0, 1, 1, 0) for axis in AXES)
             self._window = gui.add_multi_slider("window, 1/mm", 0.0, 1.0, 0.001, (0.0, 1.0))
-            self._surface_of: Any = gui.add_dropdown("bone surface", (NOTHING,))
+            self._surface_of: Any = gui.add_dropdown("surface of", (NOTHING,))
             self._level = gui.add_number("at, 1/mm", 0.02, min=0.0, step=0.001)
         with gui.add_folder("Selected"):
             self._numbers = gui.add_markdown("*Click a path, the panel, a slice or an arm.*")
@@ -335,15 +341,16 @@ class Page:
     def _fit_controls(self, show: Show, before: Show | None) -> None:
         """Offer the available data in the controls."""
         self._mute = True
+        self._specimen.visible = any(one.cell is not None for one in self.shows)
         views = max(len(one) for one in self.shows)
         self._view.max = max(views - 1, 1)
         names = tuple(dict.fromkeys(n for one in self.shows for n in one.geometries))
         if self._geometry.options != names:
             known, wanted = self._geometry.options, self._geometry.value
             self._geometry.options = names
-            taken = "executed" in names and (before is None or "executed" not in known)
+            taken = show.kept in names and (before is None or show.kept not in known)
             valid = wanted if wanted in names else names[-1]
-            self._geometry.value = "executed" if taken else valid
+            self._geometry.value = show.kept if taken else valid
         if self._follow.value and show.acquired > (before.acquired if before else 0):
             self._view.value = show.acquired - 1
         volumes = tuple(dict.fromkeys(n for one in self.shows for n in one.volumes))

@@ -24,18 +24,17 @@ from twinct.robots.cell import (
     Marks,
     Moment,
     build_cell,
-    build_gantry,
     paint_specimen,
     room_pictures,
     whole_camera,
 )
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
-from twinct.viewer.filling import specimen_as_it_looks
+from twinct.viewer.filling import gantry_of, specimen_as_it_looks
 from twinct.viewer.magnified import corners
 from twinct.viewer.projection import Projections
 from twinct.viewer.room import GantryPlaces, Room
-from twinct.viewer.show import RECONSTRUCTION, TRUTH, Show
+from twinct.viewer.show import Show
 from twinct.viewer.single_file import VIEWS_A_SECOND, first_look
 from twinct.viewer.slices import Plane
 from twinct.viewer.stage import COLOURS, slice_picture
@@ -47,7 +46,9 @@ PAPER, INK = (255, 255, 255), (31, 41, 51)
 PATH_RADIUS_MM = 4.0
 
 
-def write_movie(show: Show, builder: SimulationBuilder, path: Path, progress: Progress) -> None:
+def write_movie(
+    show: Show, builder: SimulationBuilder | None, path: Path, progress: Progress
+) -> None:
     """Write a film (MP4, H.264) that shows each view for a tenth of a second.
 
     Raises:
@@ -114,7 +115,7 @@ def _encoder(draft: Path, path: Path) -> Iterator[IO[bytes]]:
     raise StorageError(f"{path}: the film could not be written: {ending}")
 
 
-def frames(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]]:
+def frames(show: Show, builder: SimulationBuilder | None) -> Iterator[NDArray[np.uint8]]:
     """Yield one picture per view, (HEIGHT, WIDTH, 3)."""
     beside, projections = _middle_slice(show), Projections(show)
     pictures = _rooms(show, builder)
@@ -134,19 +135,19 @@ def frames(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]
         yield np.asarray(frame)
 
 
-def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]]:
-    scenario, mesh = show.scenario, specimen_as_it_looks(builder)
-    place, panel = scenario.specimen.world_from_specimen, scenario.detector.panel
-    if isinstance(scenario.cell, Cell):
-        model, moved = build_cell(scenario.cell, mesh, place, panel), None
+def _rooms(show: Show, builder: SimulationBuilder | None) -> Iterator[NDArray[np.uint8]]:
+    mesh = None if builder is None else specimen_as_it_looks(builder)
+    if isinstance(show.cell, Cell):
+        model = build_cell(show.cell, mesh, show.place, show.settings.detector.panel)
+        moved = None
     else:
-        model = build_gantry(scenario.cell, mesh, place, panel, *show.commanded[0])
+        model = gantry_of(show, mesh)
         room = Room(model)
-        moved = room, GantryPlaces(room, *show.commanded[0])
+        moved = room, GantryPlaces(room, *show.first[0])
 
     def moments() -> Iterator[Moment]:
         for view in range(len(show)):
-            name, geometry = show.geometry("executed", view)
+            name, geometry = show.geometry(show.kept, view)
             source, rim = geometry.source[view], corners(geometry, view)
             rays = np.stack([np.repeat(source[None], 4, axis=0), rim], axis=1)
             points = show.geometry(name, view)[1].source[: view + 1]
@@ -162,7 +163,8 @@ def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]
                 places |= _tools(show, view, *moved)
             yield Moment(show.joints_at(view), marks, places)
 
-    paint_specimen(model, builder.specimen.colour)
+    if builder is not None:
+        paint_specimen(model, builder.specimen.colour)
     camera = whole_camera(model, show.joints_at(len(show) // 2), ROOM_WIDTH / HEIGHT)
     yield from room_pictures(model, moments(), ROOM_WIDTH, HEIGHT, camera)
 
@@ -174,8 +176,7 @@ def _object(show: Show, view: int) -> Iterator[tuple[str, Pose]]:
 
 
 def _tools(show: Show, view: int, room: Room, places: GantryPlaces) -> dict[str, Pose]:
-    executed = show.poses.get("executed", show.commanded)
-    positions, quats = places.at(*(executed if view < len(executed) else show.commanded)[view])
+    positions, quats = places.at(*show.poses_at(view))
     return {
         body.name: _pose(positions[index], quats[index])
         for index, body in enumerate(room.bodies)
@@ -188,13 +189,12 @@ def _pose(position_m: Floats, wxyz: Floats) -> Pose:
 
 
 def _middle_slice(show: Show) -> Image.Image | None:
-    """Return the middle slice across z of the reconstruction or else the ground truth."""
-    names = [name for name in (RECONSTRUCTION, TRUTH) if name in show.volumes]
-    if not names:
+    """Return the middle slice across z of the first volume."""
+    if not show.volumes:
         return None
     look = first_look(show)
-    plane = Plane.of(show.volumes[names[0]].grid, 2, look.slices[2])
-    picture = slice_picture(show, names[0], plane, look.window)
+    plane = Plane.of(show.volumes[look.shown].grid, 2, look.slices[2])
+    picture = slice_picture(show, look.shown, plane, look.window)
     width, height = plane.size_mm
     scale = 330 / max(width, height)
     image = Image.fromarray(np.ascontiguousarray(picture[::-1]))

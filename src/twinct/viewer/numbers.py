@@ -14,9 +14,8 @@ from twinct.viewer.slices import AXES, Plane, index_at
 
 
 def of_view(show: Show, view: int) -> str:
-    """Return a view's source and panel in each geometry, and their distances from executed."""
-    executed = show.geometries.get("executed")
-    taken = executed is not None and view < len(executed)
+    """Return a view's source and panel in each geometry, and the distances from those taken."""
+    taken = show.taken if view < show.acquired else None
     blocks = [f"**View {view}** of {len(show)}"]
     for name, geometry in show.geometries.items():
         if view >= len(geometry):
@@ -28,15 +27,16 @@ def of_view(show: Show, view: int) -> str:
             f"panel {_point(panel)} mm",
             f"SDD {geometry[view].sdd[0]:.2f} mm",
         ]
-        if executed is not None and taken and name != "executed":
-            off = (
-                float(np.linalg.norm(mine - its))
-                for mine, its in ((source, executed.source[view]), (panel, executed.detector[view]))
+        if taken is not None and name != show.kept:
+            its = (source, taken.source[view]), (panel, taken.detector[view])
+            off = [float(np.linalg.norm(mine - other)) for mine, other in its]
+            lines.append(
+                f"distance from {show.kept}: {off[0]:.3f} mm source, {off[1]:.3f} mm panel"
             )
-            lines.append("distance from executed: {:.3f} mm source, {:.3f} mm panel".format(*off))
         blocks.append("  \n".join(lines))
-    if taken:
-        if math.isfinite(gap := float(show.clearance_mm[view])):
+    if taken is not None:
+        gap = float(show.clearance_mm[view]) if view < len(show.clearance_mm) else math.nan
+        if math.isfinite(gap):
             blocks.append(f"smallest gap on the way there: {gap:.1f} mm")
     elif view in show.refused:
         blocks.append("the arms cannot reach this view")

@@ -60,9 +60,9 @@ def planned(builder: SimulationBuilder) -> Show:
 
 def field_of_view(show: Show) -> trimesh.Trimesh | None:
     """Return the surface of the region that all commanded views see, mm; None if it is empty."""
-    whole = show.scenario.reconstruction.volume_grid
+    whole = show.settings.reconstruction.volume_grid
     shape = tuple(min(n, COARSE_VOXELS) for n in whole.shape)
     voxel = [size / n for size, n in zip(whole.size_mm, shape[::-1], strict=True)]
     grid = VolumeGrid(shape, voxel, whole.world_from_grid)
-    seen = region_of_interest(show.geometries["commanded"], grid)
+    seen = region_of_interest(show.geometries[show.first_name], grid)
     return dense_surface(seen.astype("float32"), grid, 0.5, triangles=4000)

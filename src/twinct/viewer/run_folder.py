@@ -1,9 +1,10 @@
-"""Reader of the page's content from the folder of a run, finished or not."""
+"""Reader of the page's content from the folder of a run, finished or not, or of a scan."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +12,32 @@ import numpy as np
 
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
-from twinct.core.files.plain_json import json_of, read_json
+from twinct.core.files.plain_json import json_of
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.observers import IterationDone
 from twinct.recon.volume import Volume
 from twinct.runs import Folder
 from twinct.runs.checkpoints import read_checkpoint
-from twinct.scan import OWN, Readings, ScanStore, SimulationBuilder, named_geometries
+from twinct.runs.folder import read_metrics
+from twinct.runs.judgement import Judgement
+from twinct.runs.reconstruction_folder import stored_reconstructions
+from twinct.scan import (
+    NamedGeometry,
+    Readings,
+    ScanStore,
+    SimulationBuilder,
+    named_geometries,
+    scenario_in,
+)
 from twinct.scenario import Scenario
+from twinct.scenario.imported import ScanSettings
 from twinct.viewer.locate import folder_of_run
 from twinct.viewer.show import RECONSTRUCTION, TRUTH, Show
 
 
 class RunFolder:
-    """A run's folder, of which each look reads only new data."""
+    """A folder of a run or of an imported scan, of which each look reads only new data."""
 
     def __init__(self, path: Path, *, live: bool = False) -> None:
         """Open the folder of a run, or its scan.zarr; ``live`` if this process writes it.
@@ -35,18 +47,29 @@ class RunFolder:
         """
         self.paths, self._live = Folder(folder_of_run(path)), live
         self._store: ScanStore | None = None
-        self._commanded: PosePairs | None = None
+        self._first: PosePairs | None = None
         self._read: list[Readings] = []
         self._known: dict[Path, tuple[object, Any]] = {}
-        self._reported: tuple[int, PosePairs | None] = 0, None
+        self._reported: tuple[int, NamedGeometry | None] = 0, None
         self._show: Show | None = None
         self._iteration: IterationDone | None = None
         self._course: dict[str, list[float]] = {}
 
     @property
     def under_way(self) -> bool:
-        """True if the run is not finished."""
-        return not all(path.exists() for path in self.paths.results)
+        """True if the run is not finished; an imported scan is none."""
+        return self._is_run and not all(path.exists() for path in self.paths.results)
+
+    @cached_property
+    def _is_run(self) -> bool:
+        """True if a scenario says what there will be; else there is what the folder holds."""
+        return isinstance(self._settings, Scenario)
+
+    @cached_property
+    def _settings(self) -> ScanSettings:
+        if self.paths.scenario.is_file():
+            return self.paths.settings_of_scan()
+        return ScanStore(self.paths.scan).settings
 
     def iterated(self, event: IterationDone) -> None:
         """Take an iteration of a reconstruction in this process, instead of reading its volume."""
@@ -74,7 +97,7 @@ class RunFolder:
 
     def _of_scenario(self) -> Show:
         """Return the state of a run without a stored view."""
-        scenario = self.paths.scenario_of_run()
+        scenario = scenario_in(self._settings)
         commanded = PosePairs.from_geometry(SimulationBuilder(scenario).requested)
         return Show(self.paths.path.name, scenario, commanded, state="no view is stored yet")
 
@@ -84,21 +107,21 @@ class RunFolder:
         if acquired > read:
             self._read.append(store.readings(read, acquired))
         if before is None or not before.poses:
-            scenario = self._scenario(store)
             base = Show(
                 self.paths.path.name,
-                scenario,
-                self._commanded_of(store),
+                self._settings,
+                self._first_of(store),
+                store.kind,
                 plan=store.plan,
                 transmission=store.transmission,
             )
         else:
             base = before
-        executed, objects, joints, clearance = self._joined(store)
-        poses = self._poses(store, executed, acquired)
+        taken, objects, joints, clearance = self._joined(store)
+        poses = self._poses(store, taken, acquired)
         made = self._made(base, poses)
         volumes, waiting = self._volumes()
-        residuals = self._residuals()
+        residuals, view_residuals = self._residuals()
         state, problems = self._said(store, acquired, volumes, waiting)
         return replace(
             base,
@@ -109,31 +132,27 @@ class RunFolder:
             clearance_mm=clearance,
             volumes=volumes,
             residuals=residuals,
+            view_residuals=view_residuals,
             state=state,
             problems=problems,
         )
 
-    def _scenario(self, store: ScanStore) -> Scenario:
-        if self.paths.scenario.is_file():
-            return self.paths.scenario_of_run()
-        return store.scenario
-
-    def _commanded_of(self, store: ScanStore) -> PosePairs:
-        if self._commanded is None:
-            self._commanded = store.commanded
-        return self._commanded
+    def _first_of(self, store: ScanStore) -> PosePairs:
+        if self._first is None:
+            self._first = store.commanded
+        return self._first
 
     def _joined(self, store: ScanStore) -> tuple[PosePairs, tuple[Pose, ...], Floats, Floats]:
         parts = self._read
-        executed = PosePairs.joined(part.executed for part in parts)
+        taken = PosePairs.joined(part.taken for part in parts)
         objects = tuple(pose for part in parts for pose in part.objects)
         joints = [part.joints for part in parts] or [np.zeros((0, len(store.joint_names)))]
         clearance = [part.clearance_mm for part in parts] or [np.zeros(0)]
-        return executed, objects, np.concatenate(joints), np.concatenate(clearance)
+        return taken, objects, np.concatenate(joints), np.concatenate(clearance)
 
-    def _poses(self, store: ScanStore, executed: PosePairs, acquired: int) -> dict[str, PosePairs]:
-        """Return executed, believed and derived poses; compute believed ones unless stored."""
-        by_name = {"executed": executed}
+    def _poses(self, store: ScanStore, taken: PosePairs, acquired: int) -> dict[str, PosePairs]:
+        """Return taken, reported and derived poses; compute believed ones unless stored."""
+        by_name = {store.kind.kept: taken}
         derived = {
             name: named.poses
             for name, named in self._cached(self.paths.geometries, named_geometries, {}).items()
@@ -145,21 +164,24 @@ class RunFolder:
             views, poses = self._reported
             # This slows down with each view, so a running scan does not do it after every view.
             if views < acquired and (acquired == store.views or acquired >= 1.1 * views):
-                poses = store.reported.poses
+                poses = store.reported
                 self._reported = acquired, poses
             if poses is not None and self._reported[0] <= acquired:
-                by_name["believed"] = poses
-        return by_name | {name: poses for name, poses in derived.items() if name not in OWN}
+                by_name.setdefault(poses.name, poses.poses)
+        own = store.kind.own
+        return by_name | {name: poses for name, poses in derived.items() if name not in own}
 
     def _made(self, base: Show, poses: Mapping[str, PosePairs]) -> dict[str, ScanGeometry]:
-        """Return the geometries of these poses; for executed poses, build only new views."""
-        panel, before = base.scenario.detector.panel, base.made
-        made = {"commanded": before.get("commanded") or base.commanded.geometry(panel)}
+        """Return the geometries of these poses; for those taken, build only new views."""
+        panel, before, first = base.settings.detector.panel, base.made, base.first_name
+        made = {first: before.get(first) or base.first.geometry(panel)}
         for name, now in poses.items():
             old = before.get(name)
+            if name == first:
+                continue
             if not len(now):
                 continue
-            if old is None or (name != "executed" and now is not base.poses.get(name)):
+            if old is None or (name != base.kept and now is not base.poses.get(name)):
                 made[name] = now.geometry(panel)
             elif len(old) < len(now):
                 rest = PosePairs(now.source[len(old) :], now.detector[len(old) :])
@@ -169,7 +191,7 @@ class RunFolder:
         return made
 
     def _volumes(self) -> tuple[dict[str, Volume], bool]:
-        """Return all volumes, and True while the run's own is still to come."""
+        """Return all volumes, and True while a run's own is still to come."""
         files = {RECONSTRUCTION: self.paths.volume}
         if self.paths.reconstructions.is_dir():
             for path in sorted(self.paths.reconstructions.glob("*/volume.nii")):
@@ -182,7 +204,7 @@ class RunFolder:
         }
         if RECONSTRUCTION not in volumes and (under_way := self._checkpoint()) is not None:
             volumes = {RECONSTRUCTION: under_way[0], **volumes}
-        return volumes, not self.paths.volume.exists()
+        return volumes, self._is_run and not self.paths.volume.exists()
 
     def _checkpoint(self) -> tuple[Volume, str, int, tuple[float, ...]] | None:
         """Return volume, geometry, number and residuals of a reconstruction's newest iteration."""
@@ -192,7 +214,7 @@ class RunFolder:
         files = sorted(self.paths.checkpoints.glob("*.npz"), key=lambda f: f.name)
         if not files:
             return None
-        grid = self._scenario_now().reconstruction.volume_grid
+        grid = self._settings.reconstruction.volume_grid
 
         def read(file: Path) -> tuple[Volume, str, int, tuple[float, ...]] | None:
             arrays = read_checkpoint(file, grid)
@@ -207,16 +229,20 @@ class RunFolder:
         except (OSError, ValueError, KeyError, InputError):
             return None  # the next checkpoint has just replaced this one
 
-    def _scenario_now(self) -> Scenario:
-        assert self._store is not None
-        return self._show.scenario if self._show else self._scenario(self._store)
-
-    def _residuals(self) -> Mapping[str, tuple[float, ...]]:
-        residuals = self._cached(self.paths.metrics, _read_json, {}).get("residuals", {})
+    def _residuals(self) -> tuple[dict[str, tuple[float, ...]], dict[str, Floats]]:
+        """Return the residuals of iterations and, of volumes judged without a truth, of views."""
+        residuals = self._cached(self.paths.metrics, read_metrics, {}).get("residuals", {})
         by_name = {name: tuple(values) for name, values in residuals.items()}
         if not by_name and (under_way := self._checkpoint()) is not None:
             by_name = {under_way[1]: under_way[3]}
-        return by_name
+        by_view: dict[str, Floats] = {}
+        further = self._cached(self.paths.reconstructions, stored_reconstructions, {})
+        for name, one in further.items():
+            if one.residuals:
+                by_name[name] = one.residuals
+            if isinstance(one.figures, Judgement):
+                by_view[name] = np.array(one.figures.residual_by_view)
+        return by_name, by_view
 
     def _said(
         self, store: ScanStore, acquired: int, volumes: Mapping[str, Volume], waiting: bool
@@ -228,6 +254,9 @@ class RunFolder:
             return f"{state}; reconstruction, iteration {under_way[2]}", ()
         if RECONSTRUCTION in volumes or self._live:
             return state, ()
+        if not self._is_run:
+            way = f"{self.paths.path} holds no volume yet; 'twinct reconstruct' makes one"
+            return state, () if volumes else (way,)
         way = (
             "the scan is incomplete" if acquired < store.views else "the reconstruction is not done"
         )
@@ -252,11 +281,3 @@ class RunFolder:
                 }
             self._known[path] = known = mark, read(path)
         return known[1]
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        data = read_json(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot read the figures of a run: {error}") from None
-    return data if isinstance(data, dict) else {}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import viser
 
-from twinct.scenario import AnyCell
+from twinct.geometry import MM_PER_M
+from twinct.viewer.show import Show
 
 
 def set_lights(server: viser.ViserServer, runs: int = 1) -> None:
@@ -25,8 +26,11 @@ def set_lights(server: viser.ViserServer, runs: int = 1) -> None:
     camera.look_at = (0.0, 0.0, -0.1)
 
 
-def see_whole_room(server: viser.ViserServer, cell: AnyCell) -> None:
-    """Move the camera of an operating room so far back that it sees the walls."""
-    if cell.kind == "arms" and cell.room == "operating":
-        camera = server.initial_camera
+def see_whole_room(server: viser.ViserServer, show: Show) -> None:
+    """Move the camera so far back that it sees the walls of an operating room, or all poses."""
+    cell, camera = show.cell, server.initial_camera
+    if cell is None:
+        x, y, z = (2.2 * show.reach_mm / MM_PER_M * away for away in (0.27, -0.93, 0.26))
+        camera.position, camera.look_at = (x, y, z), (0.0, 0.0, 0.0)
+    elif cell.kind == "arms" and cell.room == "operating":
         camera.position, camera.look_at = (2.1, -2.9, 0.9), (0.0, 0.1, -0.2)

@@ -23,7 +23,7 @@ from twinct.viewer.filling import specimen_as_it_looks, whole_room
 from twinct.viewer.planned import field_of_view
 from twinct.viewer.scenery import see_whole_room, set_lights
 from twinct.viewer.server import LOOPBACK, close, serve
-from twinct.viewer.show import RECONSTRUCTION, TRUTH, Show
+from twinct.viewer.show import Show
 from twinct.viewer.stage import NOTHING, Look, Stage
 from twinct.viewer.surface import dense_surface
 from twinct.viewer.tiles import slices_beside
@@ -33,8 +33,10 @@ VIEWS_A_SECOND = 10
 SURFACE_TRIANGLES = 40_000
 
 
-def export_page(show: Show, builder: SimulationBuilder, path: Path, progress: Progress) -> None:
-    """Write a run, or a plan, as a single-file page.
+def export_page(
+    show: Show, builder: SimulationBuilder | None, path: Path, progress: Progress
+) -> None:
+    """Write a scan, or a plan, as a single-file page.
 
     It shows the middle slices. Curves and the slices of all volumes are embedded as pictures.
 
@@ -45,17 +47,17 @@ def export_page(show: Show, builder: SimulationBuilder, path: Path, progress: Pr
     server = serve(LOOPBACK, 0)
     try:
         set_lights(server)
-        see_whole_room(server, show.scenario.cell)
+        see_whole_room(server, show)
         stage = Stage(server, "run", np.zeros(3))
-        stage.set_room(show, whole_room(show, builder))
+        if (room := whole_room(show, builder)) is not None:
+            stage.set_room(show, room)
         look = first_look(show)
         if show.volumes:
-            name = RECONSTRUCTION if RECONSTRUCTION in show.volumes else TRUTH
-            volume, level = show.volumes[name], 0.5 * show.window()[1] / 1.3
+            volume, level = show.volumes[show.main_volume], 0.5 * show.window()[1] / 1.3
             stage.set_surface(
                 dense_surface(volume.array, volume.grid, level, SURFACE_TRIANGLES), opacity=0.35
             )
-        else:
+        elif builder is not None:
             stage.set_specimen(specimen_as_it_looks(builder))
             stage.set_field_of_view(field_of_view(show))
         stage.draw(show, look, None)
@@ -78,11 +80,9 @@ def export_page(show: Show, builder: SimulationBuilder, path: Path, progress: Pr
 
 def first_look(show: Show) -> Look:
     """Return the initial look at a run, with slices through the middle."""
-    first = next(iter(show.volumes), NOTHING)
-    shown = RECONSTRUCTION if RECONSTRUCTION in show.volumes else first
-    grid = show.volumes[first].grid if show.volumes else None
-    nx, ny, nz = grid.shape_xyz if grid is not None else (2, 2, 2)
-    geometry = "executed" if show.acquired else "commanded"
+    shown = show.main_volume or NOTHING
+    nx, ny, nz = show.volumes[shown].grid.shape_xyz if show.volumes else (2, 2, 2)
+    geometry = show.kept if show.acquired else show.first_name
     middle = nx // 2, ny // 2, nz // 2
     return Look(geometry=geometry, shown=shown, slices=middle, window=show.window())
 

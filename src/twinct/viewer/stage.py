@@ -22,12 +22,13 @@ MM = 1 / MM_PER_M
 COLOURS: dict[str, tuple[int, int, int]] = {
     "commanded": (120, 128, 138),
     "executed": (31, 96, 145),
+    "stated": (31, 96, 145),
     "believed": (224, 122, 31),
 }
 OTHERS = ((46, 139, 87), (148, 82, 175), (190, 60, 90), (140, 110, 60))
 REFUSED = (214, 40, 40)
 BEAM = (246, 200, 80)
-BONE = (232, 220, 190)
+IVORY = (232, 220, 190)
 
 IN_FRONT_MM = 6.0
 """Distance of the drawn projection from the pixel plane, so that the housing does not hide it."""
@@ -44,6 +45,9 @@ _OCTAHEDRON = (
 DIFFERENCE, NOTHING = "difference", "nothing"
 
 FLOOR_M = 4.0
+
+LABEL_M = 0.55
+"""Height of a run's name above the isocentre."""
 
 
 @dataclass(frozen=True)
@@ -101,15 +105,15 @@ class Stage:
         for body in self._bodies:
             body.remove()
         self._room, self._places = room, [(b"", b"")] * len(room.bodies)
-        is_gantry = show.scenario.cell.kind == "gantry"
-        self._gantry = GantryPlaces(room, *show.commanded[0]) if is_gantry else None
+        has_arms = show.cell is not None and show.cell.kind == "arms"
+        self._gantry = None if has_arms else GantryPlaces(room, *show.first[0])
         self._bodies = []
         for body in room.bodies:
             node = self._scene.add_mesh_trimesh(self._fresh(f"room/{body.name}"), body.mesh)
             self._clickable(node, "body", body.name)
             self._bodies.append(node)
-        if "floor" not in self._nodes:
-            height = show.scenario.cell.floor_z_mm * MM
+        if "floor" not in self._nodes and show.cell is not None:
+            height = show.cell.floor_z_mm * MM
             self._nodes["floor"] = self._scene.add_grid(
                 f"{self._root}/floor", FLOOR_M, FLOOR_M, cell_size=0.25, section_size=1.0,
                 plane="xy", position=(0.0, 0.0, height - 0.002), cell_color=(222, 226, 230),
@@ -118,7 +122,7 @@ class Stage:
 
     def set_specimen(self, mesh: trimesh.Trimesh) -> None:
         """Set the surface of the specimen, in its own frame, mm."""
-        self._mesh("specimen", mesh, BONE, None)
+        self._mesh("specimen", mesh, IVORY, None)
 
     def set_field_of_view(self, mesh: trimesh.Trimesh | None) -> None:
         """Set the surface of the region that every view sees, mm."""
@@ -158,22 +162,20 @@ class Stage:
         if mesh is None:
             self._remove("surface")
             return
-        self._mesh("surface", mesh, BONE, opacity)
+        self._mesh("surface", mesh, IVORY, opacity)
 
     def _draw_arms(self, show: Show, view: int) -> None:
         if self._room is not None:
             if self._gantry is not None:
-                executed = show.poses.get("executed", show.commanded)
-                poses = executed if view < len(executed) else show.commanded
-                self._put_bodies(*self._gantry.at(*poses[view]))
+                self._put_bodies(*self._gantry.at(*show.poses_at(view)))
             else:
                 self._put_bodies(*self._room.at(show.joints_at(view)))
         if (node := self._nodes.get("specimen")) is not None:
             known = show.objects[view] if view < len(show.objects) else None
-            _place(node, known or show.scenario.specimen.world_from_specimen)
+            _place(node, known or show.place)
         text = f"{show.name}: view {view} of {len(show)}"
         if "label" not in self._nodes:
-            at = np.array([0.0, 0.0, 0.55])
+            at = np.array([0.0, 0.0, LABEL_M if show.cell else 1.2 * show.reach_mm * MM])
             self._nodes["label"] = self._scene.add_label(
                 f"{self._root}/label", text, position=at, anchor="bottom-center"
             )
@@ -190,10 +192,9 @@ class Stage:
     def shown_geometry(self, show: Show, look: Look, view: int) -> tuple[str, ScanGeometry, int]:
         """Return name, magnified geometry as drawn, and index of the view in it."""
         name, geometry = show.geometry(look.geometry, view)
-        executed = show.geometries.get("executed")
-        one = geometry[view]
-        if executed is not None and view < len(executed):
-            one = _as_far_as_can_be(executed[view], one, look.factor)
+        taken, one = show.taken, geometry[view]
+        if taken is not None and view < len(taken):
+            one = _as_far_as_can_be(taken[view], one, look.factor)
         return name, one, 0
 
     def _draw_beam(self, show: Show, look: Look, view: int) -> None:
@@ -240,15 +241,14 @@ class Stage:
         _place(self._nodes["projection"], placed)
 
     def _draw_paths(self, show: Show, look: Look) -> None:
-        executed = show.geometries.get("executed")
+        taken = show.taken
         for name, geometry in show.geometries.items():
             key = f"path {name}"
-            if executed is not None and len(geometry) == len(executed):
-                geometry = _as_far_as_can_be(executed, geometry, look.factor)
-            elif executed is not None and name == "commanded":
-                taken = geometry[: len(executed)]
-                near = _as_far_as_can_be(executed, taken, look.factor)
-                geometry = ScanGeometry.joined([near, geometry[len(executed) :]])
+            if taken is not None and len(geometry) == len(taken):
+                geometry = _as_far_as_can_be(taken, geometry, look.factor)
+            elif taken is not None and name == show.first_name:
+                near = _as_far_as_can_be(taken, geometry[: len(taken)], look.factor)
+                geometry = ScanGeometry.joined([near, geometry[len(taken) :]])
             points = geometry.source * MM
             if len(points) < 2:
                 continue
@@ -263,7 +263,7 @@ class Stage:
                 if self._nodes[f"{kind} {name}"].visible != look.paths:
                     self._nodes[f"{kind} {name}"].visible = look.paths
         if show.refused and "refused" not in self._nodes:
-            points = show.geometries["commanded"].source[list(show.refused)] * MM
+            points = show.geometries[show.first_name].source[list(show.refused)] * MM
             self._nodes["refused"] = self._scene.add_point_cloud(
                 f"{self._root}/refused",
                 points,

@@ -10,6 +10,7 @@ import tyro
 from twinct.cli.arguments import Flag, Overrides, Threads
 from twinct.cli.progress import on_terminal, say
 from twinct.core.threads import limit_threads
+from twinct.evaluation.figure import REFERENCE
 from twinct.runs import reconstruct_run
 from twinct.runs.folder import read_metrics
 from twinct.scenario import named_places
@@ -38,5 +39,5 @@ def reconstruct(
     how = {"geometry": geometry, "name": as_, "halves": halves}
     with named_places(folder / "scenario.yaml", set_), on_terminal() as audience:
         made = reconstruct_run(folder, set_, **how, observers=audience)
-    material = read_metrics(folder / "metrics.json").get("reference_material", "bone")
+    material = read_metrics(folder / "metrics.json").get("reference_material", REFERENCE)
     say(f"{made.judged_in_words(material)}\n{made.path}; report: {folder / 'report.html'}")

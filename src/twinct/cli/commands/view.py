@@ -21,7 +21,7 @@ def view(
         tyro.conf.Positional[tuple[Path, ...]],
         tyro.conf.arg(
             metavar="SCENARIO|DIR",
-            help="Scenario file, or folder of twinct run --out; two folders: side by side.",
+            help="Scenario file, or folder of twinct run or import; two folders: side by side.",
         ),
     ],
     *,

@@ -186,7 +186,7 @@ def build_cell(
 
 def build_gantry(
     cell: GantryCell,
-    specimen_mesh: trimesh.Trimesh,
+    specimen_mesh: trimesh.Trimesh | None,
     world_from_specimen: Pose,
     panel: Panel,
     world_from_source: Pose,
@@ -196,7 +196,7 @@ def build_gantry(
 
     Args:
         cell: section of the gantry, with the height of the floor.
-        specimen_mesh: surface in the specimen's frame, mm.
+        specimen_mesh: surface in the specimen's frame, mm; None: there is no specimen.
         world_from_specimen: pose of the specimen.
         panel: pixel lattice, which determines the size of the housing.
         world_from_source: pose of the source.
