@@ -28,7 +28,7 @@ from twinct.link.participant import Station
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.link.recording.drive_file import DriveFile
 from twinct.measured import import_driven
-from twinct.robots.calibrated_arms import CalibratedArms, Change
+from twinct.robots.calibrated_arms import ArmDeviations, CalibratedArms
 from twinct.robots.cell import nominal_chains
 from twinct.robots.motion import gate_of
 from twinct.robots.programs import Program, program_of
@@ -198,7 +198,10 @@ def test_poses_are_those_of_calibrated_arms(
 ) -> None:
     cell, panel = driven.scenario.cell, driven.scenario.detector.panel
     chains = nominal_chains(cell, panel)
-    none = [Change(np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((6, 2))) for _ in range(2)]
+    none = [
+        ArmDeviations(np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((6, 2)))
+        for _ in range(2)
+    ]
     tool = none[0]._replace(tool=np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
     arms = CalibratedArms(chains, (tool, none[1]), 1, Pose.identity(), {})
     arms.write(tmp_path / "arms.json")

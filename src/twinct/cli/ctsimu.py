@@ -150,9 +150,9 @@ def qualify(
 
 
 def _kept(scenario: CtsimuScenario, out: Path) -> str:
-    from twinct.ctsimu.outputs import Files
+    from twinct.ctsimu.outputs import OutputPaths
 
-    files = Files(out, scenario.name)
+    files = OutputPaths(out, scenario.name)
     done = sum(files.projection(index).exists() for index in range(scenario.frames))
     return f"{out} keeps {done} of {scenario.frames} projections; --resume continues"
 

@@ -24,7 +24,7 @@ from twinct.robots.reach import (
     Bounds,
     CureSearch,
     Holder,
-    Poses,
+    TargetPoses,
     place,
     poses_of,
     reach,
@@ -193,7 +193,9 @@ def place_command(
     }
 
 
-def _share(builder: SimulationBuilder, cell: Cell, poses: Poses, free: tuple[bool, bool]) -> float:
+def _share(
+    builder: SimulationBuilder, cell: Cell, poses: TargetPoses, free: tuple[bool, bool]
+) -> float:
     """Return the share of poses that both arms hold; 0 if fixed bodies overlap."""
     model = builder.cell_of(cell)
     if overlaps(model):
@@ -203,7 +205,7 @@ def _share(builder: SimulationBuilder, cell: Cell, poses: Poses, free: tuple[boo
 
 def _views_to_serve(
     builder: SimulationBuilder, sphere: bool
-) -> tuple[tuple[bool, bool], Poses, Poses]:
+) -> tuple[tuple[bool, bool], TargetPoses, TargetPoses]:
     """Return the free rolls, the views for the search, and the views that evaluate its result."""
     if sphere:
         sod, odd, centre = _orbit(builder)
@@ -218,9 +220,9 @@ def _views_to_serve(
     return builder.roll_free, poses[some], poses
 
 
-def _requested(builder: SimulationBuilder, views: Indices | slice = slice(None)) -> Poses:
+def _requested(builder: SimulationBuilder, views: Indices | slice = slice(None)) -> TargetPoses:
     geometry = builder.requested[views]
-    return Poses.of(geometry.source_poses(), geometry.detector_poses())
+    return TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
 
 
 @contextmanager

@@ -65,7 +65,7 @@ def view_command(
     # A browser loads the page while the modules that read the run are imported.
     with suppress(KeyboardInterrupt), serving(host, port, allow_network) as server:
         from twinct.viewer.filling import fill
-        from twinct.viewer.following import Follower
+        from twinct.viewer.following import FolderPoller
         from twinct.viewer.live_page import Page
         from twinct.viewer.run_folder import RunFolder
 
@@ -76,7 +76,7 @@ def view_command(
             for index, run in enumerate(runs):
                 show = run.look()
                 fill(page, index, show)
-                stack.enter_context(closing(Follower(page, index, run, show)))
+                stack.enter_context(closing(FolderPoller(page, index, run, show)))
                 for problem in show.problems:
                     say(problem, warning=True)
             _stay()

@@ -227,13 +227,13 @@ def _usable(
 def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
     """Read joint states, stamps of images, and what ``twinct drive`` wrote."""
     from twinct.link.recording.drive_file import NOTE
-    from twinct.link.recording.reader import Recording, Said
+    from twinct.link.recording.reader import RecordedMessage, Recording
     from twinct.link.topics import JOINTS
 
     heard, joint_states = _Heard(), choice.joint_states or (JOINTS.name,)
     for path in paths:
         for record in Recording(path).records():
-            if not isinstance(record, Said):
+            if not isinstance(record, RecordedMessage):
                 if (note := getattr(record, "metadata", None)) is None:
                     heard.files[record.name] = getattr(record, "data", b"")
                 else:
@@ -421,12 +421,12 @@ def _pixels(
     paths: Sequence[Path], choice: ArmsRecording, fields: _Fields, wanted: set[int], panel: Any
 ) -> Iterator[NDArray[np.float32]]:
     """Yield the transmissions of some images, in order."""
-    from twinct.link.recording.reader import Recording, Said
+    from twinct.link.recording.reader import RecordedMessage, Recording
 
     index = -1
     for path in paths:
         for record in Recording(path).records():
-            if isinstance(record, Said) and record.topic == choice.image:
+            if isinstance(record, RecordedMessage) and record.topic == choice.image:
                 index += 1
                 if index in wanted:
                     image = fields.transmission(record.message, choice.image)

@@ -12,7 +12,7 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import Section, setting
 from twinct.measured.numbers import read_numbers
-from twinct.measured.views import ImageFacts, Views
+from twinct.measured.views import ImageFacts, StatedViews
 
 
 class Joints(Section):
@@ -28,7 +28,7 @@ class Joints(Section):
         description="Scenario with the cell, the panel, and perhaps uncertainty.calibration."
     )
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views, in the world of the scenario.
 
         Raises:
@@ -57,7 +57,7 @@ class Joints(Section):
             raise InputError(f"{where}: {error}") from None
         arms = "calibrated" if scenario.uncertainty.calibration else "nominal"
         size = f"{len(table)} views of {table.shape[1]} joints in {self.unit}, {arms} arms of "
-        return Views(geometry, notes=(f"{size}{self.scenario.name}, mm in its world",))
+        return StatedViews(geometry, notes=(f"{size}{self.scenario.name}, mm in its world",))
 
     def _check_unit(self, where: str, largest: float) -> None:
         if self.unit == "rad" and largest > 2 * math.tau:

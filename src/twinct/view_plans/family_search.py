@@ -19,7 +19,7 @@ from twinct.scenario import FamilySearch, ViewTask
 from twinct.trajectory import OrbitSettings, commanded_views
 from twinct.view_planning import best_parameters, worth_of
 from twinct.view_plans.candidates import orbit_of, reachable
-from twinct.view_plans.journal import Journal
+from twinct.view_plans.journal import SearchJournal
 from twinct.view_plans.search_work import spread
 from twinct.view_plans.task_goals import goals_of
 from twinct.view_plans.trial import trial
@@ -52,7 +52,7 @@ class TunedPath:
 def best_path(
     builder: SimulationBuilder,
     reference: ScanGeometry,
-    journal: Journal,
+    journal: SearchJournal,
     progress: Progress,
     pool: Pool | None = None,
 ) -> TunedPath:
@@ -86,7 +86,7 @@ def best_path(
         judged += 1
         if judged <= len(generations):
             return generations[judged - 1]
-        pieces = [_Piece(reference, tried, sets[k : k + TOGETHER]) for k in starts(sets)]
+        pieces = [_PathBatch(reference, tried, sets[k : k + TOGETHER]) for k in starts(sets)]
         judgements = spread(_judged, builder, pieces, pool)
         values = [value for piece in judgements for value, _ in piece]
         journal.judged(values)
@@ -112,7 +112,7 @@ def _infeasible(
     builder: SimulationBuilder, reference: ScanGeometry, nearest: Mapping[str, float]
 ) -> InputError:
     """Return the refusal of a search without any feasible path."""
-    ((_, words),) = _judged(builder, _Piece(reference, None, [nearest]))
+    ((_, words),) = _judged(builder, _PathBatch(reference, None, [nearest]))
     near = ", ".join(f"{key} {value:.3g}" for key, value in nearest.items())
     return InputError(
         f"task.family: no tried path is feasible; the nearest, with {near}, {words}; try wider "
@@ -121,7 +121,7 @@ def _infeasible(
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
+class _PathBatch:
     """Paths to be judged.
 
     Attributes:
@@ -141,7 +141,7 @@ def error_of(builder: SimulationBuilder, views: ScanGeometry) -> float:
         return trial(builder, views, None, folder, "path").error_rel
 
 
-def _judged(builder: SimulationBuilder, piece: _Piece) -> list[tuple[float, str]]:
+def _judged(builder: SimulationBuilder, piece: _PathBatch) -> list[tuple[float, str]]:
     """Return the worth of each path, and its violations in words."""
     reference, task = piece.reference, builder.scenario.task
     assert task is not None

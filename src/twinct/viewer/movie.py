@@ -22,7 +22,7 @@ from twinct.core.progress import Progress
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import (
     Marks,
-    Moment,
+    PictureContent,
     build_cell,
     build_gantry,
     paint_specimen,
@@ -144,7 +144,7 @@ def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]
         room = Room(model)
         moved = room, GantryPlaces(room, *show.commanded[0])
 
-    def moments() -> Iterator[Moment]:
+    def moments() -> Iterator[PictureContent]:
         for view in range(len(show)):
             name, geometry = show.geometry("executed", view)
             source, rim = geometry.source[view], corners(geometry, view)
@@ -160,7 +160,7 @@ def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]
             places = dict(_object(show, view))
             if moved is not None:
                 places |= _tools(show, view, *moved)
-            yield Moment(show.joints_at(view), marks, places)
+            yield PictureContent(show.joints_at(view), marks, places)
 
     paint_specimen(model, builder.specimen.colour)
     camera = whole_camera(model, show.joints_at(len(show) // 2), ROOM_WIDTH / HEIGHT)
