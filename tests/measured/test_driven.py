@@ -35,7 +35,7 @@ from twinct.robots.programs import Program, program_of
 from twinct.runs import Folder
 from twinct.runs.predicted_and_measured import drive_times
 from twinct.scan import ScanStore, SimulationBuilder
-from twinct.scan.encoder_model import poses_of_joints
+from twinct.scan.encoder_model import EncoderModel
 from twinct.scenario import Scenario, load_scenario
 
 pytestmark = [pytest.mark.process, pytest.mark.tutorial]
@@ -76,7 +76,8 @@ class Driven:
         # The detector is triggered when the arms pass the views' poses, and its stamps are late.
         self.exposed_s = plan.exposures_s + LAG_S
         self.joints = plan.at(plan.exposures_s)[:, 0]
-        true = poses_of_joints(self.scenario, self.joints)
+        cell, panel = self.scenario.cell, self.scenario.detector.panel
+        true = EncoderModel(cell, panel, self.scenario.uncertainty).poses(self.joints)
         self.poses = true
         self._images = self._rendered(true)
         arms = [self._stand_in(domain, arm) for arm in (0, 1)]

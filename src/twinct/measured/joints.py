@@ -35,7 +35,7 @@ class Joints(Section):
             InputError: the table does not fit the images or the cell, or the cell has no arms.
             ScenarioError: the scenario is invalid.
         """
-        from twinct.scan.encoder_model import poses_of_joints
+        from twinct.scan.encoder_model import EncoderModel
         from twinct.scenario import Cell, load_scenario
 
         where = f"{self.path}: joints"
@@ -51,8 +51,8 @@ class Joints(Section):
         facts.require(f"{self.scenario}: detector", facts.views, panel)
         try:
             joints = np.radians(table) if self.unit == "deg" else table
-            poses = poses_of_joints(scenario, joints)
-            geometry = poses.geometry(panel)
+            model = EncoderModel(scenario.cell, panel, scenario.uncertainty)
+            geometry = model.poses(joints).geometry(panel)
         except (InputError, ValueError) as error:
             raise InputError(f"{where}: {error}") from None
         arms = "calibrated" if scenario.uncertainty.calibration else "nominal"

@@ -36,7 +36,6 @@ from twinct.scan import (
     ScanStore,
     checked_name,
     free_geometry_name,
-    reported,
     scenario_in,
 )
 from twinct.scenario.imported import ScanSettings
@@ -82,7 +81,7 @@ def derive_geometry(
         audience.stage(f"geometry {name}", 1) as step,
     ):
         scan = Run(scenario, folder).scan
-        poses = reported(scenario, scan.joints, scan.executed, scan.commanded, name)
+        poses = scan.simulated.with_settings(scenario).reported_as(name)
         if name in scan.derived and scan.derived[name].digest != poses.digest:
             raise ScanExistsError(
                 f"{folder.geometries / name}.json holds another geometry; choose another --as"

@@ -14,7 +14,7 @@ from twinct.scan.named_geometries import (
     free_geometry_name,
     named_geometries,
 )
-from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, reported, scenario_in
+from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, scenario_in
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
 from twinct.scan.saving import save_scan
 from twinct.scan.store import Readings, ScanStore, check_space
@@ -44,7 +44,6 @@ __all__ = [
     "line_integrals",
     "local_rig",
     "named_geometries",
-    "reported",
     "save_scan",
     "scenario_in",
     "unknown_files",
