@@ -177,7 +177,7 @@ def write_frame(
     frame.add("state", (state_size,))
     for name in ("simulated_s", "clearance_mm"):
         frame.add(name, ())
-    frame.put(**{BAD_PIXELS: bad_pixels_of(scenario), MAS: mas})
+    frame.put(**{BAD_PIXELS: bad_pixels_of(scenario.detector, scenario.seed), MAS: mas})
     frame.add("status", (), "u1")
     if plan is not None:
         _write_plan(frame.group, plan)

@@ -379,7 +379,10 @@ class ScanStore:
         """
         if self._has(BAD_PIXELS):
             return self._read(BAD_PIXELS)
-        return bad_pixels_of(self.scenario) if self._format < WITH_MANIFEST else None
+        if self._format >= WITH_MANIFEST:
+            return None
+        scenario = self.scenario
+        return bad_pixels_of(scenario.detector, scenario.seed)
 
     @property
     def mas(self) -> NDArray[np.float64] | None:

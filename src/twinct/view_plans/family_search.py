@@ -15,7 +15,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import ScanGeometry
 from twinct.scan import SimulationBuilder
-from twinct.scenario import FamilySearch, ViewTask
+from twinct.scenario import FamilySearch
 from twinct.trajectory import OrbitSettings, commanded_views
 from twinct.view_planning import best_parameters, worth_of
 from twinct.view_plans.candidates import orbit_of, reachable
@@ -72,7 +72,8 @@ def best_path(
     """
     task = builder.scenario.task
     assert task is not None and task.family is not None
-    _check(builder, task, task.family)
+    orbit = orbit_of(builder.scenario.trajectory)
+    _check(orbit, task.views, task.family)
     generations, judged = list(journal.generations), 0
     tried = None
     if task.trying is not None and len(generations) < task.family.generations:
@@ -103,7 +104,7 @@ def best_path(
     )
     if tuned.worth <= MISSED:
         raise _infeasible(builder, reference, tuned.parameters)
-    section = _section(builder, task, tuned.parameters)
+    section = _section(orbit, task.views, tuned.parameters)
     views = commanded_views(section, builder.scenario.detector.panel)
     return TunedPath(section, tuned.parameters, views, tuned.history)
 
@@ -146,7 +147,8 @@ def _judged(builder: SimulationBuilder, piece: _PathBatch) -> list[tuple[float, 
     reference, task = piece.reference, builder.scenario.task
     assert task is not None
     panel, count = builder.scenario.detector.panel, task.views
-    paths = [commanded_views(_section(builder, task, one), panel) for one in piece.sets]
+    orbit = orbit_of(builder.scenario.trajectory)
+    paths = [commanded_views(_section(orbit, count, one), panel) for one in piece.sets]
     held = np.array([len(reachable(builder, path, SILENT)) for path in paths])
     both = ScanGeometry.joined([reference, *paths])
     goals = goals_of(builder, both, len(reference), range(len(reference)), SILENT)
@@ -170,16 +172,12 @@ def _judged(builder: SimulationBuilder, piece: _PathBatch) -> list[tuple[float, 
     return judged
 
 
-def _section(
-    builder: SimulationBuilder, task: ViewTask, parameters: Mapping[str, float]
-) -> OrbitSettings:
-    orbit = orbit_of(builder.scenario.trajectory)
-    keys: dict[str, Any] = orbit.model_dump() | {"views": task.views} | dict(parameters)
+def _section(orbit: OrbitSettings, views: int, parameters: Mapping[str, float]) -> OrbitSettings:
+    keys: dict[str, Any] = orbit.model_dump() | {"views": views} | dict(parameters)
     return type(orbit).model_validate(keys)
 
 
-def _check(builder: SimulationBuilder, task: ViewTask, family: FamilySearch) -> None:
-    orbit = orbit_of(builder.scenario.trajectory)
+def _check(orbit: OrbitSettings, views: int, family: FamilySearch) -> None:
     fields = type(orbit).model_fields
     numbers = [
         name
@@ -198,7 +196,7 @@ def _check(builder: SimulationBuilder, task: ViewTask, family: FamilySearch) -> 
             continue
         for side in ("low", "high"):
             try:
-                _section(builder, task, {one.key: getattr(one, side)})
+                _section(orbit, views, {one.key: getattr(one, side)})
             except ValidationError as error:
                 problems.append(f"{key}.{side}: {error.errors()[0]['msg']}")
     if problems:

@@ -116,7 +116,7 @@ def plan_views(
     with sole_owner(out / LOCK), ExitStack() as stack:
         seen = None
         if scout is not None:
-            seen = scouted(scenario, scout, progress)
+            seen = scouted(SimulationBuilder(scenario), scout, progress)
             overrides = [*overrides, *seen.overrides]
             scenario = load_scenario(source, overrides)
         digest = search_digest(stage_digests(scenario)["images"], task)

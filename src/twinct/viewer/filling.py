@@ -12,6 +12,7 @@ from twinct.core.errors import TwinctError
 from twinct.robots.cell import build_cell, build_gantry
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
+from twinct.specimen import BuiltSpecimen
 from twinct.viewer.live_page import Page
 from twinct.viewer.planned import field_of_view
 from twinct.viewer.room import Room
@@ -41,9 +42,9 @@ def whole_room(show: Show, builder: SimulationBuilder) -> Room:
     return Room(build_gantry(section, builder.hull, place, panel, *show.commanded[0]))
 
 
-def specimen_as_it_looks(builder: SimulationBuilder) -> trimesh.Trimesh:
+def specimen_as_it_looks(specimen: BuiltSpecimen) -> trimesh.Trimesh:
     """Return the specimen's surface in its own frame, mm, simplified for browsers."""
-    mesh = builder.specimen.surface()
+    mesh = specimen.surface()
     if len(mesh.faces) > MOST_TRIANGLES:
         mesh = mesh.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
     return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
@@ -67,7 +68,7 @@ def _fill_up(page: Page, run: int, show: Show, builder: SimulationBuilder | None
     builder = builder or SimulationBuilder(show.scenario, show.plan)
     try:
         page.put_room(run, whole_room(show, builder))
-        page.put_specimen(run, specimen_as_it_looks(builder))
+        page.put_specimen(run, specimen_as_it_looks(builder.specimen))
         if not show.poses:
             page.put_field(run, field_of_view(show))
     except TwinctError as error:  # such as a mesh file that has moved since the run

@@ -31,6 +31,7 @@ from twinct.robots.cell import (
 )
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
+from twinct.specimen import BuiltSpecimen
 from twinct.viewer.filling import specimen_as_it_looks
 from twinct.viewer.magnified import corners
 from twinct.viewer.projection import Projections
@@ -61,7 +62,7 @@ def write_movie(show: Show, builder: SimulationBuilder, path: Path, progress: Pr
             progress.stage("film", len(show)) as step,
             _encoder(draft, path) as pipe,
         ):
-            for frame in frames(show, builder):
+            for frame in frames(show, builder.specimen):
                 pipe.write(np.ascontiguousarray(frame).data)
                 step()
 
@@ -114,10 +115,10 @@ def _encoder(draft: Path, path: Path) -> Iterator[IO[bytes]]:
     raise StorageError(f"{path}: the film could not be written: {ending}")
 
 
-def frames(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]]:
+def frames(show: Show, specimen: BuiltSpecimen) -> Iterator[NDArray[np.uint8]]:
     """Yield one picture per view, (HEIGHT, WIDTH, 3)."""
     beside, projections = _middle_slice(show), Projections(show)
-    pictures = _rooms(show, builder)
+    pictures = _rooms(show, specimen)
     for view, room in enumerate(pictures):
         frame = Image.new("RGB", (WIDTH, HEIGHT), PAPER)
         frame.paste(Image.fromarray(room), (0, 0))
@@ -134,8 +135,8 @@ def frames(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]
         yield np.asarray(frame)
 
 
-def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]]:
-    scenario, mesh = show.scenario, specimen_as_it_looks(builder)
+def _rooms(show: Show, specimen: BuiltSpecimen) -> Iterator[NDArray[np.uint8]]:
+    scenario, mesh = show.scenario, specimen_as_it_looks(specimen)
     place, panel = scenario.specimen.world_from_specimen, scenario.detector.panel
     if isinstance(scenario.cell, Cell):
         model, moved = build_cell(scenario.cell, mesh, place, panel), None
@@ -162,7 +163,7 @@ def _rooms(show: Show, builder: SimulationBuilder) -> Iterator[NDArray[np.uint8]
                 places |= _tools(show, view, *moved)
             yield PictureContent(show.joints_at(view), marks, places)
 
-    paint_specimen(model, builder.specimen.colour)
+    paint_specimen(model, specimen.colour)
     camera = whole_camera(model, show.joints_at(len(show) // 2), ROOM_WIDTH / HEIGHT)
     yield from room_pictures(model, moments(), ROOM_WIDTH, HEIGHT, camera)
 

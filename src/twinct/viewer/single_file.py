@@ -56,7 +56,7 @@ def export_page(show: Show, builder: SimulationBuilder, path: Path, progress: Pr
                 dense_surface(volume.array, volume.grid, level, SURFACE_TRIANGLES), opacity=0.35
             )
         else:
-            stage.set_specimen(specimen_as_it_looks(builder))
+            stage.set_specimen(specimen_as_it_looks(builder.specimen))
             stage.set_field_of_view(field_of_view(show))
         stage.draw(show, look, None)
         serializer = server.get_scene_serializer()
