@@ -5,7 +5,7 @@ from twinct.scan.builder import SimulationBuilder
 from twinct.scan.damage import frame_damage, unknown_files, view_damage
 from twinct.scan.data import Scan, View
 from twinct.scan.integrals import line_integrals
-from twinct.scan.layout import write_frame
+from twinct.scan.layout import image_digests, write_frame
 from twinct.scan.named_geometries import (
     OWN,
     RELATIVE,
@@ -40,6 +40,7 @@ __all__ = [
     "check_space",
     "checked_name",
     "frame_damage",
+    "image_digests",
     "free_geometry_name",
     "line_integrals",
     "local_rig",
