@@ -32,7 +32,7 @@ from twinct.core.errors import CalibrationError
 from twinct.geometry import Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import chains_of
-from twinct.robots.reach import Holder, Poses
+from twinct.robots.reach import Holder, TargetPoses
 from twinct.runs import load_scan, run
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Uncertainty, ViewErrors, load_scenario
@@ -69,7 +69,7 @@ def drawn_joints(builder, count, rng):
             middle - rng.uniform(*RADII_MM, size) * directions,
             *(u, v, builder.scenario.detector.panel),
         )
-        poses = Poses.of(geometry.source_poses(), geometry.detector_poses())
+        poses = TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
         of_arms = holder.alone(poses.source, 0), holder.alone(poses.detector, 1)
         for view in range(len(poses)):
             pairs = holder.pairs(*of_arms, view, 16)

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from twinct.evaluation import Measurement, Repeated, Voxels, ball
-from twinct.evaluation.kinds.tasks import TASKS, USUAL_SCANS, Task
+from twinct.evaluation import Measurement, Repeated, VoxelSet, ball
+from twinct.evaluation.kinds.tasks import TASKS, USUAL_SCANS, DetectionTask
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.recon import Projector
 from twinct.recon.fdk import fdk
@@ -51,7 +51,7 @@ class Case:
     signal: SphereSignal
     make: Make
 
-    def region(self, name: str) -> Voxels:
+    def region(self, name: str) -> VoxelSet:
         """Return the region, a ball in the middle."""
         return ball(self.grid, Pose.from_euler((0, 0, 0), (0, 0, 0)), self.region_mm)
 
@@ -67,7 +67,7 @@ class Case:
 
         at = Measurement(self, self.make(None, [seed, 0]), self.truth, 1.0, again=again)
         return TASKS.measured(
-            at, Task(name="task", signal=self.signal, region="region", scans=scans)
+            at, DetectionTask(name="task", signal=self.signal, region="region", scans=scans)
         )
 
     def ensemble(self, scans: int) -> tuple[float, float, float]:

@@ -21,7 +21,7 @@ import trimesh
 
 from twinct.geometry import Floats, Pose, fibonacci_directions
 from twinct.robots.cell import CellModel, build_cell
-from twinct.robots.reach import Bounds, Holder, Poses, place, poses_of
+from twinct.robots.reach import Bounds, Holder, TargetPoses, place, poses_of
 from twinct.scenario import Cell, Detector, DetectorArm, Motion, SourceArm
 from twinct.trajectory import on_sphere
 
@@ -36,7 +36,7 @@ def builder() -> Callable[[Cell], CellModel]:
     return lambda cell: build_cell(cell, head, Pose.identity(), PANEL)
 
 
-def about(directions: Floats) -> Poses:
+def about(directions: Floats) -> TargetPoses:
     return poses_of(directions, 300, 300, np.zeros(3), PANEL)
 
 
@@ -63,7 +63,7 @@ def sphere(longer: bool) -> None:
         print(json.dumps(told), flush=True)
 
 
-def wave(amplitude_deg: float, range_deg: float, step_deg: float) -> tuple[Floats, Poses]:
+def wave(amplitude_deg: float, range_deg: float, step_deg: float) -> tuple[Floats, TargetPoses]:
     """Longitudes, deg, and views of a sine of latitude over a range of longitude."""
     longitude = np.arange(-range_deg / 2, range_deg / 2 + 1e-9, step_deg)
     latitude = amplitude_deg * np.sin(2 * np.pi * longitude / range_deg)

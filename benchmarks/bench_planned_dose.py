@@ -202,7 +202,7 @@ def main() -> None:
         if (way, seed) not in known:
             told = prior(truth, seed)
             if way == "scouted":
-                seen = scouted(told, stores[seed], SILENT)
+                seen = scouted(SimulationBuilder(told), stores[seed], SILENT)
                 off = seen.world_from_specimen.inverse() @ truth.specimen.world_from_specimen
                 left = float(np.linalg.norm(off.apply(TASK["position_mm"]) - TASK["position_mm"]))
                 print(f"seed {seed}: {left:.2f} mm, {off.angle_deg(Pose.identity()):.2f} deg left")

@@ -35,7 +35,7 @@ import toppra.algorithm
 import toppra.constraint
 
 from twinct.robots.motion.feasible import Feasible
-from twinct.robots.motion.layers import Choice, speeds_of
+from twinct.robots.motion.layers import LayerSearch, speeds_of
 from twinct.robots.motion.path_search import find_joint_path, required_gap_mm
 from twinct.robots.motion.plan import KNOT_RAD, timed
 from twinct.robots.motion.timing import TORQUE_SHARE
@@ -140,7 +140,7 @@ def least_s(builder: SimulationBuilder) -> tuple[float, list[int]]:
         ).clip(frame_s)
         for a, b in pairwise(nodes)
     ]
-    return Choice(costs, [np.zeros(len(layer)) for layer in nodes]).best()[1], through
+    return LayerSearch(costs, [np.zeros(len(layer)) for layer in nodes]).best()[1], through
 
 
 def main(most: float, default: bool) -> int:

@@ -28,7 +28,7 @@ from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.cell.vendor import write_arm
 from twinct.robots.motion import MotionPlan, RobotSimulation, plan_motion
 from twinct.robots.motion.branches import matrices
-from twinct.robots.reach import Bounds, Poses, place
+from twinct.robots.reach import Bounds, TargetPoses, place
 from twinct.scenario import Cell, Motion
 from twinct.trajectory import ArcTrajectory, commanded_views
 
@@ -134,7 +134,7 @@ def figures(arm: Arm, folder: Path, seed: int) -> dict[str, Any]:
 
             found["supplied"] = len(build(cell).notes)
             began = time.process_time()
-            poses = Poses(matrices(views.source_poses()), matrices(views.detector_poses()))
+            poses = TargetPoses(matrices(views.source_poses()), matrices(views.detector_poses()))
             far = 1.1 * arm.reach_mm
             bounds = Bounds((-far, far), (-far, far), (-1100, 400), (100, 200))
             placed = place(

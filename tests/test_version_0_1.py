@@ -18,7 +18,7 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
 from twinct.recon.volume import Volume
 from twinct.runs import reconstruct_run, rewrite_report
-from twinct.scan import reported
+from twinct.scan import Simulated
 from twinct.scenario import load_scenario
 
 KEPT = Path(__file__).parent / "version_0_1"
@@ -86,7 +86,9 @@ def test_ten_seeds_of_one_scan_are_ten_scans_of_then() -> None:
     for seed, then in enumerate(kept["believed_mm"]):
         section = demo.uncertainty.model_copy(update={"seed": seed})
         scenario = demo.model_copy(update={"uncertainty": section})
-        now = reported(scenario, kept["joints"], executed, executed).poses
+        none, joints = np.zeros(0), kept["joints"]
+        scan = Simulated(scenario, executed, executed, (), (), joints, none, none)
+        now = scan.reported.poses
         for view, pair in enumerate(then):
             for pose, position, moved in zip(now[view], pair, executed[view], strict=True):
                 assert (pose.position == position).all() and (pose.quat == moved.quat).all()

@@ -20,7 +20,7 @@ from twinct.robots.cell import (
 )
 from twinct.robots.motion.branches import Branches
 from twinct.scan import SimulationBuilder
-from twinct.scan.encoder_model import encoders_of, poses_of_joints
+from twinct.scan.encoder_model import EncoderModel
 from twinct.scenario import Cell, Detector, InverseKinematics, load_scenario
 
 RAIL = {"range_mm": [-1000, 1000]}
@@ -151,12 +151,13 @@ def test_poses_of_joints_count_the_rail_whose_encoder_is_exact(head: trimesh.Tri
     scenario = load_scenario({**BASE, "cell": arms, "uncertainty": {"encoder_step_deg": 5.0}})
     cell = on_rails(head)
     joints = np.random.default_rng(0).uniform(-0.9, 0.9, (3, 14))
-    read = encoders_of(scenario, joints)
+    model = EncoderModel(scenario.cell, scenario.detector.panel, scenario.uncertainty)
+    read = model.readings(joints)
     assert (read[:, [0, 7]] == joints[:, [0, 7]]).all()
     turns = np.delete(read, [0, 7], axis=1) / np.radians(5)
     assert turns == pytest.approx(np.rint(turns), abs=1e-9)
     data = mujoco.MjData(cell.model)
-    for own, pose in zip(joints, poses_of_joints(scenario, joints).detector, strict=True):
+    for own, pose in zip(joints, model.poses(joints).detector, strict=True):
         data.qpos[:] = own
         mujoco.mj_kinematics(cell.model, data)
         assert pose.position == pytest.approx(1000 * data.site_xpos[cell.site_ids[1]], abs=1e-6)

@@ -14,7 +14,7 @@ from twinct.core.errors import InputError, ScanExistsError
 from twinct.ctsimu import Options, load_ctsimu, render
 from twinct.ctsimu.digitiser import Digitiser
 from twinct.ctsimu.export import export_scan
-from twinct.ctsimu.scene import FieldImages
+from twinct.ctsimu.scene import DarkOrFlatImages
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs
 from twinct.runs import simulate
@@ -137,7 +137,7 @@ def test_what_ctsimu_cannot_say_is_refused_by_name(scan, builder, tmp_path):
     assert "--ideal" in advice and not (tmp_path / "out").exists()
     files = export_scan(noisy, builder.specimen, tmp_path / "out", ideal=True)
     found = load_ctsimu(files.scenario)
-    assert files.options == "" and found.flat == FieldImages(1, 1, True, False)
+    assert files.options == "" and found.flat == DarkOrFlatImages(1, 1, True, False)
 
 
 def test_every_key_of_source_and_detector_is_said_refused_or_sampling():
@@ -168,8 +168,8 @@ def test_flat_and_dark_frames_binning_and_noise_are_written(scan, builder, tmp_p
     )
     files = export_scan(described, builder.specimen, tmp_path)
     found = load_ctsimu(files.scenario)
-    assert found.flat == FieldImages(1, 20, False, False)
-    assert found.dark == FieldImages(1, 5, False, False)
+    assert found.flat == DarkOrFlatImages(1, 20, False, False)
+    assert found.dark == DarkOrFlatImages(1, 5, False, False)
     frame = found.frame(0)
     assert frame.binning == (2, 2) and frame.panel.shape == (48, 64)
     assert frame.exposure_s == pytest.approx(0.04)

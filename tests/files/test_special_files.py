@@ -23,7 +23,7 @@ from twinct.geometry import Panel
 from twinct.runs import compare, verify
 from twinct.runs.export import export_scan
 from twinct.runs.folder import Folder, read_metrics
-from twinct.runs.reconstruction_folder import FORMAT, Reconstruction
+from twinct.runs.reconstruction_folder import FORMAT, StoredReconstruction
 from twinct.scan.manifest import compared
 from twinct.scan.named_geometries import NamedGeometry
 from twinct.scenario import load_scenario
@@ -105,7 +105,7 @@ def test_parts_of_a_reconstruction_are_files(special: tuple[Path, str], name: st
     (folder / name).unlink(missing_ok=True)
     special[0].rename(folder / name)
     with pytest.raises(InputError, match=re.escape(f"{name} {what}")):
-        Reconstruction.read(folder)
+        StoredReconstruction.read(folder)
 
 
 @pytest.mark.parametrize("reader", ["run", "scan", "verified", "exported", "compared"])

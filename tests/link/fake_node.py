@@ -74,8 +74,8 @@ class FakeRobots:
 class FakeImager:
     """An image whose pixels are a function of the geometry's last bits."""
 
-    def __init__(self, detector):
-        self.shape = detector.rows, detector.columns
+    def __init__(self, panel):
+        self.shape = panel.shape
 
     def expose(self, path, view=0, before=None, *, time_s=0.0):
         source, detector = path[0]
@@ -124,7 +124,7 @@ if __name__ == "__main__":
     heartbeat.SILENCE_S = float(os.environ.get("FAKE_SILENCE_S", heartbeat.SILENCE_S))
     sys.exit(
         main(
-            build_robots=lambda scenario: FakeRobots(),
-            build_imager=lambda scenario: FakeImager(scenario.detector),
+            build_robots=FakeRobots,
+            build_imager=FakeImager,
         )
     )

@@ -60,7 +60,7 @@ def take(rig, targets, first=0):
 def fake_local_rig(scenario, fakes, command):
     del command
     return LocalRig(
-        fakes.FakeRobots(), fakes.FakeImager(scenario.detector), scenario.detector.panel
+        fakes.FakeRobots(), fakes.FakeImager(scenario.detector.panel), scenario.detector.panel
     )
 
 

@@ -131,7 +131,7 @@ def test_recordings_over_both_links(
         return rig
 
     def local(_):
-        imager = fakes.FakeImager(builder.scenario.detector)
+        imager = fakes.FakeImager(builder.scenario.detector.panel)
         return LocalRig(fakes.FakeRobots(), imager, builder.scenario.detector.panel)
 
     folders = tmp_path / "ros2", tmp_path / "local"

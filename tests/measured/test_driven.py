@@ -28,14 +28,14 @@ from twinct.link.participant import Station
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.link.recording.drive_file import DriveFile
 from twinct.measured import import_driven
-from twinct.robots.calibrated_arms import CalibratedArms, Change
+from twinct.robots.calibrated_arms import ArmDeviations, CalibratedArms
 from twinct.robots.cell import nominal_chains
 from twinct.robots.motion import gate_of
 from twinct.robots.programs import Program, program_of
 from twinct.runs import Folder
 from twinct.runs.predicted_and_measured import drive_times
 from twinct.scan import ScanStore, SimulationBuilder
-from twinct.scan.encoder_model import poses_of_joints
+from twinct.scan.encoder_model import EncoderModel
 from twinct.scenario import Scenario, load_scenario
 
 pytestmark = [pytest.mark.process, pytest.mark.tutorial]
@@ -76,7 +76,8 @@ class Driven:
         # The detector is triggered when the arms pass the views' poses, and its stamps are late.
         self.exposed_s = plan.exposures_s + LAG_S
         self.joints = plan.at(plan.exposures_s)[:, 0]
-        true = poses_of_joints(self.scenario, self.joints)
+        cell, panel = self.scenario.cell, self.scenario.detector.panel
+        true = EncoderModel(cell, panel, self.scenario.uncertainty).poses(self.joints)
         self.poses = true
         self._images = self._rendered(true)
         arms = [self._stand_in(domain, arm) for arm in (0, 1)]
@@ -198,7 +199,10 @@ def test_poses_are_those_of_calibrated_arms(
 ) -> None:
     cell, panel = driven.scenario.cell, driven.scenario.detector.panel
     chains = nominal_chains(cell, panel)
-    none = [Change(np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((6, 2))) for _ in range(2)]
+    none = [
+        ArmDeviations(np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros((6, 2)))
+        for _ in range(2)
+    ]
     tool = none[0]._replace(tool=np.array([0.0, 2.0, 0.0, 0.0, 0.0, 0.0]))
     arms = CalibratedArms(chains, (tool, none[1]), 1, Pose.identity(), {})
     arms.write(tmp_path / "arms.json")

@@ -7,7 +7,7 @@ import pytest
 
 from twinct.core.errors import InputError
 from twinct.measured.driven import _usable
-from twinct.measured.joint_track import JointTrack, Readings, track_of
+from twinct.measured.joint_track import JointReadings, JointTrack, track_of
 
 NAMES = {"left_a": "source_a", "left_b": "source_b", "right_a": "detector_a"}
 MS = 1_000_000
@@ -27,7 +27,7 @@ def test_noise_falls_and_motion_stays() -> None:
     at = np.linspace(0.1, 1.9, 300)
     sigma = np.radians(0.001)
     noisy = path(ticks) + rng.normal(0, sigma, (len(ticks), 2))
-    found, speed, there = Readings(("a", "b"), ticks, noisy).at(at)
+    found, speed, there = JointReadings(("a", "b"), ticks, noisy).at(at)
     assert there.all()
     error = np.sqrt(np.mean((found - path(at)) ** 2))
     straight = np.stack([np.interp(at, ticks, column) for column in noisy.T], axis=1)
@@ -37,7 +37,9 @@ def test_noise_falls_and_motion_stays() -> None:
 
 def test_images_without_readings_about_them_are_left_out() -> None:
     ticks = np.concatenate([np.arange(0, 1, 0.002), np.arange(1.5, 2, 0.002)])
-    found, _, there = Readings(("a", "b"), ticks, path(ticks)).at(np.array([-0.1, 0.5, 1.2, 3.0]))
+    found, _, there = JointReadings(("a", "b"), ticks, path(ticks)).at(
+        np.array([-0.1, 0.5, 1.2, 3.0])
+    )
     assert there.tolist() == [False, True, False, False]
     assert np.isnan(found[~there]).all()
 
@@ -69,7 +71,7 @@ def test_positions_that_are_not_finite_are_refused() -> None:
 
 def test_images_whose_stamps_run_backwards_are_named_and_left_out() -> None:
     ticks = np.arange(0, 2, 0.002)
-    track = JointTrack(("a", "b"), (Readings(("a", "b"), ticks, path(ticks)),))
+    track = JointTrack(("a", "b"), (JointReadings(("a", "b"), ticks, path(ticks)),))
     kept, told = _usable(track, np.array([0.5, 0.7, 0.6, 0.9, 5.0]), 0.01)
     assert kept.tolist() == [0, 1, 3]
     assert told == (

@@ -12,7 +12,7 @@ from ball_scan import BALL, MU, PITCH, RADIUS, ROWS, SDD, SOD, VIEWS, ball_image
 from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.recon.algorithms import algorithms
-from twinct.runs import Reconstruction, load_scan, reconstruct_run, run, simulate
+from twinct.runs import StoredReconstruction, load_scan, reconstruct_run, run, simulate
 from twinct.scan import Imported
 
 pytestmark = pytest.mark.usefixtures("measured")
@@ -180,7 +180,7 @@ def test_report_judges_again_and_compare_shows_no_figure_of_a_truth(
     file.write_text(json.dumps(told | {"figures": told["figures"] | {"residual": 9.0}}))
     assert run_command(["report", str(measured)]) == 0
     assert "consistency" in capfd.readouterr().out
-    assert Reconstruction.read(fdk.path).figures == judged
+    assert StoredReconstruction.read(fdk.path).figures == judged
 
     page = tmp_path / "both.html"
     assert run_command(["compare", str(measured), "--out", str(page)]) == 0

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 
-from twinct.robots.motion.layers import Choice, Speeds, clear_pairs, lifted, promising
+from twinct.robots.motion.layers import LayerSearch, Speeds, clear_pairs, lifted, promising
 
 SPEEDS = Speeds(np.array([1.0, 2.0]), np.array([True, False]))
 
@@ -22,7 +22,7 @@ def test_the_best_path_is_the_best_of_all() -> None:
     rng = np.random.default_rng(1)
     costs = [rng.uniform(0, 1, shape) for shape in ((3, 4), (4, 2), (2, 5))]
     start, *loads = (rng.uniform(0, 1, count) for count in (3, 4, 2, 5))
-    path, total = Choice(costs, [start, *loads]).best()
+    path, total = LayerSearch(costs, [start, *loads]).best()
 
     def cost(nodes: tuple[int, ...]) -> float:
         moves = zip(costs, nodes[:-1], nodes[1:], strict=True)
@@ -35,7 +35,7 @@ def test_the_best_path_is_the_best_of_all() -> None:
 
 
 def test_a_move_that_is_closed_is_left_aside() -> None:
-    choice = Choice([np.array([[1.0, 2.0]])], [np.zeros(1), np.zeros(2)])
+    choice = LayerSearch([np.array([[1.0, 2.0]])], [np.zeros(1), np.zeros(2)])
     assert choice.best()[0].tolist() == [0, 0]
     choice.raise_cost(0, (0, 0), 5.0)
     assert choice.best()[0].tolist() == [0, 1]
@@ -50,7 +50,7 @@ def test_candidates_of_the_best_path_come_first() -> None:
     loads = [rng.uniform(0, 1, len(q)) for q in layers]
     ranked = promising(layers, SPEEDS, loads)
     costs = [SPEEDS.seconds(a, b) for a, b in itertools.pairwise(layers)]
-    path, _ = Choice(costs, loads).best()
+    path, _ = LayerSearch(costs, loads).best()
     assert [r[0] for r in ranked] == path.tolist()
     assert all(sorted(r) == list(range(len(q))) for r, q in zip(ranked, layers, strict=True))
 

@@ -14,7 +14,7 @@ from twinct.geometry import Pose
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import Kinematics
 from twinct.robots.motion.feasible import Feasible
-from twinct.robots.reach import CureSearch, Holder, Poses, poses_of, reasons, shown
+from twinct.robots.reach import CureSearch, Holder, TargetPoses, poses_of, reasons, shown
 from twinct.scenario import Capsule, Cell, Detector, DetectorArm, Motion, SourceArm, Zone
 from twinct.trajectory import on_sphere
 
@@ -40,14 +40,14 @@ def build(head: trimesh.Trimesh) -> Callable[[Cell], CellModel]:
     return lambda cell: build_cell(cell, head, Pose.identity(), Detector().panel)
 
 
-def at(*longitudes_deg: float, latitude_deg: float = 0.0) -> Poses:
+def at(*longitudes_deg: float, latitude_deg: float = 0.0) -> TargetPoses:
     latitudes = np.full(len(longitudes_deg), np.radians(latitude_deg))
     directions = on_sphere(np.radians(longitudes_deg), latitudes, 1.0)
     return poses_of(directions, 300, 300, np.zeros(3), Detector().panel)
 
 
 def search(
-    cell: Cell, build: Callable[[Cell], CellModel], poses: Poses, motion: Motion = MOTION
+    cell: Cell, build: Callable[[Cell], CellModel], poses: TargetPoses, motion: Motion = MOTION
 ) -> CureSearch:
     return CureSearch(cell, build(cell), (build,), motion, FIXED, len(poses), poses.__getitem__)
 

@@ -10,7 +10,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
 from twinct.rays import Body, Rays
 from twinct.recon import Projector, sart
-from twinct.recon.known_components import Implant, OneEnergy, without_implants
+from twinct.recon.known_components import BelievedImplant, OneEnergy, without_implants
 
 TISSUE, BONE, METAL = 0.02, 0.05, 0.3
 HEAD, BONES = ((0, 0, 0), (22, 20, 18)), ((2, 3, -1), (13, 9, 7))
@@ -61,7 +61,7 @@ def axis_error_deg(pose):
 
 def found_in(scene, twist=(0, 0, 0, 0, 0, 0), mu=METAL, **keys):
     A, dark, _, start = scene
-    implants = [Implant(rod(), off(twist))]
+    implants = [BelievedImplant(rod(), off(twist))]
     keys = {"rounds": 1, "iterations": 2} | keys
     return without_implants(A, OneEnergy(dark, np.array([mu])), implants, start, **keys)
 
@@ -103,7 +103,7 @@ def test_masked_pixels_have_no_influence(scene):
         without_implants(
             A,
             OneEnergy(np.where(mask, dark, np.float32(value)), np.array([METAL])),
-            [Implant(rod(), off((0.5, 0, 0, 1, 0, 0)))],
+            [BelievedImplant(rod(), off((0.5, 0, 0, 1, 0, 0)))],
             start,
             mask=mask,
             rounds=1,
@@ -136,6 +136,6 @@ def test_a_view_without_a_free_ray_is_named(scene):
     geometry = replace(A.geometry, panel=small)
     narrow = Projector(geometry, A.grid)
     beam = OneEnergy(np.ones(narrow.range_shape, np.float32), np.array([METAL]))
-    implant = Implant(Body(mesh.vertices, mesh.faces), Pose.identity())
+    implant = BelievedImplant(Body(mesh.vertices, mesh.faces), Pose.identity())
     with pytest.raises(InputError, match="every ray of view 0 passes through an implant"):
         without_implants(narrow, beam, [implant], np.zeros(A.domain_shape))

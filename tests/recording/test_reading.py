@@ -6,7 +6,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from twinct.core.errors import InputError
-from twinct.link.recording.reader import Recording, Said
+from twinct.link.recording.reader import RecordedMessage, Recording
 
 PART = np.random.default_rng(1).bytes(300)
 """Of a message; larger than a chunk."""
@@ -28,7 +28,7 @@ def written(path, compression):
 def read_from(path):
     """Numbers of the messages, and how many chunks are damaged."""
     recording = Recording(path)
-    found = [said.data[0] for said in recording.records() if isinstance(said, Said)]
+    found = [said.data[0] for said in recording.records() if isinstance(said, RecordedMessage)]
     return found, recording.damaged
 
 

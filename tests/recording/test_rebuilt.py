@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.private import DRAFT
-from twinct.link.recording import Recorded
+from twinct.link.recording import RecoveredScan
 from twinct.link.recording.bag import Bag
 from twinct.link.topics import IMAGE, JOINTS, REACHED, STATE
 from twinct.runs import import_recordings
@@ -116,7 +116,7 @@ def test_another_tools_recording_gives_what_is_there(taken, tmp_path):
 
     bag = told_again(taken.folder / "scan.mcap", tmp_path / "bag.mcap", all_but_the_second_image)
     found = import_recordings([bag], tmp_path / "out")
-    assert isinstance(found, Recorded) and found.missing == (1,)
+    assert isinstance(found, RecoveredScan) and found.missing == (1,)
     own = ScanStore(taken.folder / "scan.zarr").read()
     store = ScanStore(tmp_path / "out" / "scan.zarr")
     panel = store.scenario.detector.panel

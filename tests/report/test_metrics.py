@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from twinct.evaluation import ArmErrors, ImageFigures, PoseErrors
+from twinct.evaluation import ImageFigures, PoseErrors, ToolErrors
 from twinct.report import build_metrics, plain
 
 ERRORS = PoseErrors(
-    ArmErrors(np.array([1.0, 3.0]), np.array([0.1, 0.2])),
-    ArmErrors(np.array([5.0, 7.0]), np.array([0.3, 0.5])),
+    ToolErrors(np.array([1.0, 3.0]), np.array([0.1, 0.2])),
+    ToolErrors(np.array([5.0, 7.0]), np.array([0.3, 0.5])),
 )
 ZERO = {"rmse_rel": 0.3, "ssim": 0.7}
 FURTHER = {"edge_width_mm": 1.5, "mtf": {"ball": {"f50_per_mm": 0.5, "mtf": np.ones(3)}}}

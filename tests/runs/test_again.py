@@ -15,7 +15,7 @@ from twinct import load_scan, reconstruct, run
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.recon.algorithms import algorithms
 from twinct.runs import Run, derive_geometry, reconstruct_run, rewrite_report, verify
-from twinct.runs.reconstruction_folder import Reconstruction
+from twinct.runs.reconstruction_folder import StoredReconstruction
 from twinct.scan import NamedGeometry
 from twinct.scenario import SECTIONS, Scenario, load_scenario
 from twinct.uncertainty import believed_poses
@@ -90,7 +90,7 @@ def test_passes_that_another_reconstruction_made_are_told(folder: Path) -> None:
     passes = made.results["passes"]
     assert 1 <= passes < 20 and len(made.residuals) == passes
     assert made.description.partition("stop auto: ")[2].split()[0] == str(passes)
-    assert Reconstruction.read(made.path).results == made.results
+    assert StoredReconstruction.read(made.path).results == made.results
     figures = json.loads((folder / "metrics.json").read_text())
     assert figures["reconstructions"]["stopped"]["passes"] == passes
     assert "passes" not in figures
@@ -118,7 +118,7 @@ def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> Non
     other = {"name": "two", "path": made.path.with_name("two")}
     known = replace(made, **other, results={"implants": [screw]})
     known.keep(made.volume)
-    assert Reconstruction.read(known.path).results == {"implants": [screw]}
+    assert StoredReconstruction.read(known.path).results == {"implants": [screw]}
     # Those of before have it beside the rest, or nothing of it.
     told = json.loads((known.path / "reconstruction.json").read_text())
     del told["found"]
@@ -128,7 +128,7 @@ def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> Non
         ({}, {}),
     ):
         (known.path / "reconstruction.json").write_text(json.dumps(told | before))
-        assert Reconstruction.read(known.path).results == found
+        assert StoredReconstruction.read(known.path).results == found
 
 
 @pytest.mark.tutorial
@@ -213,7 +213,7 @@ def test_where_there_is_no_run_it_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="not a run folder"):
         load_scan(tmp_path)
     with pytest.raises(InputError, match="not a reconstruction of a run"):
-        Reconstruction.read(tmp_path)
+        StoredReconstruction.read(tmp_path)
 
 
 def test_a_geometry_that_was_changed_is_refused(finished: Run, folder: Path) -> None:

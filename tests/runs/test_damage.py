@@ -13,7 +13,7 @@ import pytest
 
 from twinct.core.errors import DamagedError, InputError
 from twinct.runs import Run, verify
-from twinct.scan import ScanStore
+from twinct.scan import ScanStore, image_digests
 from twinct.scan.damage import clear_paths
 from twinct.scan.manifest import FRAME_FILE, digest_of, sealed, unsealed
 
@@ -100,7 +100,7 @@ def test_no_file_in_the_place_of_one_is_damage_that_is_mended(path: Path, finish
         assert words in told
     with pytest.raises(DamagedError, match="view 7, status: changed"):
         ScanStore(path).read()
-    ScanStore.resume(path, finished.scenario)
+    ScanStore.resume(path, image_digests(finished.scenario))
     assert not any(os.path.lexists(path / place) for place in (STATE, IMAGE, "status/c.7"))
     assert (path / "transmission/c.3.0.0").is_file()
 
@@ -114,7 +114,7 @@ def test_manifests_of_two_views_exchanged_are_told(path: Path, finished: Run) ->
     told = verify(path).problems
     for view in (1, 5):
         assert any(f"view {view}, manifest/views: changed" in words for words in told)
-    ScanStore.resume(path, finished.scenario)
+    ScanStore.resume(path, image_digests(finished.scenario))
     assert not one.exists() and not other.exists()
 
 
@@ -165,7 +165,7 @@ def test_a_folder_in_the_way_is_left_to_whoever_made_it(path: Path, finished: Ru
     (path / STATE / "mine").touch()
     (path / IMAGE).unlink()
     with pytest.raises(DamagedError, match=r"c\.4\.0: a folder stands in the way: move it"):
-        ScanStore.resume(path, finished.scenario)
+        ScanStore.resume(path, image_digests(finished.scenario))
     assert (path / STATE / "mine").exists() and (path / "status/c.4").exists()
 
 
@@ -188,5 +188,5 @@ def test_whatever_is_none_of_the_stores_is_listed(path: Path, finished: Run) -> 
     assert found.problems == ()
     listed = [str(file.relative_to(path)) for file in found.unknown]
     assert listed == ["c", "joints/link", "pipe", "state/c.77.0"]
-    ScanStore.resume(path, finished.scenario)
+    ScanStore.resume(path, image_digests(finished.scenario))
     assert all(os.path.lexists(file) for file in found.unknown)

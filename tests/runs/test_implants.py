@@ -9,7 +9,7 @@ from twinct.geometry import Pose
 from twinct.rays import Rays
 from twinct.recon.known_components import FittedImplant
 from twinct.runs import reconstruct, require_feasible
-from twinct.runs.implants import WithoutImplants, check_implants, known_implants
+from twinct.runs.implants import ScanWithoutImplants, check_implants, known_implants
 from twinct.runs.volumes import memory_needed
 from twinct.scenario import parse_scenario
 from twinct.specimen import material
@@ -90,7 +90,7 @@ def test_standard_deviations_of_positions_are_along_the_specimens_axes():
     found = FittedImplant(known[0].implant.world_from_implant, own, 1.0, np.zeros((2, 3)))
     stands = Pose.from_euler((1, 2, 3), (0, 0, 90))
     for of, expected in ((Pose.identity(), [0.2, 0.1, 0.3]), (stands, [0.1, 0.2, 0.3])):
-        (told,) = WithoutImplants(np.empty(0, np.float32), known, [found], of, 80.0).results()
+        (told,) = ScanWithoutImplants(np.empty(0, np.float32), known, [found], of, 80.0).results()
         np.testing.assert_allclose(told["position_sigma_mm"], expected, atol=1e-12)
         np.testing.assert_allclose(np.radians(told["rotation_sigma_deg"]), [0.01, 0.02, 0.03])
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from twinct.robots.reach import Holder, Poses
+from twinct.robots.reach import Holder, TargetPoses
 from twinct.runs.longest_arc import _orbit, _split, _stretches, longest_arc
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
@@ -31,7 +31,7 @@ def builder(**trajectory: object) -> SimulationBuilder:
 
 def _lost(circle: SimulationBuilder) -> list[int]:
     asked = circle.requested
-    poses = Poses.of(asked.source_poses(), asked.detector_poses())
+    poses = TargetPoses.of(asked.source_poses(), asked.detector_poses())
     held = Holder(circle.cell, circle.scenario.motion, roll_free=circle.roll_free).held(poses)
     return np.flatnonzero(~held).tolist()
 

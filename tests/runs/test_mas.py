@@ -8,7 +8,7 @@ import pytest
 
 from twinct.core.errors import ScanExistsError
 from twinct.runs import reconstruct, simulate
-from twinct.scan import ScanStore, SimulationBuilder
+from twinct.scan import ScanStore, SimulationBuilder, image_digests
 from twinct.scenario import parse_scenario
 from twinct.trajectory import commanded_views, write_views
 
@@ -53,10 +53,10 @@ def test_other_mas_are_another_scan(tmp_path):
     first = scenario(tmp_path / "a.csv", MAS)
     path = tmp_path / "scan.zarr"
     store = ScanStore.create(path, first, SimulationBuilder(first).commanded_poses, (), 15, mas=MAS)
-    assert store.refuse_other(first) is None
+    assert store.refuse_other(image_digests(first)) is None
     for other in (MAS[::-1], None):
         with pytest.raises(ScanExistsError, match="of another scenario"):
-            store.refuse_other(scenario(tmp_path / "b.csv", other))
+            store.refuse_other(image_digests(scenario(tmp_path / "b.csv", other)))
 
 
 def test_mas_stay_with_their_views_where_the_plan_chooses_the_order(tmp_path):

@@ -21,7 +21,15 @@ from twinct.geometry import Floats
 from twinct.recon.volume import Volume
 from twinct.runs import Run, acquire_to_store, verify
 from twinct.runs.repair import mend_frame
-from twinct.scan import Rig, ScanStore, SimulationBuilder, frame_damage, local_rig, view_damage
+from twinct.scan import (
+    Rig,
+    ScanStore,
+    SimulationBuilder,
+    frame_damage,
+    image_digests,
+    local_rig,
+    view_damage,
+)
 from twinct.scan.checked import CheckedStore
 from twinct.scan.manifest import FRAME_FILE, view_of
 from twinct.scenario import Scenario
@@ -154,7 +162,7 @@ def test_views_in_the_middle_are_taken_again_from_the_state_before(
     (path / "executed" / "u" / "c.7.0").write_bytes(bytes(24))
     assert {d.view for d in view_damage(path)} == {3, 6, 7}
     (path / "somebody.txt").write_text("else's")
-    ScanStore.resume(path, builder.scenario)  # and is killed then
+    ScanStore.resume(path, image_digests(builder.scenario))  # and is killed then
     rigs = Counted()
     acquire_to_store(builder, path, rigs, resume=True)
     assert rigs.taken == [3, 6, 7]

@@ -12,7 +12,7 @@ from twinct.calibration import CalibratedArms
 from twinct.cli import main
 from twinct.core.errors import InputError
 from twinct.geometry import Pose
-from twinct.robots.calibrated_arms import Change
+from twinct.robots.calibrated_arms import ArmDeviations
 from twinct.robots.cell import nominal_chains
 from twinct.runs.propagating import nominal_scan
 from twinct.scan import SimulationBuilder
@@ -112,7 +112,7 @@ def arms(planned: Path) -> tuple[Path, CalibratedArms]:
     changes = []
     for chain, side in ((source, "source"), (detector, "detector")):
         true = deviations(scenario.uncertainty, chain, scenario.arms_seed, side)
-        changes.append(Change(*(array[0] for array in true)))
+        changes.append(ArmDeviations(*(array[0] for array in true)))
     found = CalibratedArms(
         (source, detector), tuple(changes), section.gear_periods, Pose.identity(), {}
     )

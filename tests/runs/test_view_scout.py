@@ -61,7 +61,7 @@ def scout(file: Path) -> Path:
 
 
 def test_the_specimen_is_put_where_it_lies(file: Path, scout: Path) -> None:
-    found = scouted(load_scenario(file), scout, SILENT)
+    found = scouted(SimulationBuilder(load_scenario(file)), scout, SILENT)
     true = Pose.from_euler((3, -2, 4), (2, -3, 5))
     corners = np.array([[30, 40, 20], [-30, 40, 20], [30, -40, -20], [20, 10, 12]])
     off = np.linalg.norm(found.world_from_specimen.apply(corners) - true.apply(corners), axis=1)
@@ -87,11 +87,11 @@ def test_scout_views_of_something_else_are_refused(file: Path, scout: Path, tmp_
     told = load_scenario(file).model_dump(mode="json")
     told["specimen"]["parts"][0]["material"] = "titanium"
     with pytest.raises(InputError, match=r"scan\.zarr: the scan does not show the scenario's"):
-        scouted(parse_scenario(told), scout, SILENT)
+        scouted(SimulationBuilder(parse_scenario(told)), scout, SILENT)
     with pytest.raises(InputError, match="nothing"):
-        scouted(load_scenario(file), tmp_path / "nothing", SILENT)
+        scouted(SimulationBuilder(load_scenario(file)), tmp_path / "nothing", SILENT)
     one = tmp_path / "one.zarr"
     scenario = load_scenario(file, ["trajectory.views=1"])
     acquire_to_store(SimulationBuilder(scenario), one, local_rig, resume=False)
     with pytest.raises(InputError, match="1 scout view, but at least 2"):
-        scouted(load_scenario(file), one, SILENT)
+        scouted(SimulationBuilder(load_scenario(file)), one, SILENT)

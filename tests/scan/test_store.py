@@ -19,7 +19,7 @@ import zarr
 from twinct.core.errors import InputError, ScanExistsError, StorageError
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
-from twinct.scan import ScanStore, check_space, frame_damage, view_damage
+from twinct.scan import ScanStore, check_space, frame_damage, image_digests, view_damage
 from twinct.scan.checked import CheckedStore
 from twinct.scan.manifest import write_frame_manifest
 from twinct.scenario import Scenario, load_scenario
@@ -75,7 +75,7 @@ def harder(scenario: Scenario) -> Scenario:
 
 def fill(path: Path, scenario: Scenario, commanded: PosePairs, views: range) -> ScanStore:
     store = (
-        ScanStore.resume(path, scenario)
+        ScanStore.resume(path, image_digests(scenario))
         if path.exists()
         else ScanStore.create(path, scenario, commanded, NAMES, 9)
     )
@@ -170,7 +170,7 @@ def test_resume_after_a_killed_write_gives_the_same_bytes(
     if killed_at == "draft":
         (broken / "joints" / "c.3.0").write_bytes(b"half")
         (broken / "transmission" / "c.3.0.0.5d41.partial").write_bytes(b"half")
-    assert ScanStore.resume(broken, scenario).acquired == 2
+    assert ScanStore.resume(broken, image_digests(scenario)).acquired == 2
     fill(broken, scenario, commanded, range(2, VIEWS))
     assert contents(broken) == contents(whole)
 
@@ -183,7 +183,7 @@ def test_an_existing_scan_is_never_touched(tmp_path, scenario, commanded) -> Non
         ScanStore.create(path, scenario, commanded, NAMES, 9)
     other = harder(scenario)
     with pytest.raises(ScanExistsError, match="another scenario"):
-        ScanStore.resume(path, other)
+        ScanStore.resume(path, image_digests(other))
     assert contents(path) == before
     with pytest.raises(ScanExistsError, match="2 of 5 views"):
         ScanStore(path).read()
@@ -239,7 +239,7 @@ def test_a_full_disk_loses_nothing(tmp_path, scenario, commanded, monkeypatch) -
         patch.setattr(Path, "write_bytes", full)
         with pytest.raises(StorageError, match="disk is full"):
             store.write(2, *view(2))
-    assert ScanStore.resume(tmp_path / "s.zarr", scenario).acquired == 2
+    assert ScanStore.resume(tmp_path / "s.zarr", image_digests(scenario)).acquired == 2
 
 
 def test_too_little_space_is_said_before_the_start(tmp_path, scenario, monkeypatch) -> None:
@@ -279,10 +279,10 @@ def test_a_store_of_version_0_1_is_read_and_resumed(tmp_path, scenario, commande
     section |= {"engine": "twinct", "window": "ramp", "nonnegative": None} | unused
     rewritten(path, format=1, digest="of then", digests=None, scenario=json.dumps(old))
     assert ScanStore(path).scenario == scenario
-    store = ScanStore.resume(path, scenario)
+    store = ScanStore.resume(path, image_digests(scenario))
     assert store.acquired == 2
     with pytest.raises(ScanExistsError, match="another scenario"):
-        ScanStore.resume(path, harder(scenario))
+        ScanStore.resume(path, image_digests(harder(scenario)))
     assert fill(path, scenario, commanded, range(2, VIEWS)).read().joints.shape == (VIEWS, 2)
 
 
@@ -290,7 +290,8 @@ def test_what_is_believed_is_no_part_of_a_scan(tmp_path, scenario, commanded) ->
     path = tmp_path / "s.zarr"
     fill(path, scenario, commanded, range(2))
     for other in ({"name": "other"}, {"seed": 77}):
-        assert ScanStore.resume(path, scenario.model_copy(update=other)).acquired == 2
+        digests = image_digests(scenario.model_copy(update=other))
+        assert ScanStore.resume(path, digests).acquired == 2
     assert not (path / "believed").exists()
 
 
@@ -352,7 +353,7 @@ def test_chunks_of_size_0_in_older_stores_are_read_as_chunks_of_1(
         return image, replace(reached, joint_names=(), position=none, velocity=none, effort=none)
 
     for index in range(VIEWS):
-        store = ScanStore.resume(path, scenario)
+        store = ScanStore.resume(path, image_digests(scenario))
         store.write(index, *without_joints(index))
     assert store.vouched and not frame_damage(path) and not view_damage(path)
     assert ScanStore(path).read().joints.shape == (VIEWS, 0)

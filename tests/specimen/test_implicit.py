@@ -7,7 +7,7 @@ import pytest
 
 from twinct.specimen import _phantom
 from twinct.specimen.canvas import Canvas
-from twinct.specimen.implicit import Solid, ball, block, chain, ellipsoid, rod
+from twinct.specimen.implicit import ImplicitSolid, ball, block, chain, ellipsoid, rod
 from twinct.specimen.organs import Organ, table
 from twinct.specimen.phantom import Phantom
 
@@ -20,12 +20,12 @@ def points() -> np.ndarray:
     return np.random.default_rng(5).uniform(-30, 30, (400, 3))
 
 
-def by_kernel(solid: Solid, points: np.ndarray) -> np.ndarray:
+def by_kernel(solid: ImplicitSolid, points: np.ndarray) -> np.ndarray:
     rows = table((Organ("one", 0.0, (solid,)),), 0)
     return np.array([_phantom._distance(rows.solids, 0, rows.lattices, *p) for p in points])
 
 
-def drawn() -> Solid:
+def drawn() -> ImplicitSolid:
     canvas = Canvas(1.0, (0, -40, -40), (40, 40, 40))
     canvas.draw(ellipsoid((4, 3, 0), (9, 12, 8)), rod((0, 0, 0), (0, 10, 15), 4, 3).blended(5))
     return canvas.solid((2, 1, -3))
@@ -42,7 +42,9 @@ def drawn() -> Solid:
     ],
     ids=["ball", "ellipsoid", "rod", "block", "canvas"],
 )
-def test_the_formula_and_the_kernels_agree_on_a_solid(solid: Solid, points: np.ndarray) -> None:
+def test_the_formula_and_the_kernels_agree_on_a_solid(
+    solid: ImplicitSolid, points: np.ndarray
+) -> None:
     x, y, z = points.T
     moved = solid.moved((3, 1, -2))
     for one, at in (

@@ -21,7 +21,7 @@ from waiting import until
 from twinct.observers import Audience
 from twinct.runs import Run
 from twinct.scan import SimulationBuilder
-from twinct.viewer.following import Follower
+from twinct.viewer.following import FolderPoller
 from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
 from twinct.viewer.server import LOOPBACK, address, close, serve
@@ -124,7 +124,7 @@ def live(tried: Tried) -> None:
         file.unlink()
     folder = RunFolder(out)
     show = folder.look()
-    with tried.page(show, live=True) as page, closing(Follower(page, 0, folder, show)):
+    with tried.page(show, live=True) as page, closing(FolderPoller(page, 0, folder, show)):
         first = browser.still()
         for file, data in list(zip(status, kept, strict=True))[1:6]:
             file.write_bytes(data)
@@ -163,7 +163,7 @@ BROKEN = {
     "play": (Page, "_step"),
     "slices": (Stage, "_draw_slice"),
     "geometry": (Stage, "_draw_beam"),
-    "live": (Follower, "_look"),
+    "live": (FolderPoller, "_look"),
     "exported": (StateSerializer, "insert_sleep"),
 }
 """What each needs: without it its check must fail."""

@@ -19,7 +19,7 @@ from twinct import run
 from twinct.observers import Event, JointSample, PlanMade
 from twinct.runs import Run
 from twinct.scenario import Scenario
-from twinct.viewer.following import Follower, LivePage
+from twinct.viewer.following import FolderPoller, LivePage
 from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
 from twinct.viewer.server import Server, address
@@ -109,7 +109,7 @@ def test_a_folder_of_another_process_is_followed(
     show = folder.look()
     with closing(Page(server, live=True)) as page:
         page.put(0, show)
-        follower = Follower(page, 0, folder, show)
+        follower = FolderPoller(page, 0, folder, show)
         with closing(Listener(address(server))) as listener:
             listener.wait(lambda: "view 1 of 8" in listener.node("/label")["text"])
             for view in range(2, 5):

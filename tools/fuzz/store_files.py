@@ -23,7 +23,7 @@ from twinct.runs import Folder, import_recordings, verify
 from twinct.runs.job import finished_run
 from twinct.runs.reconstruction_folder import stored_reconstructions
 from twinct.runs.repair import resumable
-from twinct.scan import Scan, ScanStore
+from twinct.scan import Scan, ScanStore, image_digests
 from twinct.scenario import load_scenario
 
 zarr: Any = _zarr
@@ -178,9 +178,9 @@ def _resumed(path: Path, scenario_file: Path, *, mend: bool) -> None:
     folder, scenario = Folder(path), load_scenario(scenario_file)
     folder.refuse_others()
     store = resumable(folder, scenario) if mend else ScanStore(folder.scan)
-    store.refuse_other(scenario)
+    store.refuse_other(image_digests(scenario))
     folder.finished(scenario)
-    store = ScanStore.resume(folder.scan, scenario)
+    store = ScanStore.resume(folder.scan, image_digests(scenario))
     _ = store.plan
     for views in store.missing:
         if views.start and not np.isfinite(store.state(views.start - 1)).all():

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from twinct.ctsimu.writing import header, material_entry, placed, quantity
 from twinct.geometry import Chain, Pose
 from twinct.geometry.wire import PosePairs
-from twinct.robots.calibrated_arms import CalibratedArms, Change
+from twinct.robots.calibrated_arms import ArmDeviations, CalibratedArms
 from twinct.robots.motion import MotionPlan, save_plan
 
 VOLUME = (12, 10, 8)
@@ -130,7 +130,7 @@ def chains() -> tuple[Chain, Chain]:
 
 def write_arms(folder: Path) -> None:
     """Write calibrated arms, a motion plan of three views and a model of an arm."""
-    change = Change(np.full((3, 6), 1e-3), np.zeros(6), np.full(3, 1e-6), np.zeros((3, 2)))
+    change = ArmDeviations(np.full((3, 6), 1e-3), np.zeros(6), np.full(3, 1e-6), np.zeros((3, 2)))
     room = Pose.from_euler((1, 2, 3), (4, 5, 6))
     CalibratedArms(chains(), (change, change), 1, room, {"seed": 1}).write(folder / "arms.json")
     time_s = np.linspace(0.0, 4.0, 9)

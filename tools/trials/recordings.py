@@ -13,14 +13,14 @@ def told_by(file):
 
     from twinct.core.errors import InputError
     from twinct.link.recording.drive_file import NOTE, OUTCOME
-    from twinct.link.recording.reader import Recording, Said
+    from twinct.link.recording.reader import RecordedMessage, Recording
 
     told: dict[str, Any] = {"topics": []}
     if not file.stat().st_size:  # killed before the first byte
         return told
     try:
         for record in Recording(file).records():
-            if isinstance(record, Said):
+            if isinstance(record, RecordedMessage):
                 told["topics"] = sorted({*told["topics"], record.topic})
             elif isinstance(record, Attachment):
                 told[record.name] = record.data

@@ -1,7 +1,7 @@
 """Executed geometry of a scan, estimated from balls at known positions or from the scan itself."""
 
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view
-from twinct.calibration.bundle import Bundle, bundled
+from twinct.calibration.bundle import BundleAdjustment, bundled
 from twinct.calibration.circular import (
     CircleNumbers,
     CircularCalibration,
@@ -26,7 +26,12 @@ from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.resection import PARAMETERS, Resection, moved, resected
 from twinct.calibration.shadows import Shadows, measured, spots
 from twinct.calibration.tracks import Tracks, tracked
-from twinct.robots.calibrated_arms import CalibratedArms, Change, frames_of, require_same_arms
+from twinct.robots.calibrated_arms import (
+    ArmDeviations,
+    CalibratedArms,
+    frames_of,
+    require_same_arms,
+)
 
 __all__ = [
     "tracked",
@@ -34,14 +39,14 @@ __all__ = [
     "online_calibrated",
     "OnlineCalibration",
     "bundled",
-    "Bundle",
+    "BundleAdjustment",
     "PARAMETERS",
     "Aligned",
     "ArmPrior",
     "BallCalibration",
     "BallPhantom",
     "CalibratedArms",
-    "Change",
+    "ArmDeviations",
     "CircleNumbers",
     "CircularCalibration",
     "CircularPrior",

@@ -27,7 +27,6 @@ from twinct.robots.cell import nominal_chains
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
 from twinct.scan import NamedGeometry, Scan
-from twinct.scan.encoder_model import encoders_of
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import AnyCell, Cell, Uncertainty
 from twinct.uncertainty.drawn_tool import by_view
@@ -101,7 +100,7 @@ def view_covariance(uncertainty: Uncertainty, motions: Sequence[ToolMotion]) -> 
 
 def motions_of(scan: Scan, chains: tuple[Chain, Chain]) -> tuple[ToolMotion, ToolMotion]:
     """Return the motion of both arms by their encoders; each view is taken to stand still."""
-    joints = encoders_of(scan.scenario, scan.joints)
+    joints = scan.simulated.encoders.readings(scan.joints)
     nominal = NominalScan.of_arms(chains, joints, np.zeros_like(joints), scan.middle_s)
     return nominal.motion(0), nominal.motion(1)
 
@@ -203,7 +202,7 @@ def phantom_views(
     numbered = [(index, view) for index, view in enumerate(views) if view is not None]
     own = view_covariance(scan.scenario.uncertainty, motions)
     return PhantomViews(
-        encoders_of(scan.scenario, scan.joints)[[index for index, _ in numbered]],
+        scan.simulated.encoders.readings(scan.joints)[[index for index, _ in numbered]],
         ScanGeometry.joined([view.geometry for _, view in numbered]),
         np.stack([view.covariance + own for _, view in numbered]),
     )
@@ -212,7 +211,7 @@ def phantom_views(
 def _add(arms: CalibratedArms, name: str, where: list[tuple[Folder, Scan]]) -> None:
     added: list[NamedGeometry] = []
     for _, scan in where:
-        poses = arms.poses(encoders_of(scan.scenario, scan.joints))
+        poses = arms.poses(scan.simulated.encoders.readings(scan.joints))
         made_by = {**arms.made_by, "executed": poses_digest(scan.executed)}
         added.append(NamedGeometry(name, poses, made_by))
     store_geometries(added, where)

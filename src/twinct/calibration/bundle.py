@@ -42,7 +42,7 @@ _MEDIAN = 1.18
 
 
 @dataclass(frozen=True, eq=False)
-class Bundle:
+class BundleAdjustment:
     """Result of a bundle adjustment over the shadows of balls at unknown positions.
 
     Attributes:
@@ -74,7 +74,7 @@ def bundled(
     pixels: Floats,
     covariance: Floats,
     prior: PosePrior,
-) -> Bundle:
+) -> BundleAdjustment:
     """Adjust views and balls until the shadows lie where the balls project.
 
     Args:
@@ -105,7 +105,7 @@ def bundled(
     views, size = len(believed), 9 * len(believed)
     own = spread[:size, :size].reshape(views, 9, views, 9)
     mine = spread[size:, size:].reshape(len(places), 3, len(places), 3)
-    return Bundle(
+    return BundleAdjustment(
         moved(believed, change),
         change,
         own[np.arange(views), :, np.arange(views)],

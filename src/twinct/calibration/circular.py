@@ -31,7 +31,7 @@ from twinct.calibration.plane_integrals import PlaneIntegrals
 from twinct.calibration.resection import moved
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry
-from twinct.recon import Circle, fit_circle
+from twinct.recon import CircularOrbit, fit_circle
 from twinct.recon.checks import Checks
 from twinct.recon.resolution import binned
 
@@ -302,7 +302,7 @@ class _Pairs:
     p: NDArray[np.float32]
     mask: NDArray[np.bool_] | None
     believed: ScanGeometry
-    circle: Circle
+    circle: CircularOrbit
 
     def factor(self, across: int) -> int:
         """Return the number of pixels along each edge that are binned into one."""
@@ -425,7 +425,7 @@ def _undetermined(covariance: Floats, deviations: Floats) -> tuple[Undetermined,
     return tuple(undetermined)
 
 
-def circle_numbers(geometry: ScanGeometry, circle: Circle | None = None) -> CircleNumbers:
+def circle_numbers(geometry: ScanGeometry, circle: CircularOrbit | None = None) -> CircleNumbers:
     """Return the numbers of a circular scan, each the mean over the views.
 
     Args:

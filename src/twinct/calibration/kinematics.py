@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import CalibrationError
 from twinct.geometry import Chain, Floats, Pose, ScanGeometry
-from twinct.robots.calibrated_arms import SIDES, CalibratedArms, Change, changed_tools
+from twinct.robots.calibrated_arms import SIDES, ArmDeviations, CalibratedArms, changed_tools
 
 AXIS = (0, 1, 3, 4)
 """Components of a joint's twist that move its axis."""
@@ -165,7 +165,7 @@ class _Arm:
         names += [f"joint {j + 1} gear {part}" for j in range(count) for part in ("cos", "sin")]
         self.names = tuple(names)
 
-    def change(self, z: Floats) -> Change:
+    def change(self, z: Floats) -> ArmDeviations:
         """Return the arm's deviations for z (..., k)."""
         p, count = self.mean + z @ self.factor.T, len(self.chain)
         ends = np.cumsum([4 * count, self._tool, count])
@@ -175,7 +175,7 @@ class _Arm:
         links[..., AXIS] = axes.reshape(*lead, count, 4)
         whole = np.zeros((*lead, 6))
         whole[..., : self._tool] = tool
-        return Change(links, whole, compliance, gear.reshape(*lead, count, 2))
+        return ArmDeviations(links, whole, compliance, gear.reshape(*lead, count, 2))
 
     def off(self, z: Floats, seen: PhantomViews, joints: Floats) -> Floats:
         """Return predicted minus measured in panel axes, (..., views, 3 or 6), mm and rad."""

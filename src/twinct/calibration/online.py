@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.calibration.bundle import LEAST_SHADOWS, Bundle, bundled
+from twinct.calibration.bundle import LEAST_SHADOWS, BundleAdjustment, bundled
 from twinct.calibration.freedom import PosePrior
 from twinct.calibration.phantom import BallPhantom
 from twinct.calibration.shadows import measured, overlapping, shadow_radius_px
@@ -42,7 +42,7 @@ class OnlineCalibration:
         problems: reasons, by view, for the views that keep their believed geometry.
     """
 
-    bundle: Bundle
+    bundle: BundleAdjustment
     problems: dict[int, str]
 
     @property
@@ -118,7 +118,7 @@ def _reach_px(believed: ScanGeometry, prior: PosePrior, at_middle: Floats) -> fl
     return float(REACH * np.hypot(sigma_mm / panel.pitch_u, SPOT_PX))
 
 
-def _determined(bundle: Bundle) -> Bundle:
+def _determined(bundle: BundleAdjustment) -> BundleAdjustment:
     """Return the bundle unless no view shows enough balls.
 
     Raises:
@@ -134,7 +134,7 @@ def _determined(bundle: Bundle) -> Bundle:
 
 def _shadows(
     transmission: Sequence[NDArray[np.float32]] | NDArray[np.float32],
-    bundle: Bundle,
+    bundle: BundleAdjustment,
     radius_mm: float,
     spots: Floats,
     blur_px: float,

@@ -14,7 +14,7 @@ from twinct.core.extras import require
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, named_places
 from twinct.viewer.filling import builder_of, fill
-from twinct.viewer.following import Follower, LivePage
+from twinct.viewer.following import FolderPoller, LivePage
 from twinct.viewer.live_page import Page
 from twinct.viewer.locate import folder_of_run
 from twinct.viewer.movie import write_movie
@@ -48,7 +48,7 @@ def show_runs(
             for index, run in enumerate(runs):
                 show = run.look()
                 fill(page, index, show)
-                stack.enter_context(closing(Follower(page, index, run, show)))
+                stack.enter_context(closing(FolderPoller(page, index, run, show)))
                 for problem in show.problems:
                     say(problem, warning=True)
             stay()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from twinct.ctsimu.drifts import short
 from twinct.ctsimu.ranges import COUNT, FIELDS, PLACE
 from twinct.ctsimu.reader import JsonSection
-from twinct.ctsimu.scene import FieldImages
+from twinct.ctsimu.scene import DarkOrFlatImages
 
 FORMAT = (1, 2)
 """Newest supported version of the file format; older ones down to 1.0 are subsets."""
@@ -19,8 +19,8 @@ class Acquisition:
 
     frames: int
     average: int
-    dark: FieldImages
-    flat: FieldImages
+    dark: DarkOrFlatImages
+    flat: DarkOrFlatImages
 
 
 def check_header(section: JsonSection) -> None:
@@ -67,8 +67,8 @@ def read_turn(section: JsonSection) -> float:
     return -angle if direction == "CW" else angle
 
 
-def _fields(section: JsonSection) -> FieldImages:
-    return FieldImages(
+def _fields(section: JsonSection) -> DarkOrFlatImages:
+    return DarkOrFlatImages(
         section.whole("number", 0, "", FIELDS),
         section.whole("frame_average", 1, "", COUNT),
         section.flag("ideal", False),

@@ -10,7 +10,7 @@ from typing import Any
 from twinct.core.files.writing import write_json
 from twinct.ctsimu.acquisition import FORMAT
 from twinct.ctsimu.scenario import CtsimuScenario
-from twinct.ctsimu.scene import FieldImages, Frame
+from twinct.ctsimu.scene import DarkOrFlatImages, Frame
 from twinct.ctsimu.writing import quantity
 from twinct.version import __version__
 
@@ -31,7 +31,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Files:
+class OutputPaths:
     """Paths of the output files."""
 
     folder: Path
@@ -58,7 +58,7 @@ class Files:
 
 
 def write_metadata(
-    files: Files, scenario: CtsimuScenario, options: Options, frame: Frame, brightest: float
+    files: OutputPaths, scenario: CtsimuScenario, options: Options, frame: Frame, brightest: float
 ) -> None:
     """Write the metadata of a rendering and its settings, without clock times.
 
@@ -113,7 +113,7 @@ def write_metadata(
     write_json(files.metadata, data)
 
 
-def _field(name: str, kind: str, images: FieldImages) -> dict[str, Any]:
+def _field(name: str, kind: str, images: DarkOrFlatImages) -> dict[str, Any]:
     number = "_%04d" if images.number > 1 else ""
     return {
         "number": images.number,

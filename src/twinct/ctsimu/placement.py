@@ -12,12 +12,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.ctsimu.drifts import short
-from twinct.ctsimu.ranges import FARTHEST_MM, PLACE, Range
+from twinct.ctsimu.ranges import FARTHEST_MM, PLACE, Interval
 from twinct.ctsimu.reader import JsonSection
 from twinct.geometry import Floats, Pose
 
 WORLD, LOCAL, SAMPLE = ("x", "y", "z"), ("u", "v", "w"), ("r", "s", "t")
-COMPONENT = Range(-FARTHEST_MM, FARTHEST_MM)
+COMPONENT = Interval(-FARTHEST_MM, FARTHEST_MM)
 """Limits of a direction's component, so that its square is finite."""
 ORTHOGONAL = 1e-3
 """Maximum cosine between u and w that counts as a right angle; four digits suffice."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Range:
+class Interval:
     """Range of numbers from ``low`` to ``high``; ``above`` and ``below`` exclude the limits."""
 
     low: float = -math.inf
@@ -35,25 +35,25 @@ FARTHEST_MM = 1e9
 LARGEST = 1e12
 """Limit of other numbers: products of a few of them remain finite."""
 
-ANY = Range()
-NOT_NEGATIVE = Range(0, LARGEST)
-POSITIVE = Range(0, LARGEST, above=True)
-GREY = Range(-LARGEST, LARGEST)
-GREY_PER_J = Range(0, 1e30, above=True)
-SHARE = Range(0, 1)
-LAG = Range(0, 1, below=True)
-PLACE = Range(-FARTHEST_MM, FARTHEST_MM)
-LENGTH = Range(0, FARTHEST_MM)
-EDGE = Range(0, FARTHEST_MM, above=True)
-DENSITY = Range(0, 1e9)
+ANY = Interval()
+NOT_NEGATIVE = Interval(0, LARGEST)
+POSITIVE = Interval(0, LARGEST, above=True)
+GREY = Interval(-LARGEST, LARGEST)
+GREY_PER_J = Interval(0, 1e30, above=True)
+SHARE = Interval(0, 1)
+LAG = Interval(0, 1, below=True)
+PLACE = Interval(-FARTHEST_MM, FARTHEST_MM)
+LENGTH = Interval(0, FARTHEST_MM)
+EDGE = Interval(0, FARTHEST_MM, above=True)
+DENSITY = Interval(0, 1e9)
 """g/cm^3. 0 is a vacuum; the suite's opaque material has 1e7."""
-VOLTAGE = Range(0, 800, above=True)
+VOLTAGE = Interval(0, 800, above=True)
 """kV; xraylib has no attenuation above 800 keV."""
-TAKE_OFF = Range(0, 90, above=True)
-PIXELS = Range(1, 65536)
+TAKE_OFF = Interval(0, 90, above=True)
+PIXELS = Interval(1, 65536)
 """Pixels along one edge of the panel."""
-BITS = Range(1, 16)
-COUNT = Range(1, 100_000)
+BITS = Interval(1, 16)
+COUNT = Interval(1, 100_000)
 """Number of projections, and of averaged frames."""
-FIELDS = Range(0, 10_000)
+FIELDS = Interval(0, 10_000)
 """Number of dark and flat images: their file names have four digits."""

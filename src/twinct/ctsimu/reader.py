@@ -21,7 +21,7 @@ from typing import Any
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.foreign_text import shortened
 from twinct.ctsimu.drifts import as_float, drift_values, interpolated, short
-from twinct.ctsimu.ranges import ANY, Range
+from twinct.ctsimu.ranges import ANY, Interval
 
 UNITS: Mapping[str, Mapping[str | None, float]] = {
     "mm": {"nm": 1e-6, "um": 1e-3, "mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0},
@@ -106,7 +106,7 @@ class JsonSection:
             return []
         return [self._below(f"{key}[{i}]", item) for i, item in enumerate(value)]
 
-    def number(self, key: str, unit: str = "", allowed: Range = ANY) -> float | None:
+    def number(self, key: str, unit: str = "", allowed: Interval = ANY) -> float | None:
         """Return a number in our unit with its drifts; None if it is missing, null, or invalid."""
         parameter = self._parameter(key, unit)
         if parameter is None:
@@ -132,13 +132,13 @@ class JsonSection:
             return 0.0
         return sum(self._drifted(key, drift, unit, parameter[2]) for drift in parameter[1])
 
-    def needed(self, key: str, unit: str = "", allowed: Range = ANY) -> float:
+    def needed(self, key: str, unit: str = "", allowed: Interval = ANY) -> float:
         """Return a required number; report a missing or invalid one, and return NaN."""
         value = self.number(key, unit, allowed)
         self.require(key)
         return math.nan if value is None else value
 
-    def whole(self, key: str, default: int, unit: str = "", allowed: Range = ANY) -> int:
+    def whole(self, key: str, default: int, unit: str = "", allowed: Interval = ANY) -> int:
         """Return an integer, or the default."""
         value = self.number(key, unit, allowed)
         if value is None:

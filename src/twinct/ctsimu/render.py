@@ -26,9 +26,9 @@ from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.ctsimu.camera import Camera
 from twinct.ctsimu.digitiser import Digitiser, Image
-from twinct.ctsimu.outputs import Files, Options, write_metadata
+from twinct.ctsimu.outputs import Options, OutputPaths, write_metadata
 from twinct.ctsimu.scenario import CtsimuScenario
-from twinct.ctsimu.scene import FieldImages, Frame
+from twinct.ctsimu.scene import DarkOrFlatImages, Frame
 from twinct.ctsimu.writing import make_folder
 from twinct.xray.readout import binned
 
@@ -43,7 +43,7 @@ def render(
     *,
     resume: bool = False,
     step: Callable[[], None] = lambda: None,
-) -> Files:
+) -> OutputPaths:
     """Render all images of a scenario.
 
     Args:
@@ -59,7 +59,7 @@ def render(
         InputError: a file does not hold the data that the scenario states; names it.
         StorageError: the images cannot be written.
     """
-    options, files = options or Options(), Files(folder, scenario.name)
+    options, files = options or Options(), OutputPaths(folder, scenario.name)
     make_folder(folder)
     with storage_errors(folder), sole_owner(folder / "twinct.lock", alone=False):
         _claim(files, _identity(scenario, options), resume)
@@ -72,7 +72,7 @@ class _Run:
     """One rendering in progress."""
 
     def __init__(
-        self, scenario: CtsimuScenario, files: Files, options: Options, camera: Camera
+        self, scenario: CtsimuScenario, files: OutputPaths, options: Options, camera: Camera
     ) -> None:
         self.scenario, self.files, self.options, self.camera = scenario, files, options, camera
         self.first = scenario.frame(0)
@@ -143,7 +143,7 @@ class _Run:
         image = image[::-1] if frame.upside_down else image
         return binned(detector.with_bad_pixels(image), *frame.binning)
 
-    def _fields(self, kind: str, mean: Image, images: FieldImages) -> Image | None:
+    def _fields(self, kind: str, mean: Image, images: DarkOrFlatImages) -> Image | None:
         """Write the dark or flat images, and return their mean."""
         stack = []
         for index in range(images.number):
@@ -170,7 +170,7 @@ class _Run:
         return detector.stored(stored)
 
 
-def _claim(files: Files, identity: str, resume: bool) -> None:
+def _claim(files: OutputPaths, identity: str, resume: bool) -> None:
     """Check that the folder is free or holds this very rendering, and write the key file."""
     # NAME_* would also match the images of NAME_2.
     own = re.compile(re.escape(files.name) + r"_([0-9]{4,}|(dark|flat)(_[0-9]{4,})?)\.tif")

@@ -145,7 +145,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class FieldImages:
+class DarkOrFlatImages:
     """Number of dark or flat images; ``ideal`` omits noise, ``correction`` corrects projections."""
 
     number: int

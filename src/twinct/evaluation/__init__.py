@@ -24,10 +24,10 @@ from twinct.evaluation.image import ImageFigures, ImageReference, image_figures
 from twinct.evaluation.image_words import IMAGE_FIGURES, MOTION_FIGURES
 from twinct.evaluation.mtf import Mtf, edge_mtf, edge_reach
 from twinct.evaluation.nps import Nps, detrended, noise_power_spectrum
-from twinct.evaluation.observer import Detectability, detectability
-from twinct.evaluation.pose import ArmErrors, PoseErrors, pose_errors, reprojection_px, tool_speeds
+from twinct.evaluation.observer import DetectabilityIndex, detectability
+from twinct.evaluation.pose import PoseErrors, ToolErrors, pose_errors, reprojection_px, tool_speeds
 from twinct.evaluation.region_voxels import (
-    Voxels,
+    VoxelSet,
     ball,
     centres,
     cuboid,
@@ -42,9 +42,9 @@ from twinct.geometry.region import region_of_interest, views_needed
 __all__ = [
     "DEPTHS_MM",
     "Again",
-    "ArmErrors",
+    "ToolErrors",
     "Contrast",
-    "Detectability",
+    "DetectabilityIndex",
     "Edges",
     "ImageFigures",
     "ImageReference",
@@ -53,7 +53,7 @@ __all__ = [
     "PoseErrors",
     "RegionDepth",
     "Sight",
-    "Voxels",
+    "VoxelSet",
     "around_axis",
     "ball",
     "centres",

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from twinct.core.settings import Section
 from twinct.evaluation.figure import Figure, has_signal, null_without_signal
-from twinct.evaluation.region_voxels import Voxels
+from twinct.evaluation.region_voxels import VoxelSet
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.specimen.signals import GaussianSignal, SphereSignal
 
@@ -60,11 +60,11 @@ class NamedPlaces(Protocol):
         """Grid of the voxels."""
         ...
 
-    def region(self, name: str) -> Voxels:
+    def region(self, name: str) -> VoxelSet:
         """Return the voxels of a region."""
         ...
 
-    def part(self, name: str) -> Voxels:
+    def part(self, name: str) -> VoxelSet:
         """Return all voxels that a part fills, even partly."""
         ...
 
@@ -144,7 +144,7 @@ class Measurement:
         """Grid of the voxels."""
         return self.places.grid
 
-    def region(self, name: str) -> Voxels:
+    def region(self, name: str) -> VoxelSet:
         """Return the voxels of a region."""
         return self.once(_voxels_of_region, name)
 
@@ -155,7 +155,7 @@ class Measurement:
         return self._known[function, name]
 
 
-def _voxels_of_region(at: Measurement, name: str) -> Voxels:
+def _voxels_of_region(at: Measurement, name: str) -> VoxelSet:
     return at.places.region(name)
 
 

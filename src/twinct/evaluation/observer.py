@@ -34,7 +34,7 @@ COVERAGE = 0.95
 
 
 @dataclass(frozen=True)
-class Detectability:
+class DetectabilityIndex:
     """Detectability index d' with its interval, and that of quantum noise alone.
 
     Attributes:
@@ -53,7 +53,7 @@ class Detectability:
 
 def detectability(
     signals: Floats, volumes: Sequence[NDArray[np.floating]], places: NDArray[np.bool_]
-) -> Detectability:
+) -> DetectabilityIndex:
     """Return d' of a signal from repeated volumes.
 
     The interval is that of a variance with as many independent values as the correlation of the
@@ -79,7 +79,7 @@ def detectability(
     mean = responses.mean(axis=0)
     scans, count = len(volumes), int(places.sum())
     if not (raised > 0 and count):
-        return Detectability(*[math.nan] * 4)
+        return DetectabilityIndex(*[math.nan] * 4)
     quantum, of_quantum = 0.0, math.inf
     if scans > 1:
         apart = responses - mean
@@ -91,7 +91,7 @@ def detectability(
     texture = spread - quantum / scans
     variance = quantum + texture + shift / 2
     if not variance > 0:
-        return Detectability(*[math.inf] * 4)
+        return DetectabilityIndex(*[math.inf] * 4)
     of_spread = _independent(about[None], places, signals.shape[1:])
     # Variances of the variances; that of the spread holds what is left of the noise in the mean.
     certain = (quantum * (1 - 1 / scans)) ** 2 / of_quantum + spread**2 / of_spread
@@ -100,7 +100,7 @@ def detectability(
     value = raised / math.sqrt(variance)
     low, high = _interval(variance**2 / certain if certain > 0 else math.inf)
     alone = raised / math.sqrt(quantum) if quantum > 0 else math.inf
-    return Detectability(value, value * low, value * high, alone)
+    return DetectabilityIndex(value, value * low, value * high, alone)
 
 
 def _raised(signals: Floats, template: Floats) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from twinct.geometry.wire import PosePairs
 
 
 @dataclass(frozen=True, eq=False)
-class ArmErrors:
+class ToolErrors:
     """Pose errors of one end-effector.
 
     Attributes:
@@ -38,8 +38,8 @@ class ArmErrors:
 class PoseErrors:
     """Pose errors of both end-effectors: the focal spot's frame and the panel's frame."""
 
-    source: ArmErrors
-    detector: ArmErrors
+    source: ToolErrors
+    detector: ToolErrors
 
     def summary(self) -> dict[str, dict[str, dict[str, float]]]:
         """Return ``{source, detector} -> {position_mm, rotation_deg} -> {mean, std, max}``."""
@@ -90,11 +90,11 @@ def tool_speeds(executed: PosePairs, simulated_s: Floats) -> dict[str, dict[str,
     return by_side
 
 
-def _arm_errors(wanted: Sequence[Pose], actual: Sequence[Pose]) -> ArmErrors:
+def _arm_errors(wanted: Sequence[Pose], actual: Sequence[Pose]) -> ToolErrors:
     shift = np.array([a.position - w.position for w, a in zip(wanted, actual, strict=True)])
     before, after = (
         scipy.spatial.transform.Rotation.from_quat([p.quat for p in poses])
         for poses in (wanted, actual)
     )
     turn = before.inv() * after
-    return ArmErrors(np.linalg.norm(shift, axis=1), np.degrees(turn.magnitude()))
+    return ToolErrors(np.linalg.norm(shift, axis=1), np.degrees(turn.magnitude()))

@@ -11,11 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.evaluation.bits import Bits, between
 from twinct.geometry import Floats, Pose, VolumeGrid
 
-Box = tuple[slice, slice, slice]
+Slices = tuple[slice, slice, slice]
 
 
 @dataclass(frozen=True, eq=False)
-class Voxels:
+class VoxelSet:
     """Some voxels of a grid.
 
     Attributes:
@@ -23,7 +23,7 @@ class Voxels:
         mask: selection of the voxels in the box, (z, y, x), bool.
     """
 
-    box: Box
+    box: Slices
     mask: NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -41,12 +41,14 @@ class Voxels:
         return grid.world_from_grid.apply(local)
 
 
-def whole(mask: NDArray[np.bool_]) -> Voxels:
+def whole(mask: NDArray[np.bool_]) -> VoxelSet:
     """Return the voxels of a mask on the whole grid."""
-    return Voxels((slice(0, mask.shape[0]), slice(0, mask.shape[1]), slice(0, mask.shape[2])), mask)
+    return VoxelSet(
+        (slice(0, mask.shape[0]), slice(0, mask.shape[1]), slice(0, mask.shape[2])), mask
+    )
 
 
-def ball(grid: VolumeGrid, world_from_ball: Pose, radius_mm: float) -> Voxels:
+def ball(grid: VolumeGrid, world_from_ball: Pose, radius_mm: float) -> VoxelSet:
     """Return the voxels whose centres lie in a ball."""
     return _inside(
         grid,
@@ -58,7 +60,7 @@ def ball(grid: VolumeGrid, world_from_ball: Pose, radius_mm: float) -> Voxels:
 
 def cylinder(
     grid: VolumeGrid, world_from_cylinder: Pose, radius_mm: float, height_mm: float
-) -> Voxels:
+) -> VoxelSet:
     """Return the voxels whose centres lie in a cylinder along z."""
     return _inside(
         grid,
@@ -68,7 +70,7 @@ def cylinder(
     )
 
 
-def cuboid(grid: VolumeGrid, world_from_box: Pose, size_mm: ArrayLike) -> Voxels:
+def cuboid(grid: VolumeGrid, world_from_box: Pose, size_mm: ArrayLike) -> VoxelSet:
     """Return the voxels whose centres lie in a box."""
     hx, hy, hz = half = np.asarray(size_mm, dtype=np.float64) / 2
     return _inside(
@@ -79,7 +81,7 @@ def cuboid(grid: VolumeGrid, world_from_box: Pose, size_mm: ArrayLike) -> Voxels
     )
 
 
-def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxels:
+def shell(body: VoxelSet, grid: VolumeGrid, from_mm: float, to_mm: float) -> VoxelSet:
     """Return the voxels whose centres lie at given distances from a body's nearest voxel centre."""
     wider = around(body.box, grid, to_mm)
     filled = np.zeros([s.stop - s.start for s in wider], dtype=np.bool_)
@@ -88,10 +90,10 @@ def shell(body: Voxels, grid: VolumeGrid, from_mm: float, to_mm: float) -> Voxel
     )
     filled[at] = body.mask
     bits = Bits.where(lambda k: filled[k], filled.shape)
-    return Voxels(wider, between(bits, from_mm, to_mm, grid.voxel))
+    return VoxelSet(wider, between(bits, from_mm, to_mm, grid.voxel))
 
 
-def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:
+def around(box: Slices, grid: VolumeGrid, margin_mm: float) -> Slices:
     """Return a box that is wider on all sides, within the grid."""
     more = (margin_mm / grid.voxel[::-1]).astype(int) + 1
     z, y, x = (
@@ -101,7 +103,7 @@ def around(box: Box, grid: VolumeGrid, margin_mm: float) -> Box:
     return z, y, x
 
 
-def centres(grid: VolumeGrid, box: Box, frame: Pose | None = None) -> Floats:
+def centres(grid: VolumeGrid, box: Slices, frame: Pose | None = None) -> Floats:
     """Return the voxel centres of a box, (z, y, x, 3), mm, in the world or in ``frame``.
 
     ``frame`` is the pose world_from_frame.
@@ -117,7 +119,7 @@ def _inside(
     world_from_region: Pose,
     half_mm: ArrayLike,
     inside: Callable[[Floats, Floats, Floats], NDArray[np.bool_]],
-) -> Voxels:
+) -> VoxelSet:
     grid_from_region = grid.world_from_grid.inverse() @ world_from_region
     reach = np.abs(grid_from_region.rotation) @ np.asarray(half_mm)
     index = (grid_from_region.position - grid.first_voxel_mm) / grid.voxel
@@ -129,4 +131,4 @@ def _inside(
     for k, plane in enumerate(mask, start=z.start):  # all positions together would be large
         points = centres(grid, (slice(k, k + 1), y, x), world_from_region)[0]
         plane[:] = inside(*np.moveaxis(points, -1, 0))
-    return Voxels((z, y, x), mask)
+    return VoxelSet((z, y, x), mask)

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 from twinct.core.errors import TwinctError
 from twinct.core.threads import limit_threads
 from twinct.link import require_ros
-from twinct.scenario import Scenario, load_scenario
+from twinct.scenario import load_scenario
 
 if TYPE_CHECKING:
+    from twinct.geometry import Panel
     from twinct.link.robots_node import Robots
     from twinct.link.xray_node import XRay
 
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
 def main(
     arguments: Sequence[str] | None = None,
     *,
-    build_robots: Callable[[Scenario], Robots] | None = None,
-    build_imager: Callable[[Scenario], XRay] | None = None,
+    build_robots: Callable[[], Robots] | None = None,
+    build_imager: Callable[[Panel], XRay] | None = None,
 ) -> int:
     """Run one node of a scan, with the real or a given simulation, until its rig is done."""
     parser = argparse.ArgumentParser(prog="python -m twinct.link", description=__doc__)

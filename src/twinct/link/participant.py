@@ -78,7 +78,7 @@ def decoded(data: bytes, kind: Any) -> Any:
         raise
 
 
-class _Writer:
+class _SolePublisher:
     """The only publisher of a topic, as the graph tells it."""
 
     def __init__(self, node: Node, kind: str) -> None:
@@ -222,7 +222,7 @@ class Station:
         the topic offer: also best effort, or no earlier messages.
         """
         kind = topic.message_class
-        writer = _Writer(self._node, topic.kind)
+        writer = _SolePublisher(self._node, topic.kind)
 
         def take(data: Any, info: Any) -> None:
             sent_ns, number = info["source_timestamp"], info["publication_sequence_number"]

@@ -106,7 +106,7 @@ def spin_robots(
     specimen: Path | None = None,
     members: Members | None = None,
     lifeline: bool = False,
-    build: Callable[[Scenario], Robots] | None = None,
+    build: Callable[[], Robots] | None = None,
 ) -> int:
     """Run the robot simulation as a node until SIGINT or SIGTERM.
 
@@ -133,7 +133,7 @@ def spin_robots(
     def build_simulation() -> Robots:
         nonlocal description, links
         if build is not None:
-            robots = build(scenario)
+            robots = build()
         else:
             builder = SimulationBuilder.with_specimen(scenario, specimen)
             robots = builder.robots(planned=planned)

@@ -76,7 +76,7 @@ def spin_xray(
     specimen: Path | None = None,
     members: Members | None = None,
     lifeline: bool = False,
-    build: Callable[[Scenario], XRay] | None = None,
+    build: Callable[[Panel], XRay] | None = None,
 ) -> int:
     """Run the X-ray simulation as a node until SIGINT or SIGTERM.
 
@@ -96,7 +96,7 @@ def spin_xray(
 
     def build_simulation() -> XRay:
         if build is not None:
-            return build(scenario)
+            return build(panel)
         builder = SimulationBuilder.with_specimen(scenario, specimen)
         if members is not None and builder.plan_chooses:
             return _AsPlanned(builder)

@@ -14,7 +14,7 @@ from twinct.core.errors import InputError
 from twinct.core.settings import Coordinate, Finite, Length, Pair, Section, setting
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.measured.numbers import read_numbers
-from twinct.measured.views import ImageFacts, Views
+from twinct.measured.views import ImageFacts, StatedViews
 
 FEW_TURNS = 20
 """Largest number of turns of a scan."""
@@ -103,7 +103,7 @@ class Circle(Section):
             raise ValueError(f"sdd_mm ({self.sdd_mm:g}) must exceed sod_mm ({self.sod_mm:g})")
         return self
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -113,7 +113,7 @@ class Circle(Section):
         object_turns = (self.direction == "counterclockwise") == (self.rotates == "object")
         geometry = self._geometry(angles if object_turns else -angles, facts.panel(self.pitch_mm))
         flips = self.rows == "down", self.columns == "left"
-        return Views(geometry, *flips, notes=tuple(self._notes(angles, geometry.panel)))
+        return StatedViews(geometry, *flips, notes=tuple(self._notes(angles, geometry.panel)))
 
     def _geometry(self, turns: Floats, panel: Panel) -> ScanGeometry:
         """Return the views of an object that turns counterclockwise by these angles, rad."""

@@ -26,8 +26,8 @@ from twinct.measured.circle import Circle
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured
 from twinct.measured.field_of_view import grid_of
-from twinct.measured.orientation import Placement, turned_shape
-from twinct.measured.views import ImageFacts, Views
+from twinct.measured.orientation import PanelPlacement, turned_shape
+from twinct.measured.views import ImageFacts, StatedViews
 from twinct.observers import Observers, audience_of
 from twinct.recon import Projector, sart
 from twinct.scan import line_integrals
@@ -282,7 +282,7 @@ def _tried(
     if candidate.reversed_order and not isinstance(description.geometry, Circle):
         chosen = chosen[::-1]
     flips = stated.flip_rows != candidate.rows, stated.flip_columns != candidate.columns
-    placement = Placement(section, Views(chosen, *flips))
+    placement = PanelPlacement(section, StatedViews(chosen, *flips))
     geometry = placement.geometry
     p = line_integrals(np.array([placement.image(image) for image in stored], np.float32))
     grid = _grid(geometry)

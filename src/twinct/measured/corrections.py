@@ -49,7 +49,7 @@ LIMITS = {
 
 
 @dataclass(frozen=True)
-class Fields:
+class FieldsByView:
     """Dark and bright images by view; one image if they do not change."""
 
     at: tuple[float, ...]
@@ -82,8 +82,8 @@ class Corrections:
 
     section: Images
     stack: Stack
-    dark: Fields | None
-    flat: Fields | None
+    dark: FieldsByView | None
+    flat: FieldsByView | None
     bad: Bools
     gains: Floats | None = None
 
@@ -151,7 +151,7 @@ def corrections(section: Images) -> Corrections:
             less = (
                 image - dark.image(int(at)) for at, image in zip(flat.at, flat.images, strict=True)
             )
-            flat = Fields(flat.at, tuple(less))
+            flat = FieldsByView(flat.at, tuple(less))
         for image in flat.images:
             bad |= ~(image > 0)
         if (share := bad.mean()) > DEAD:
@@ -228,7 +228,7 @@ def _bright(image: NDArray[Any]) -> float:
 
 def _fields(
     sections: tuple[FieldImages, ...], key: str, like: Stack, *, bright: bool = False
-) -> Fields | None:
+) -> FieldsByView | None:
     """Return the mean image of each section, by the views at which they were taken."""
     fields: list[tuple[float, Floats]] = []
     for index, section in enumerate(sections):
@@ -254,7 +254,7 @@ def _fields(
     fields.sort(key=lambda one: one[0])
     if len({at for at, _ in fields}) < len(fields):
         raise InputError(f"{key}: two of them have the same view")
-    return Fields(tuple(at for at, _ in fields), tuple(image for _, image in fields))
+    return FieldsByView(tuple(at for at, _ in fields), tuple(image for _, image in fields))
 
 
 def _refuse_saturated(stack: Stack, key: str) -> None:

@@ -16,7 +16,7 @@ from twinct.measured.joints import Joints
 from twinct.measured.matrices import Matrices, Poses
 from twinct.measured.nikon import Nikon
 from twinct.measured.toolkits import Astra, Cil, Ctsimu, Leap, OpenCt, Rtk, Tigre
-from twinct.measured.views import ImageFacts, Views
+from twinct.measured.views import ImageFacts, StatedViews
 from twinct.recon.sections.reconstruction import Grid
 from twinct.scenario.messages import refusal
 from twinct.scenario.reading import Draft, read_yaml
@@ -145,7 +145,7 @@ class Measured(Section):
         {}, "Further sections of the scenario that are known, such as source and reconstruction."
     )
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views of all images.
 
         Raises:

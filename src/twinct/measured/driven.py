@@ -8,7 +8,7 @@ the plan that was sent, its poses are the commanded ones.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,13 +24,14 @@ from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.writing import complete, storage_errors, write_json
 from twinct.core.foreign_text import quoted
+from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
 from twinct.measured.sent_plan import UNFIT, SentPlan
 from twinct.runs import Folder
 from twinct.scan import ScanStore, SimulationBuilder, line_integrals
-from twinct.scan.encoder_model import poses_of_joints
+from twinct.scan.encoder_model import EncoderModel
 from twinct.scenario import Cell, Scenario, load_scenario, parse_scenario
 from twinct.trajectory import write_views
 
@@ -132,14 +133,19 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         ScanExistsError: the folder holds a scan.
         StorageError: the folder cannot be written.
     """
+    from twinct.robots.cell import joint_names_of
+
     folder = Folder(out)
     folder.refuse_others()
     folder.refuse_if_taken(resumes=False)
     heard = _heard(paths, choice)
     scenario = _scenario(heard, choice)
+    assert isinstance(scenario.cell, Cell)
     fields = _Fields.of(choice)
     epoch_ns = min([heard.images_ns[0], *(stamps[0] for stamps, _ in heard.joints.values())])
-    names = _names(heard, choice, scenario)
+    panel, still = scenario.detector.panel, scenario.specimen.world_from_specimen
+    model = EncoderModel(scenario.cell, panel, scenario.uncertainty)
+    names = _names(heard, choice, joint_names_of(scenario.cell, panel))
     joints = tuple(names.values())
     track, notes = track_of(heard.joints, names, joints, epoch_ns)
     images_s = (np.array(heard.images_ns, np.int64) - epoch_ns) / 1e9
@@ -147,12 +153,20 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
     if choice.estimate_latency:
         good, _ = _usable(track, images_s, latency_s, notes)
         few = good[:: max(1, len(good) // MOST_FOR_LATENCY)]
-        pixels = list(_pixels(paths, choice, fields, set(few.tolist()), scenario.detector.panel))
-        latency_s = _latency_s(scenario, track, images_s, few, pixels, latency_s)
+        measured = line_integrals(
+            np.stack([*_pixels(paths, choice, fields, set(few.tolist()), panel)])
+        )
+        with SimulationBuilder(scenario).imager() as imager:
+
+            def rendered(position: Floats) -> list[NDArray[np.float32]]:
+                views = model.poses(position).geometry(panel)
+                return [line_integrals(imager.render(view, still)) for view in views]
+
+            latency_s = _latency_s(rendered, track, images_s[few], measured, latency_s)
     used, lost = _usable(track, images_s, latency_s, notes)
     time_s = images_s[used] - latency_s
     position, speed, _ = track.at(time_s)
-    poses, panel = poses_of_joints(scenario, position), scenario.detector.panel
+    poses = model.poses(position)
     commanded, drive, unfit = _planned(_sent(heard, track, epoch_ns), time_s, poses)
     drive["latency_ms"] = 1000 * latency_s
     images = _pixels(paths, choice, fields, set(used.tolist()), panel)
@@ -163,8 +177,10 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         write_views(out / VIEWS_FILE, commanded.geometry(panel))
         scenario = _placed(scenario, out / VIEWS_FILE)
         numbers = position, speed, time_s
-        names_of_files = tuple(path.name for path in paths)
-        _write(draft, scenario, joints, (commanded, poses), numbers, images, names_of_files)
+        store = ScanStore.create(
+            draft, scenario, commanded, joints, 0, recordings=tuple(path.name for path in paths)
+        )
+        _write(store, joints, poses, still, numbers, images)
         folder.write_scenario(scenario)
         write_json(folder.drive, drive)
     notes = (*notes, *lost, *unfit)
@@ -227,13 +243,13 @@ def _usable(
 def _heard(paths: Sequence[Path], choice: ArmsRecording) -> _Heard:
     """Read joint states, stamps of images, and what ``twinct drive`` wrote."""
     from twinct.link.recording.drive_file import NOTE
-    from twinct.link.recording.reader import Recording, Said
+    from twinct.link.recording.reader import RecordedMessage, Recording
     from twinct.link.topics import JOINTS
 
     heard, joint_states = _Heard(), choice.joint_states or (JOINTS.name,)
     for path in paths:
         for record in Recording(path).records():
-            if not isinstance(record, Said):
+            if not isinstance(record, RecordedMessage):
                 if (note := getattr(record, "metadata", None)) is None:
                     heard.files[record.name] = getattr(record, "data", b"")
                 else:
@@ -283,13 +299,10 @@ def _scenario(heard: _Heard, choice: ArmsRecording) -> Scenario:
     return scenario
 
 
-def _names(heard: _Heard, choice: ArmsRecording, scenario: Scenario) -> dict[str, str]:
-    """Return the scenario's joint names, source first, by those of the drivers."""
+def _names(heard: _Heard, choice: ArmsRecording, own: tuple[str, ...]) -> dict[str, str]:
+    """Return the scenario's own joint names, source first, by those of the drivers."""
     from twinct.link.recording.drive_file import NOTE
-    from twinct.robots.cell import joint_names_of
 
-    assert isinstance(scenario.cell, Cell)
-    own = joint_names_of(scenario.cell, scenario.detector.panel)
     if NOTE in heard.notes and not (choice.source_prefix or choice.detector_prefix):
         noted = heard.noted(NOTE, "joints")
         if not isinstance(noted, dict) or tuple(noted.values()) != own:
@@ -330,18 +343,15 @@ def _placed(scenario: Scenario, views: Path) -> Scenario:
 
 
 def _write(
-    path: Path,
-    scenario: Scenario,
+    store: ScanStore,
     joints: tuple[str, ...],
-    poses: tuple[PosePairs, PosePairs],
+    executed: PosePairs,
+    still: Pose,
     numbers: tuple[Floats, Floats, Floats],
     images: Iterator[NDArray[np.float32]],
-    recordings: tuple[str, ...],
 ) -> None:
-    """Write the store with its commanded and its executed poses."""
-    commanded, executed = poses
-    store = ScanStore.create(path, scenario, commanded, joints, 0, recordings=recordings)
-    still, none = scenario.specimen.world_from_specimen, np.zeros(0)
+    """Write the views of a store, with their executed poses; the specimen stands still."""
+    none = np.zeros(0)
     for view, (image, position, speed, time_s) in enumerate(zip(images, *numbers, strict=True)):
         reached = Reached(
             executed=PosePairs.at(*executed[view], still),
@@ -421,12 +431,12 @@ def _pixels(
     paths: Sequence[Path], choice: ArmsRecording, fields: _Fields, wanted: set[int], panel: Any
 ) -> Iterator[NDArray[np.float32]]:
     """Yield the transmissions of some images, in order."""
-    from twinct.link.recording.reader import Recording, Said
+    from twinct.link.recording.reader import RecordedMessage, Recording
 
     index = -1
     for path in paths:
         for record in Recording(path).records():
-            if isinstance(record, Said) and record.topic == choice.image:
+            if isinstance(record, RecordedMessage) and record.topic == choice.image:
                 index += 1
                 if index in wanted:
                     image = fields.transmission(record.message, choice.image)
@@ -441,11 +451,10 @@ def _pixels(
 
 
 def _latency_s(
-    scenario: Scenario,
+    rendered: Callable[[Floats], Sequence[NDArray[np.float32]]],
     track: JointTrack,
     images_s: Floats,
-    chosen: NDArray[np.intp],
-    images: Sequence[NDArray[np.float32]],
+    measured: NDArray[np.float32],
     first_s: float,
 ) -> float:
     """Return the latency with which rendered images of the specimen resemble the measured ones.
@@ -453,30 +462,31 @@ def _latency_s(
     Gauss-Newton on the line integrals: images rendered a little before and after the supposed time
     give their change with time.
 
+    Args:
+        rendered: renders line integrals of the specimen for joint positions, (views, joints), rad.
+        track: the joints.
+        images_s: stamps of the images, (images,).
+        measured: line integrals of the images, (images, rows, columns).
+        first_s: latency at which the search starts.
+
     Raises:
         InputError: no pixel changes with time, or the search does not end.
     """
-    measured = line_integrals(np.stack(images))
     latency = first_s
-    with SimulationBuilder(scenario).imager() as imager:
-        for _ in range(12):
-            top = bottom = 0.0
-            for line, time_s in zip(measured, images_s[chosen].tolist(), strict=True):
-                times = time_s - latency + np.array([-STEP_S, STEP_S])
-                position, _, there = track.at(times)
-                if not there.all():
-                    continue
-                geometry = poses_of_joints(scenario, position).geometry(scenario.detector.panel)
-                before, after = (
-                    line_integrals(imager.render(part, scenario.specimen.world_from_specimen))
-                    for part in (geometry[:1], geometry[1:])
-                )
-                change = (after - before).astype(np.float64) / (2 * STEP_S)
-                top -= float((change * (line - (before + after) / 2)).sum())
-                bottom += float((change**2).sum())
-            if not bottom:
-                raise InputError("--arms.estimate-latency: no image changes with time")
-            latency += (step := float(np.clip(top / bottom, -LARGEST_STEP_S, LARGEST_STEP_S)))
-            if abs(step) < 1e-5:
-                return latency
+    for _ in range(12):
+        top = bottom = 0.0
+        for line, time_s in zip(measured, images_s.tolist(), strict=True):
+            times = time_s - latency + np.array([-STEP_S, STEP_S])
+            position, _, there = track.at(times)
+            if not there.all():
+                continue
+            before, after = rendered(position)
+            change = (after - before).astype(np.float64) / (2 * STEP_S)
+            top -= float((change * (line - (before + after) / 2)).sum())
+            bottom += float((change**2).sum())
+        if not bottom:
+            raise InputError("--arms.estimate-latency: no image changes with time")
+        latency += (step := float(np.clip(top / bottom, -LARGEST_STEP_S, LARGEST_STEP_S)))
+        if abs(step) < 1e-5:
+            return latency
     raise InputError("--arms.estimate-latency: the images do not fit the scenario at any time")

@@ -23,7 +23,7 @@ from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
 from twinct.measured.doubts import Doubts
 from twinct.measured.field_of_view import grid_of
-from twinct.measured.orientation import Placement, turned_shape
+from twinct.measured.orientation import PanelPlacement, turned_shape
 from twinct.measured.views import ImageFacts
 from twinct.observers import Audience, Observers, audience_of
 from twinct.runs import Folder
@@ -128,14 +128,14 @@ def _remove_empty(path: Path) -> None:
         path.rmdir()
 
 
-def _placed(description: Measured, images: Corrections) -> tuple[Placement, tuple[str, ...]]:
+def _placed(description: Measured, images: Corrections) -> tuple[PanelPlacement, tuple[str, ...]]:
     """Return the way of the images to the panel, and what was read of the geometry."""
     section, stack = description.images, images.stack
     rows, columns = turned_shape(section, stack.shape)
     as_stored = not (section.transpose or section.turn_deg)
     stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
     views = description.views(ImageFacts(stack.count, rows, columns, *stated))
-    return Placement(section, views), views.notes
+    return PanelPlacement(section, views), views.notes
 
 
 def _check_views(description: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
@@ -192,7 +192,7 @@ def _settings(description: Measured, geometry: ScanGeometry) -> ImportedSettings
 
 
 def _write_views(
-    store: ScanStore, placement: Placement, doubts: Doubts, audience: Audience
+    store: ScanStore, placement: PanelPlacement, doubts: Doubts, audience: Audience
 ) -> list[float]:
     """Write all views; return the scale of each from its air."""
     images = doubts.images

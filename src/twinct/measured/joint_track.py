@@ -26,7 +26,7 @@ LARGEST_GAP_S = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Readings:
+class JointReadings:
     """Readings of one group of joints, which one driver reported together.
 
     Attributes:
@@ -77,10 +77,10 @@ class JointTrack:
     """
 
     joints: tuple[str, ...]
-    groups: tuple[Readings, ...]
+    groups: tuple[JointReadings, ...]
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Return positions and speeds of all joints; see ``Readings.at``."""
+        """Return positions and speeds of all joints; see ``JointReadings.at``."""
         shape = len(time_s), len(self.joints)
         position, speed = np.full(shape, np.nan), np.full(shape, np.nan)
         there = np.ones(len(time_s), dtype=bool)
@@ -157,7 +157,7 @@ def track_of(
         position = np.array([[row[i] for i in columns] for row in rows], dtype=np.float64)
         if not np.isfinite(position).all():
             raise InputError(f"a position of {', '.join(stated_names)} is not finite")
-        groups.append(Readings(own, (time_ns[good] - epoch_ns) / 1e9, position[good]))
+        groups.append(JointReadings(own, (time_ns[good] - epoch_ns) / 1e9, position[good]))
     if missing := [name for name in joints if name not in named]:
         there = sorted({name for group in heard for name in group})
         raise InputError(

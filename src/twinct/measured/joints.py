@@ -12,7 +12,7 @@ from pydantic import Field
 from twinct.core.errors import InputError
 from twinct.core.settings import Section, setting
 from twinct.measured.numbers import read_numbers
-from twinct.measured.views import ImageFacts, Views
+from twinct.measured.views import ImageFacts, StatedViews
 
 
 class Joints(Section):
@@ -28,14 +28,14 @@ class Joints(Section):
         description="Scenario with the cell, the panel, and perhaps uncertainty.calibration."
     )
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views, in the world of the scenario.
 
         Raises:
             InputError: the table does not fit the images or the cell, or the cell has no arms.
             ScenarioError: the scenario is invalid.
         """
-        from twinct.scan.encoder_model import poses_of_joints
+        from twinct.scan.encoder_model import EncoderModel
         from twinct.scenario import Cell, load_scenario
 
         where = f"{self.path}: joints"
@@ -51,13 +51,13 @@ class Joints(Section):
         facts.require(f"{self.scenario}: detector", facts.views, panel)
         try:
             joints = np.radians(table) if self.unit == "deg" else table
-            poses = poses_of_joints(scenario, joints)
-            geometry = poses.geometry(panel)
+            model = EncoderModel(scenario.cell, panel, scenario.uncertainty)
+            geometry = model.poses(joints).geometry(panel)
         except (InputError, ValueError) as error:
             raise InputError(f"{where}: {error}") from None
         arms = "calibrated" if scenario.uncertainty.calibration else "nominal"
         size = f"{len(table)} views of {table.shape[1]} joints in {self.unit}, {arms} arms of "
-        return Views(geometry, notes=(f"{size}{self.scenario.name}, mm in its world",))
+        return StatedViews(geometry, notes=(f"{size}{self.scenario.name}, mm in its world",))
 
     def _check_unit(self, where: str, largest: float) -> None:
         if self.unit == "rad" and largest > 2 * math.tau:

@@ -18,7 +18,7 @@ from twinct.core.errors import InputError
 from twinct.core.settings import Length, Pair, Section, setting
 from twinct.geometry import Floats, Panel
 from twinct.measured.numbers import read_numbers
-from twinct.measured.views import ImageFacts, Views, views_of
+from twinct.measured.views import ImageFacts, StatedViews, views_of
 
 UNEQUAL = 0.01
 """Largest deviation of a matrix's ratio of the pitches from the stated one."""
@@ -42,7 +42,7 @@ class Matrices(Section):
     pitch_mm: Length | Pair = Field(description="Pixel pitch; two for (columns, rows).")
     world: Literal["mm", "cm", "m"] = setting("mm", "Unit of x, y and z.")
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -59,7 +59,7 @@ class Matrices(Section):
         matrices = matrices @ np.linalg.inv(to_world)
         views = views_of_matrices(where, self._to_pixels(panel) @ matrices, panel)
         note = f"{len(matrices)} projection matrices to {self.to} from the {self.origin}"
-        return Views(views.geometry, views.flip_rows, notes=(note, *views.notes))
+        return StatedViews(views.geometry, views.flip_rows, notes=(note, *views.notes))
 
     def _to_pixels(self, panel: Panel) -> Floats:
         """Return the matrix from the stated coordinates to pixels from the first pixel's centre."""
@@ -72,7 +72,7 @@ class Matrices(Section):
         return np.array([[scale[0], 0, shift[0]], [0, scale[1], shift[1]], [0, 0, 1.0]])
 
 
-def views_of_matrices(where: str, matrices: Floats, panel: Panel) -> Views:
+def views_of_matrices(where: str, matrices: Floats, panel: Panel) -> StatedViews:
     """Return the views of matrices (views, 3, 4) from mm to pixels (column w, row w, w).
 
     Raises:
@@ -107,7 +107,7 @@ def views_of_matrices(where: str, matrices: Floats, panel: Panel) -> Views:
         f"source to panel {geometry.sdd.min():.6g} to {geometry.sdd.max():.6g} mm, from the pitch "
         f"of {panel.pitch_u:g} x {panel.pitch_v:g} mm",
     )
-    return Views(geometry, flip_rows=flipped, notes=notes)
+    return StatedViews(geometry, flip_rows=flipped, notes=notes)
 
 
 def _check_rank(where: str, square: Floats) -> None:
@@ -135,7 +135,7 @@ class Poses(Section):
         "xyzw", "Order of a quaternion, which turns x and y to u and v."
     )
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -158,4 +158,4 @@ class Poses(Section):
         panel = facts.panel(self.pitch_mm)
         geometry, flipped = views_of(where, places[:, :3], places[:, 3:], u, v, panel)
         note = f"{len(table)} poses of {table.shape[1]} numbers, in {self.unit}"
-        return Views(geometry, flip_rows=flipped, notes=(note,))
+        return StatedViews(geometry, flip_rows=flipped, notes=(note,))

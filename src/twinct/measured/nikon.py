@@ -21,7 +21,7 @@ from twinct.core.files.boundary import read_text
 from twinct.core.foreign_text import number, quoted, shortened
 from twinct.core.settings import Section, setting
 from twinct.measured.circle import Angles, Circle
-from twinct.measured.views import ImageFacts, Views
+from twinct.measured.views import ImageFacts, StatedViews
 
 _NEEDED = ("SrcToObject", "SrcToDetector", "DetectorPixelSizeX", "DetectorPixelSizeY")
 _NEEDED += ("DetectorPixelsX", "DetectorPixelsY", "Projections", "AngularStep")
@@ -50,7 +50,7 @@ class Nikon(Section):
     path: Path = Field(description="The .xtekct file.")
     ignore: tuple[str, ...] = setting((), "Keys of the file that may be ignored.")
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -86,7 +86,7 @@ class Nikon(Section):
             axis_tilt_deg=keys.get("ObjectTilt", 0.0),
         )
         views = circle.views(facts)
-        return Views(
+        return StatedViews(
             views.geometry, views.flip_rows, views.flip_columns, notes=(where, *views.notes)
         )
 

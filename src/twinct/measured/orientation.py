@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.geometry import ScanGeometry
 from twinct.measured.description import Images
-from twinct.measured.views import Views, cut
+from twinct.measured.views import StatedViews, cut
 
 Numbers = TypeVar("Numbers", bound=np.generic)
 
@@ -31,7 +31,7 @@ def turned(section: Images, image: NDArray[Numbers]) -> NDArray[Numbers]:
 
 
 @dataclass(frozen=True, eq=False)
-class Placement:
+class PanelPlacement:
     """The way of a turned image to the panel of the scan.
 
     Attributes:
@@ -40,7 +40,7 @@ class Placement:
     """
 
     section: Images
-    views: Views
+    views: StatedViews
 
     @property
     def geometry(self) -> ScanGeometry:

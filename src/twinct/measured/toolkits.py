@@ -19,7 +19,7 @@ from twinct.core.foreign_text import number, quoted
 from twinct.core.settings import Length, Pair, Section, setting
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.measured.matrices import views_of_matrices
-from twinct.measured.views import ImageFacts, Views, views_of
+from twinct.measured.views import ImageFacts, StatedViews, views_of
 
 MOST_BYTES = 2**30
 
@@ -48,7 +48,7 @@ def _arrays(path: Path, names: tuple[str, ...]) -> Arrays:
     return arrays
 
 
-def _made(path: Path, facts: ImageFacts, panel: Panel, *vectors: NDArray[Any]) -> Views:
+def _made(path: Path, facts: ImageFacts, panel: Panel, *vectors: NDArray[Any]) -> StatedViews:
     """Return the views of (S, D, u, v), (views, 3), after a check of the counts."""
     where = f"{path}: geometry"
     source, detector, u, v = vectors
@@ -56,7 +56,7 @@ def _made(path: Path, facts: ImageFacts, panel: Panel, *vectors: NDArray[Any]) -
     geometry, flipped = views_of(where, source, detector, u, v, panel)
     note = f"{path.name}: {len(geometry)} views, panel {panel.rows} x {panel.columns} pixels of "
     note += f"{panel.pitch_u:g} x {panel.pitch_v:g} mm, mm in the frame of the file"
-    return Views(geometry, flip_rows=flipped, notes=(note,))
+    return StatedViews(geometry, flip_rows=flipped, notes=(note,))
 
 
 class _Numbers(Section):
@@ -64,7 +64,7 @@ class _Numbers(Section):
 
     path: Path = Field(description=".npz file, as twinct export writes.")
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -183,7 +183,7 @@ class Rtk(Section):
         None, "Place of pixel (0, 0); null: that in the MetaImage file, or a centred panel."
     )
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -251,7 +251,7 @@ class OpenCt(Section):
     kind: Literal["openct"]
     path: Path = Field(description="The JSON file.")
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -303,7 +303,7 @@ class Ctsimu(Section):
     kind: Literal["ctsimu"]
     path: Path = Field(description="The JSON file.")
 
-    def views(self, facts: ImageFacts) -> Views:
+    def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
@@ -314,4 +314,4 @@ class Ctsimu(Section):
         geometry: ScanGeometry = load_ctsimu(self.path).geometry(believed=True)
         facts.require(f"{self.path}", len(geometry), geometry.panel)
         note = f"{self.path.name}: {len(geometry)} views of a CTSimU scenario, as known, mm"
-        return Views(geometry, flip_rows=True, notes=(note,))
+        return StatedViews(geometry, flip_rows=True, notes=(note,))

@@ -12,7 +12,7 @@ from twinct.geometry import Floats, Panel, ScanGeometry
 
 
 @dataclass(frozen=True)
-class Views:
+class StatedViews:
     """Views that a geometry states.
 
     Attributes:

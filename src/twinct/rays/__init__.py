@@ -4,7 +4,7 @@
 signs; ``_warp_crossings`` has its kernels for a card.
 """
 
-from twinct.rays.body import Body, Box, Rays, Shadow
+from twinct.rays.body import Body, PixelRectangle, Rays, Shadow
 from twinct.rays.mesh_rays import MeshRays, Surface
 
-__all__ = ["Body", "Box", "MeshRays", "Rays", "Shadow", "Surface"]
+__all__ = ["Body", "PixelRectangle", "MeshRays", "Rays", "Shadow", "Surface"]

@@ -25,7 +25,7 @@ INFINITE = wp.constant(wp.float64(1e300))
 
 
 @wp.struct
-class Frame:
+class CardView:
     """A view: rows that give (column w, row w, w) of a point relative to the source; the source."""
 
     seen: wp.mat33d
@@ -33,7 +33,7 @@ class Frame:
 
 
 @wp.kernel
-def project(vertices: wp.array(dtype=wp.vec3d), frame: Frame, places: wp.array(dtype=wp.vec3d)):
+def project(vertices: wp.array(dtype=wp.vec3d), frame: CardView, places: wp.array(dtype=wp.vec3d)):
     """Write (column, row, 1 / w) of each vertex; 1 / w is 0 beside and behind the source."""
     i = wp.tid()
     seen = frame.seen * (vertices[i] - frame.source)

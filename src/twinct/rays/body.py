@@ -13,7 +13,7 @@ from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.geometry.arrays import frozen
 
 
-class Box(NamedTuple):
+class PixelRectangle(NamedTuple):
     """Rectangle of pixels: rows and columns of a panel."""
 
     rows: slice
@@ -36,7 +36,7 @@ class Shadow(NamedTuple):
             own axes, ``world_from_body @ Pose.exp(twist)``, (rows, columns, 6), mm per mm and rad.
     """
 
-    box: Box
+    box: PixelRectangle
     lengths: Floats
     slopes: Floats
 
@@ -94,7 +94,9 @@ class Rays:
         self._first = to_panel - column * self._steps[:, 0] - row * self._steps[:, 1]
         self._matrices = geometry.matrices()
 
-    def box(self, body: Body, world_from_body: Pose, view: int, margin: float = 0) -> Box:
+    def box(
+        self, body: Body, world_from_body: Pose, view: int, margin: float = 0
+    ) -> PixelRectangle:
         """Return the pixels that a body may shade in a view, with a margin, within the panel.
 
         Raises:
@@ -104,7 +106,7 @@ class Rays:
         low = np.clip(np.floor(places.min(axis=0) - margin), 0, (panel.columns, panel.rows))
         high = np.clip(np.ceil(places.max(axis=0) + margin) + 1, 0, (panel.columns, panel.rows))
         columns, rows = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-        return Box(rows, columns)
+        return PixelRectangle(rows, columns)
 
     def shadow(
         self,
@@ -113,7 +115,7 @@ class Rays:
         view: int,
         *,
         slopes: bool = False,
-        box: Box | None = None,
+        box: PixelRectangle | None = None,
     ) -> Shadow:
         """Return the path lengths of a view's rays inside a body, and their derivatives.
 

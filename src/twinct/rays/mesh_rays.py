@@ -44,7 +44,7 @@ class Surface(NamedTuple):
         )
 
 
-class Frame(NamedTuple):
+class KernelView(NamedTuple):
     """A view as the kernels take it.
 
     Attributes:
@@ -58,7 +58,7 @@ class Frame(NamedTuple):
     steps: Floats
 
 
-def frame_of(view: ScanGeometry) -> Frame:
+def frame_of(view: ScanGeometry) -> KernelView:
     """Return one view as the kernels take it."""
     panel, source = view.panel, view.source[0]
     column, row = panel.middle
@@ -68,7 +68,7 @@ def frame_of(view: ScanGeometry) -> Frame:
     # that simple numbers stay exact.
     ahead = np.cross(up, across)
     seen = [np.cross(first, up), np.cross(across, first), ahead, source]
-    return Frame(np.array(seen), np.array([first, across, up]) / (first @ ahead))
+    return KernelView(np.array(seen), np.array([first, across, up]) / (first @ ahead))
 
 
 class MeshRays:

@@ -7,15 +7,15 @@ from twinct.recon.fdk import fdk
 from twinct.recon.few_photons import integrals_of_photons
 from twinct.recon.fista_tv import fista_tv
 from twinct.recon.known_components import (
+    BelievedImplant,
     FittedImplant,
-    Implant,
     OneEnergy,
     WithoutImplants,
     without_implants,
 )
 from twinct.recon.memory import available_bytes, peak_bytes, refuse_if_short
 from twinct.recon.metal import WithoutMetal, without_metal
-from twinct.recon.orbit import Circle, fit_circle
+from twinct.recon.orbit import CircularOrbit, fit_circle
 from twinct.recon.order import random_order, spread_order, weighted_distance
 from twinct.recon.os_sart import os_sart
 from twinct.recon.prior_tv import prior_tv
@@ -31,9 +31,9 @@ __all__ = [
     "Algorithm",
     "AlgorithmSettings",
     "Callback",
-    "Circle",
+    "CircularOrbit",
     "FittedImplant",
-    "Implant",
+    "BelievedImplant",
     "OneEnergy",
     "Problem",
     "Projector",

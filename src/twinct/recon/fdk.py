@@ -33,7 +33,7 @@ from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.memory import require_memory
-from twinct.recon.orbit import Circle, fit_circle
+from twinct.recon.orbit import CircularOrbit, fit_circle
 from twinct.recon.projector import Projector
 from twinct.recon.shared_keys import Nonnegative
 from twinct.recon.shifted_panel import ShiftedPanel, require_centred, shifted_panel
@@ -121,7 +121,7 @@ def fdk(
 
 def _checked_circle(
     checks: Checks, geometry: ScanGeometry, window: str, mask: Mask | None
-) -> tuple[Circle, ShiftedPanel | None]:
+) -> tuple[CircularOrbit, ShiftedPanel | None]:
     """Return circle and shift of the scan; raise InputError for all problems together."""
     if window not in get_args(Window):
         checks.problems.append(
@@ -141,7 +141,7 @@ def _checked_circle(
 
 
 def _weights(
-    geometry: ScanGeometry, circle: Circle, sod: Floats, shift: ShiftedPanel | None
+    geometry: ScanGeometry, circle: CircularOrbit, sod: Floats, shift: ShiftedPanel | None
 ) -> Callable[[int], Singles]:
     """Return a function from a view to the weights of its pixels, (rows, columns)."""
     fan, (across, up) = _fan(geometry, circle), _coordinates(geometry, circle)
@@ -157,7 +157,7 @@ def _weights(
     return weights
 
 
-def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats]:
+def _coordinates(geometry: ScanGeometry, circle: CircularOrbit) -> tuple[Floats, Floats]:
     """Return the distances of columns and rows from the centre's projection, (views, n), mm."""
     panel = geometry.panel
     column, row = geometry.project(circle.centre)[:, 0].T
@@ -165,14 +165,14 @@ def _coordinates(geometry: ScanGeometry, circle: Circle) -> tuple[Floats, Floats
     return across, (np.arange(panel.rows) - row[:, None]) * panel.pitch_v
 
 
-def _fan(geometry: ScanGeometry, circle: Circle) -> Floats:
+def _fan(geometry: ScanGeometry, circle: CircularOrbit) -> Floats:
     """Return the fan angle of each column, (views, columns), rad, right-handed about the axis."""
     ahead = np.cross(circle.axis, geometry.source - circle.centre)
     sign = -np.sign(np.einsum("vk,vk->v", geometry.u, ahead))
     return np.arctan(sign[:, None] * _coordinates(geometry, circle)[0] / geometry.sdd[:, None])
 
 
-def circular(geometry: ScanGeometry) -> tuple[Circle, ShiftedPanel | None]:
+def circular(geometry: ScanGeometry) -> tuple[CircularOrbit, ShiftedPanel | None]:
     """Return the circle of a scan and the shift of its panel, unless fdk cannot reconstruct it.
 
     Raises:
@@ -193,7 +193,7 @@ def circular(geometry: ScanGeometry) -> tuple[Circle, ShiftedPanel | None]:
     return circle, None
 
 
-def _redundancy(circle: Circle, view: int, fan: Floats) -> Floats | float:
+def _redundancy(circle: CircularOrbit, view: int, fan: Floats) -> Floats | float:
     """Return the share of each ray among all rays along its line, (columns,); shares add up to 1.
 
     A ray at angle b of the source, at g from the central ray, recurs at b + pi + 2 g with -g.

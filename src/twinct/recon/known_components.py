@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import Floats, Pose, ScanGeometry
-from twinct.rays import Body, Box, Rays
+from twinct.rays import Body, PixelRectangle, Rays
 from twinct.recon.checks import Checks, Mask, mask_of
 from twinct.recon.engine import Singles
 from twinct.recon.memory import SPARE_BYTES, advice, refuse_if_short
@@ -117,7 +117,7 @@ class OneEnergy:
 
 
 @dataclass(frozen=True, eq=False)
-class Implant:
+class BelievedImplant:
     """Body with its believed pose.
 
     Attributes:
@@ -166,7 +166,7 @@ class WithoutImplants:
 def without_implants(
     A: Projector,
     beam: Beam,
-    implants: Sequence[Implant],
+    implants: Sequence[BelievedImplant],
     background: ArrayLike,
     *,
     surroundings: Singles | None = None,
@@ -225,7 +225,7 @@ def without_implants(
     _, pixels = checks.projections(behind.measured, mask)
     checks.done()
     allowed = np.repeat(np.maximum([position_sigma_mm, math.radians(rotation_sigma_deg)], 1e-5), 3)
-    fit = _Fit(
+    fit = _PoseEstimation(
         Rays(A.geometry), [_ImplantFit(one, len(A)) for one in implants], allowed, slack_mm, pixels
     )
     for number in range(rounds):
@@ -250,7 +250,9 @@ def implant_bytes(voxels: int, pixels: int) -> int:
     return 4 * (2 * voxels + 3 * pixels) + SPARE_BYTES
 
 
-def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()) -> list[str]:
+def outside(
+    A: Projector, implants: Sequence[BelievedImplant], names: Sequence[str] = ()
+) -> list[str]:
     """Return one sentence for each problem with the believed poses of implants.
 
     Implants must lie in the grid and in front of all sources, and leave some rays of each view.
@@ -283,7 +285,7 @@ def outside(A: Projector, implants: Sequence[Implant], names: Sequence[str] = ()
 class _ImplantFit:
     """Implant whose pose is being estimated."""
 
-    def __init__(self, implant: Implant, views: int) -> None:
+    def __init__(self, implant: BelievedImplant, views: int) -> None:
         self.body, self.start = implant.body, implant.world_from_implant
         self.pose, self.logarithm = self.start, 0.0
         self.slack = np.zeros((views, 3))
@@ -303,7 +305,7 @@ class _ImplantFit:
 
 
 @dataclass(frozen=True, eq=False)
-class _Fit:
+class _PoseEstimation:
     """Estimation of implant poses from residuals about their shadows.
 
     Attributes:
@@ -417,7 +419,7 @@ class _Fit:
         return rest[sensitive], jacobian[sensitive]
 
     def _behind(
-        self, behind: Behind, view: int, box: Box
+        self, behind: Behind, view: int, box: PixelRectangle
     ) -> tuple[NDArray[np.intp], Floats, Floats]:
         """Return the rays of a box through any implant, their line integrals, and derivatives.
 
@@ -438,7 +440,7 @@ class _Fit:
         """Return the line integrals without the implants."""
         rest = behind.line_integrals.copy()
         rows, columns = self.geometry.panel.shape
-        whole = Box(slice(0, rows), slice(0, columns))
+        whole = PixelRectangle(slice(0, rows), slice(0, columns))
         for view, image in enumerate(rest):
             rays, left, _ = self._behind(behind, view, whole)
             trust = _trust(behind.measured[view].flat[rays])

@@ -26,7 +26,7 @@ from twinct.recon.blocks import EDGE, EVERYWHERE, Blocks
 from twinct.recon.checks import Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector, check_grid
-from twinct.recon.resolution import Between, binned, blended, each_plane, interpolated
+from twinct.recon.resolution import Interpolation, binned, blended, each_plane, interpolated
 from twinct.recon.steps import residual_of
 from twinct.recon.working import WorkingVolume
 
@@ -239,10 +239,10 @@ def _images(coarse: Projector, rest: Singles, *, only_quiet: bool) -> Singles:
 
 
 @cache
-def _between(pixels: int, larger: int) -> Between:
+def _between(pixels: int, larger: int) -> Interpolation:
     """Return the centres of pixels between those of pixels two or four times as large."""
     factor = 2 if pixels // 2 == larger else 4
-    return Between.places(np.arange(0.5, pixels) / factor - 0.5, larger)
+    return Interpolation.places(np.arange(0.5, pixels) / factor - 0.5, larger)
 
 
 def _places(grid: VolumeGrid, finer: VolumeGrid) -> list[Floats]:

@@ -25,7 +25,7 @@ UNEVEN = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class Circle:
+class CircularOrbit:
     """Circular scan.
 
     Attributes:
@@ -50,7 +50,7 @@ class Circle:
         return float(self.steps.sum())
 
 
-def fit_circle(geometry: ScanGeometry, what: str = "fdk") -> Circle:
+def fit_circle(geometry: ScanGeometry, what: str = "fdk") -> CircularOrbit:
     """Fit the circle of a scan.
 
     The plane is a least-squares fit; the circle in the plane is fitted algebraically (Kasa 1976).
@@ -88,7 +88,7 @@ def fit_circle(geometry: ScanGeometry, what: str = "fdk") -> Circle:
         normal, angles = -normal, -angles
     angles -= angles[0]
     steps, full = _steps(angles)
-    circle = Circle(centre, normal, radius, angles, steps, full)
+    circle = CircularOrbit(centre, normal, radius, angles, steps, full)
     problems = _problems(circle, geometry)
     if problems:
         raise InputError(f"{what} needs a circular scan: {'; '.join(problems)}")
@@ -114,7 +114,7 @@ def _steps(angles: Floats) -> tuple[Floats, bool]:
     return (before + after) / 2, False
 
 
-def _problems(circle: Circle, geometry: ScanGeometry) -> list[str]:
+def _problems(circle: CircularOrbit, geometry: ScanGeometry) -> list[str]:
     problems: list[str] = []
 
     def bound(values: Floats, limit: float, unit: str, what: str) -> None:

@@ -74,7 +74,7 @@ def each_plane(
     away = at.world_from_grid.position - of.world_from_grid.position
     shift = of.world_from_grid.rotation.T @ away
     z, y, x = (
-        Between.places((own + middle) / edge + (n - 1) / 2, n)
+        Interpolation.places((own + middle) / edge + (n - 1) / 2, n)
         for own, middle, edge, n in zip(
             at.axes()[::-1], shift[::-1], of.voxel[::-1], of.shape, strict=True
         )
@@ -93,7 +93,7 @@ def each_plane(
 
 
 @dataclass(frozen=True, eq=False)
-class Between:
+class Interpolation:
     """Places along an axis: (1 - share) of the value ``low``, share of the next one.
 
     Beyond the values the outermost continue.
@@ -103,7 +103,7 @@ class Between:
     share: Singles
 
     @classmethod
-    def places(cls, places: Floats, count: int) -> Between:
+    def places(cls, places: Floats, count: int) -> Interpolation:
         """Return places in steps from the first of ``count`` values."""
         place = np.clip(places, 0, count - 1)
         low = np.clip(place.astype(np.int64), 0, max(count - 2, 0))
@@ -113,7 +113,7 @@ class Between:
         return cls(low, share)
 
 
-def blended(image: Singles, rows: Between, columns: Between) -> Singles:
+def blended(image: Singles, rows: Interpolation, columns: Interpolation) -> Singles:
     """Return an image at places along both axes, bilinear."""
     from twinct.recon import _linear  # only here: it loads numba
 

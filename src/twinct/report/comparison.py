@@ -130,7 +130,7 @@ class Comparison:
             keys=self.keys,
         )
 
-    def tables(self) -> dict[str, list[Row]]:
+    def tables(self) -> dict[str, list[ComparisonRow]]:
         """Return the rows of each table by its title."""
         if not self.has_truth:
             seconds = [row for row in time_rows(self.compared) if row.title == "reconstruction"]
@@ -179,7 +179,7 @@ def flat(data: Mapping[str, Any], key: str = "") -> dict[str, Any]:
     return entries
 
 
-class Row(NamedTuple):
+class ComparisonRow(NamedTuple):
     """Values, and the differences from the first value, both as text."""
 
     title: str
@@ -195,7 +195,7 @@ def row_of(
     text: Callable[[float | None], str],
     meaning: str = "",
     alike: Sequence[bool] | None = None,
-) -> Row:
+) -> ComparisonRow:
     """Return a row; a value that is not ``alike`` with the first has no difference."""
     first, cells = values[0], [(text(values[0]), "")]
     for value, counts in zip(values[1:], (alike or [True] * len(values))[1:], strict=True):
@@ -205,10 +205,10 @@ def row_of(
             sign, size = "+" if change > 0 else "−", text(abs(change))
             difference = f"{sign}{size}" if size != text(0.0) else "≈" if change else "="
         cells.append((text(value), difference))
-    return Row(title, unit, cells, meaning)
+    return ComparisonRow(title, unit, cells, meaning)
 
 
-def _judged_rows(compared: Sequence[Compared]) -> list[Row]:
+def _judged_rows(compared: Sequence[Compared]) -> list[ComparisonRow]:
     """Return the rows of figures that need no truth."""
     alike = [one.truth == compared[0].truth for one in compared]
     return [
@@ -224,7 +224,7 @@ def _judged_rows(compared: Sequence[Compared]) -> list[Row]:
     ]
 
 
-def _image_rows(compared: Sequence[Compared]) -> list[Row]:
+def _image_rows(compared: Sequence[Compared]) -> list[ComparisonRow]:
     materials = "/".join(dict.fromkeys(one.reference for one in compared))
     alike = [one.truth == compared[0].truth for one in compared]
     moves = any(one.scenario.specimen and one.scenario.specimen.motion for one in compared)
@@ -242,7 +242,7 @@ def _image_rows(compared: Sequence[Compared]) -> list[Row]:
     ]
 
 
-def _pose_rows(compared: Sequence[Compared]) -> list[Row]:
+def _pose_rows(compared: Sequence[Compared]) -> list[ComparisonRow]:
     """Return rows for executed against commanded poses, then for geometries against executed.
 
     These are the believed one and, if others are reconstructed, the others.
@@ -256,7 +256,7 @@ def _pose_rows(compared: Sequence[Compared]) -> list[Row]:
             errors[against_executed(used)] = other["pose_error"]
         for name, error in errors.items():
             by_name.setdefault(name, [None] * len(compared))[index] = error
-    rows: list[Row] = []
+    rows: list[ComparisonRow] = []
     for what, of in by_name.items():
         for arm in ("source", "detector"):
             for kind, name, unit in (
@@ -272,7 +272,7 @@ def _pose_rows(compared: Sequence[Compared]) -> list[Row]:
     return [row for row in rows if any(text != fixed(None) for text, _ in row.cells)]
 
 
-def time_rows(compared: Sequence[Compared]) -> list[Row]:
+def time_rows(compared: Sequence[Compared]) -> list[ComparisonRow]:
     """Return the seconds of each stage, and the simulated ones."""
     stages = dict.fromkeys(name for one in compared for name in one.seconds if name != "total")
     rows = [

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from twinct import scenario as sections
-from twinct.geometry import MM_PER_M, Floats, Pose
-from twinct.scenario import Detector, Scenario, Source
+from twinct.geometry import MM_PER_M, Floats, Panel, Pose
+from twinct.scenario import Detector, Part, Scenario, Source
 from twinct.specimen.sections.composition import Composition
 from twinct.xray.build import build_spectrum, effective_energy_kev
 
@@ -30,35 +30,36 @@ def physics_in_words(
     if scenario.source.spectrum is not None:
         energy = effective_energy_kev(scenario.source, scenario.detector)
         words.append(f"mean energy seen by the detector {energy:.1f} keV")
-    photons = _photons(scenario, source, panel, float(loads[0]))
+    lattice, n = scenario.detector.panel, scenario.detector.binning
+    photons = _photons(scenario.source, lattice, source, panel, float(loads[0]))
     if photons is not None:
         words.append(f"{photons:.3g} photons per pixel in the free beam")
-    words += _rendered(scenario)
-    lattice, n = scenario.detector.panel, scenario.detector.binning
+    words += _rendered(scenario.engine, scenario.specimen.parts)
     size = f"{lattice.columns} × {lattice.rows} px of {lattice.pitch_u:g} × {lattice.pitch_v:g} mm"
     size += f", each binned from {n} × {n}" if n > 1 else ""
     return {
         "Source": "; ".join(words),
-        "Detector": "; ".join([size, *_signal(scenario), *_raw(scenario.detector)]),
+        "Detector": "; ".join(
+            [size, *_signal(scenario.detector, scenario.specimen.parts), *_raw(scenario.detector)]
+        ),
     }
 
 
-def _rendered(scenario: Scenario) -> Iterator[str]:
+def _rendered(engine: str | None, parts: Sequence[Part]) -> Iterator[str]:
     """Say who renders what, unless the usual engine renders all."""
-    own = [part.label for part in scenario.specimen.parts if part.own_rays]
-    if scenario.engine not in (None, sections.Xray().engine) or (own and scenario.engine):
-        yield f"rendered by {scenario.engine}"
+    own = [part.label for part in parts if part.own_rays]
+    if engine not in (None, sections.Xray().engine) or (own and engine):
+        yield f"rendered by {engine}"
     if own:
-        apart = f"{', '.join(own)} by " if scenario.engine else "rendered by "
+        apart = f"{', '.join(own)} by " if engine else "rendered by "
         yield f"{apart}rays of {'its' if len(own) == 1 else 'their'} own"
 
 
-def _photons(scenario: Scenario, source: Pose, panel: Pose, mas: float) -> float | None:
+def _photons(beam: Source, lattice: Panel, source: Pose, panel: Pose, mas: float) -> float | None:
     """Return the number of photons per image pixel in the free beam; None if it is unknown."""
-    spectrum = build_spectrum(scenario.source)
+    spectrum = build_spectrum(beam)
     if not spectrum.absolute:
         return None
-    lattice = scenario.detector.panel
     to_source = np.subtract(source.position, panel.position)
     distance = float(np.linalg.norm(to_source))
     cosine = float(abs(panel.rotation[:, 2] @ to_source)) / distance
@@ -105,16 +106,15 @@ def _response(detector: Detector) -> list[str]:
             return []
 
 
-def _signal(scenario: Scenario) -> Iterator[str]:
+def _signal(detector: Detector, parts: Sequence[Part]) -> Iterator[str]:
     """Describe the signal up to the readout; of a patient, also what it leaves out."""
-    detector = scenario.detector
     yield from _response(detector)
     spread, noise = detector.point_spread, detector.noise
     if (n := detector.pixel_samples) > 1:
         yield f"{n} × {n} samples a pixel"
     if detector.scatter is not None:
         yield f"scatter × {detector.scatter.scale:g}"
-    elif not all(part.homogeneous for part in scenario.specimen.parts):
+    elif not all(part.homogeneous for part in parts):
         yield "without scatter"
     if detector.lag:
         yield f"lag {100 * detector.lag:g} %"

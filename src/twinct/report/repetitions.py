@@ -47,7 +47,7 @@ class StudyTrial:
     report: str = ""
 
 
-class Mean(NamedTuple):
+class MeanAndInterval(NamedTuple):
     """Mean over n repetitions, and half the width of its interval; None if undefined."""
 
     mean: float | None
@@ -55,7 +55,7 @@ class Mean(NamedTuple):
     n: int
 
 
-def mean_of(values: Iterable[float | None]) -> Mean:
+def mean_of(values: Iterable[float | None]) -> MeanAndInterval:
     """Compute mean and Student's interval, mean +- t s / sqrt(n) with n - 1 degrees of freedom.
 
     Source: Student, The probable error of a mean, Biometrika 6 (1908). None values are ignored;
@@ -63,12 +63,12 @@ def mean_of(values: Iterable[float | None]) -> Mean:
     """
     x = np.array([value for value in values if value is not None], dtype=np.float64)
     if not x.size:
-        return Mean(None, None, 0)
+        return MeanAndInterval(None, None, 0)
     half = None
     if x.size > 1:
         quantile = scipy.special.stdtrit(x.size - 1, 0.5 + CONFIDENCE / 2)
         half = float(quantile * x.std(ddof=1) / math.sqrt(x.size))
-    return Mean(float(x.mean()), half, x.size)
+    return MeanAndInterval(float(x.mean()), half, x.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Combination:
             if value is not None
         }
 
-    def mean(self, figure: str) -> Mean:
+    def mean(self, figure: str) -> MeanAndInterval:
         """Return the mean of a figure over the repetitions."""
         return mean_of(value for _, value in self.values_of(figure).values())
 
@@ -129,7 +129,7 @@ class Trend:
     """
 
     values: Sequence[Any]
-    lines: Sequence[tuple[tuple[Any, ...], Sequence[tuple[Any, Mean]]]]
+    lines: Sequence[tuple[tuple[Any, ...], Sequence[tuple[Any, MeanAndInterval]]]]
     cloud: Sequence[tuple[Any, float]]
     averaged: bool
     others: Sequence[int]
@@ -177,7 +177,7 @@ def trend(combinations: Sequence[Combination], axis: int, figure: str) -> Trend:
         by_others.setdefault(tuple(one.keys[place] for place in others), []).append(one)
 
     many, averaged = len(values) > MOST_VALUES, len(by_others) > MOST_LINES
-    lines: list[tuple[tuple[Any, ...], list[tuple[Any, Mean]]]] = []
+    lines: list[tuple[tuple[Any, ...], list[tuple[Any, MeanAndInterval]]]] = []
     if averaged and not many:
         lines = [((), [(c[0].values[axis], _average(c, figure)) for c in by_value.values()])]
     elif not many:
@@ -202,7 +202,7 @@ def trend(combinations: Sequence[Combination], axis: int, figure: str) -> Trend:
     )
 
 
-def _average(combinations: Sequence[Combination], figure: str) -> Mean:
+def _average(combinations: Sequence[Combination], figure: str) -> MeanAndInterval:
     """Average over combinations, then over their common seeds.
 
     Differences between combinations are no uncertainty; only the averages of the seeds show it.
@@ -214,4 +214,4 @@ def _average(combinations: Sequence[Combination], figure: str) -> Mean:
             sum(one[seed][1] for one in by_seed) / len(by_seed) for seed in sorted(seeds)
         )
     means = [sum(value for _, value in one.values()) / len(one) for one in by_seed]
-    return Mean(sum(means) / len(means), None, 0)
+    return MeanAndInterval(sum(means) / len(means), None, 0)

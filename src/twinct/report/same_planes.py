@@ -16,7 +16,7 @@ TURNED = 1e-9
 """Largest difference of two rotation matrices that counts as the same axes."""
 
 
-class Plane(NamedTuple):
+class AxisPlane(NamedTuple):
     """Plane that is orthogonal to an axis of some frame.
 
     Attributes:
@@ -34,7 +34,7 @@ class Plane(NamedTuple):
 
 def planes_through(
     grid: VolumeGrid, bounds: Floats, world_from_specimen: Pose, hit: Callable[[VolumeGrid], bool]
-) -> dict[str, Plane]:
+) -> dict[str, AxisPlane]:
     """Return the planes in the report of a grid: through its middle, or through the specimen's.
 
     Args:
@@ -52,12 +52,12 @@ def planes_through(
     low, high = (
         np.clip(f(axis=0), centre - half, centre + half) for f in (corners.min, corners.max)
     )
-    planes: dict[str, Plane] = {}
+    planes: dict[str, AxisPlane] = {}
     for name, normal in PLANES.items():
         axis = 2 - normal
         # The middle voxel, or the upper one of two.
         middle = centre[axis] + (grid.voxel[axis] / 2 if grid.shape[normal] % 2 == 0 else 0.0)
-        plane = Plane(normal, float(middle), frame, "grid " if turned else "")
+        plane = AxisPlane(normal, float(middle), frame, "grid " if turned else "")
         layer = layer_of(plane, grid)
         if layer is None or not hit(layer):
             plane = plane._replace(place_mm=float((low[axis] + high[axis]) / 2))
@@ -65,7 +65,7 @@ def planes_through(
     return planes
 
 
-def layer_of(plane: Plane, grid: VolumeGrid) -> VolumeGrid | None:
+def layer_of(plane: AxisPlane, grid: VolumeGrid) -> VolumeGrid | None:
     """Return the voxels of a grid that a plane cuts, as one layer along the plane's frame.
 
     The layer of a rotated grid has voxels of the grid's smallest edge, all over its bounds. None if
@@ -91,7 +91,7 @@ def layer_of(plane: Plane, grid: VolumeGrid) -> VolumeGrid | None:
 
 
 def section_at(
-    plane: Plane,
+    plane: AxisPlane,
     volume: ArrayLike,
     grid: VolumeGrid,
     layer: VolumeGrid,

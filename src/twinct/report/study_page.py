@@ -19,7 +19,7 @@ from twinct.report.figure_words import figure_words
 from twinct.report.page import stage_title
 from twinct.report.repetitions import (
     Combination,
-    Mean,
+    MeanAndInterval,
     StudyTrial,
     combinations,
     numeric,
@@ -251,7 +251,7 @@ def _digits(
 
 class _Row(NamedTuple):
     values: list[str]
-    means: dict[str, Mean]
+    means: dict[str, MeanAndInterval]
     failed: int
     links: list[tuple[str, int]]
     more: int

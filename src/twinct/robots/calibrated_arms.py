@@ -28,7 +28,7 @@ SAME_MM = 1e-6
 """Maximum difference between the nominal frames of one cell."""
 
 
-class Change(NamedTuple):
+class ArmDeviations(NamedTuple):
     """Deviations of an arm from its nominal chain, with any number of leading axes.
 
     Attributes:
@@ -46,7 +46,7 @@ class Change(NamedTuple):
     gear: Floats
 
 
-def changed_tools(chain: Chain, change: Change, periods: int, joints: Floats) -> Floats:
+def changed_tools(chain: Chain, change: ArmDeviations, periods: int, joints: Floats) -> Floats:
     """Return ``world_from_tool`` of an arm that deviates from its chain.
 
     Args:
@@ -82,7 +82,7 @@ class CalibratedArms:
     """
 
     chains: tuple[Chain, Chain]
-    changes: tuple[Change, Change]
+    changes: tuple[ArmDeviations, ArmDeviations]
     gear_periods: int
     phantom_from_room: Pose
     made_by: Mapping[str, Any]
@@ -209,9 +209,9 @@ def require_same_arms(
             )
 
 
-def _change(data: Mapping[str, Any], joints: int) -> Change:
+def _change(data: Mapping[str, Any], joints: int) -> ArmDeviations:
     shapes = {"links": (joints, 6), "tool": (6,), "compliance": (joints,), "gear": (joints, 2)}
-    change = Change(**{name: np.array(data[name], float) for name in shapes})
+    change = ArmDeviations(**{name: np.array(data[name], float) for name in shapes})
     for name, shape in shapes.items():
         array = getattr(change, name)
         if array.shape != shape or not np.isfinite(array).all():

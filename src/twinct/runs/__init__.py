@@ -17,7 +17,7 @@ from twinct.runs.importing import import_recordings
 from twinct.runs.job import Run, rewrite_report, run
 from twinct.runs.needs import Need, needs, require_memory
 from twinct.runs.reconstruction import derive_geometry, load_scan, reconstruct_run
-from twinct.runs.reconstruction_folder import Reconstruction
+from twinct.runs.reconstruction_folder import StoredReconstruction
 from twinct.runs.reporting import evaluate, judge
 from twinct.runs.truth import Truth, truth_of
 from twinct.runs.verify import Verdict, verify
@@ -29,7 +29,7 @@ __all__ = [
     "Figures",
     "Folder",
     "Need",
-    "Reconstruction",
+    "StoredReconstruction",
     "Run",
     "Truth",
     "Verdict",

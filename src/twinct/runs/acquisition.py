@@ -26,6 +26,7 @@ from twinct.scan import (
     Stopwatch,
     View,
     acquire,
+    image_digests,
     local_rig,
 )
 from twinct.scenario import Scenario, as_scenario
@@ -162,7 +163,9 @@ def acquire_to_store(
         ScanExistsError: a scan exists and ``resume`` is false, or it belongs to another scenario.
     """
     scenario, targets = builder.scenario, builder.targets
-    store = ScanStore.resume(path, scenario) if resume and path.exists() else None
+    store = None
+    if resume and path.exists():
+        store = ScanStore.resume(path, image_digests(scenario))
     missing = store.missing if store else [range(len(targets))]
 
     def keep(index: int, image: NDArray[np.float32], reached: Reached) -> None:

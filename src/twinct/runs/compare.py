@@ -16,11 +16,15 @@ from twinct.geometry import Pose, VolumeGrid
 from twinct.observers import Observers, audience_of
 from twinct.recon.volume import Volume
 from twinct.report import Compared, Comparison, CrossSection, plain, with_results
-from twinct.report.same_planes import Plane, layer_of, planes_through, section_at
+from twinct.report.same_planes import AxisPlane, layer_of, planes_through, section_at
 from twinct.runs.folder import Folder
 from twinct.runs.job import Run, finished_run
 from twinct.runs.known_motion import as_reconstructed, phase_of_truth
-from twinct.runs.reconstruction_folder import Reconstruction, check_files, stored_reconstructions
+from twinct.runs.reconstruction_folder import (
+    StoredReconstruction,
+    check_files,
+    stored_reconstructions,
+)
 from twinct.scan import ScanStore, SimulationBuilder
 from twinct.scenario import SECTIONS, Scenario, specimen_digest
 from twinct.specimen import BuiltSpecimen
@@ -49,7 +53,7 @@ def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Compari
     entries = _entries(paths)
     labels = _labels(entries)
     specimens: dict[str, BuiltSpecimen] = {}
-    planes: dict[str, Plane] = {}
+    planes: dict[str, AxisPlane] = {}
     compared: list[Compared] = []
     with audience_of(observers) as audience, audience.stage("slices", len(entries)) as step:
         for entry, label in zip(entries, labels, strict=True):
@@ -75,7 +79,7 @@ def _has_no_truth(path: Path) -> bool:
 
 def _without_truth(paths: Sequence[Path], observers: Observers) -> Comparison:
     """Compare volumes of imported scans."""
-    volumes: list[tuple[Folder, Reconstruction]] = []
+    volumes: list[tuple[Folder, StoredReconstruction]] = []
     for path in paths:
         volumes += _volumes(path)
     places = [one.path.resolve() for _, one in volumes]
@@ -85,7 +89,7 @@ def _without_truth(paths: Sequence[Path], observers: Observers) -> Comparison:
         raise InputError(f"{counted(len(volumes), 'volume')}: at least two are needed")
     scans = [folder.path.resolve() for folder, _ in volumes]
     common = Path(os.path.commonpath([scan.parent for scan in scans]))
-    planes: dict[str, Plane] = {}
+    planes: dict[str, AxisPlane] = {}
     compared: list[Compared] = []
     with audience_of(observers) as audience, audience.stage("slices", len(volumes)) as step:
         for (folder, one), scan in zip(volumes, scans, strict=True):
@@ -95,7 +99,7 @@ def _without_truth(paths: Sequence[Path], observers: Observers) -> Comparison:
     return Comparison(tuple(compared))
 
 
-def _volumes(path: Path) -> list[tuple[Folder, Reconstruction]]:
+def _volumes(path: Path) -> list[tuple[Folder, StoredReconstruction]]:
     folder = _scan_folder(path)
     if not _has_no_truth(path):
         raise InputError(
@@ -104,7 +108,7 @@ def _volumes(path: Path) -> list[tuple[Folder, Reconstruction]]:
         )
     if folder.path is not path and path.is_dir():
         check_files(path)
-        return [(folder, Reconstruction.read(path))]
+        return [(folder, StoredReconstruction.read(path))]
     volumes = stored_reconstructions(folder.reconstructions) if folder.path is path else {}
     if not volumes:
         raise InputError(f"{path} holds no volume yet; 'twinct reconstruct' makes one")
@@ -112,7 +116,7 @@ def _volumes(path: Path) -> list[tuple[Folder, Reconstruction]]:
 
 
 def _compared_without_truth(
-    folder: Folder, one: Reconstruction, label: str, planes: dict[str, Plane]
+    folder: Folder, one: StoredReconstruction, label: str, planes: dict[str, AxisPlane]
 ) -> Compared:
     """Cut a volume along the planes; choose those through the middle if there are none yet."""
     store = ScanStore(folder.scan)
@@ -160,7 +164,7 @@ class _Entry:
     path: Path
     run: Run
     scenario: Scenario
-    reconstruction: Reconstruction | None = None
+    reconstruction: StoredReconstruction | None = None
 
     def volume(self) -> Volume:
         """Read the volume; it is not cached, as the volumes of all runs may exceed the memory."""
@@ -205,7 +209,7 @@ def _entry(path: Path) -> _Entry:
     folder = path.resolve()
     if folder.parent.name == "reconstructions":
         check_files(path)
-        reconstruction, folder = Reconstruction.read(path), folder.parents[1]
+        reconstruction, folder = StoredReconstruction.read(path), folder.parents[1]
     run = finished_run(Folder(folder if reconstruction else path))
     run = Run(run.scenario, run.paths)  # drops the volume that finished_run has read
     _ = run.figures  # reports unreadable figures now
@@ -231,7 +235,7 @@ def _labels(entries: Sequence[_Entry]) -> list[str]:
 
 
 def _compared(
-    entry: _Entry, label: str, specimen: BuiltSpecimen, planes: dict[str, Plane], truth: str
+    entry: _Entry, label: str, specimen: BuiltSpecimen, planes: dict[str, AxisPlane], truth: str
 ) -> Compared:
     """Cut a volume along the planes; choose the planes if there are none yet."""
     scenario, run, reconstruction = entry.scenario, entry.run, entry.reconstruction

@@ -15,7 +15,13 @@ from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose, ScanGeometry
 from twinct.rays import Body
-from twinct.recon.known_components import Beam, FittedImplant, Implant, outside, without_implants
+from twinct.recon.known_components import (
+    Beam,
+    BelievedImplant,
+    FittedImplant,
+    outside,
+    without_implants,
+)
 from twinct.recon.metal import without_metal
 from twinct.recon.projector import Projector
 from twinct.recon.sart import sart
@@ -56,11 +62,11 @@ class ImplantModels:
 
     name: str
     material: Material
-    implant: Implant
+    implant: BelievedImplant
 
 
 @dataclass(frozen=True, eq=False)
-class WithoutImplants:
+class ScanWithoutImplants:
     """Line integrals without known implants, and the implants.
 
     Attributes:
@@ -131,7 +137,7 @@ def without_implants_of(
     A: Projector,
     mask: NDArray[np.bool_] | None,
     callback: Callback,
-) -> WithoutImplants:
+) -> ScanWithoutImplants:
     """Correct line integrals as the scenario states, and remove its known implants.
 
     Args:
@@ -172,7 +178,7 @@ def without_implants_of(
         callback=callback,
     )
     stands = _place(settings)
-    result = WithoutImplants(taken.line_integrals, known, taken.fitted, stands, energy)
+    result = ScanWithoutImplants(taken.line_integrals, known, taken.fitted, stands, energy)
     for one in result.results():
         log.info(
             "implant %s: moved by %.3f mm and %.3f deg from where it was believed, density %.3f",
@@ -233,7 +239,7 @@ def known_implants(settings: ScanSettings, section: KnownImplants) -> list[Impla
             problems += error.problems
             continue
         place = _place(settings) @ part.specimen_from_part
-        known.append(ImplantModels(name, substance, Implant(body, place)))
+        known.append(ImplantModels(name, substance, BelievedImplant(body, place)))
     if problems:
         raise InputError(problems)
     return known

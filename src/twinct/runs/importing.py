@@ -15,11 +15,11 @@ from twinct.scan import SimulationBuilder
 
 if TYPE_CHECKING:
     from twinct.geometry.wire import Reached
-    from twinct.link.recording import Recorded
+    from twinct.link.recording import RecoveredScan
     from twinct.xray.chain import ViewImages
 
 
-def import_recordings(paths: Sequence[str | Path], out: str | Path) -> Recorded:
+def import_recordings(paths: Sequence[str | Path], out: str | Path) -> RecoveredScan:
     """Create a run's folder from recordings of a scan.
 
     ``run(..., resume=True)`` acquires the views that are missing. Raw, flat and dark images are not

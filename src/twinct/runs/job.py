@@ -60,6 +60,7 @@ from twinct.scan import (
     ScanStore,
     SimulationBuilder,
     check_space,
+    image_digests,
     named_geometries,
     scenario_in,
 )
@@ -160,7 +161,7 @@ def run(
     folder.refuse_others()
     store = resumable(folder, scenario) if resume and folder.scan.exists() else None
     if store:
-        store.refuse_other(scenario)
+        store.refuse_other(image_digests(scenario))
         scenario = with_files_in(scenario, folder.inputs)
     require_extras(scenario)
     chosen = link or installed_link()

@@ -14,7 +14,7 @@ from twinct.core.files.writing import check_folder, storage_errors
 from twinct.geometry import Floats, fibonacci_directions
 from twinct.observers import Observers, audience_of
 from twinct.robots.cell import overlaps, tell_if_undrawable
-from twinct.robots.reach import Bounds, Holder, Placement, Poses, Reach, poses_of
+from twinct.robots.reach import Bounds, Holder, Placement, Reach, TargetPoses, poses_of
 from twinct.robots.reach import place as place_arms
 from twinct.robots.reach import reach as reach_of
 from twinct.robots.reach.results import draw_room, draw_sphere, write_tables
@@ -193,7 +193,9 @@ def _orbit(builder: SimulationBuilder) -> tuple[float, float, Floats]:
     return float(far[0]), float(far[1]), centre
 
 
-def _share(builder: SimulationBuilder, cell: Cell, poses: Poses, free: tuple[bool, bool]) -> float:
+def _share(
+    builder: SimulationBuilder, cell: Cell, poses: TargetPoses, free: tuple[bool, bool]
+) -> float:
     """Return the share of poses that both arms hold; 0 if fixed bodies overlap."""
     model = builder.cell_of(cell)
     if overlaps(model):
@@ -203,7 +205,7 @@ def _share(builder: SimulationBuilder, cell: Cell, poses: Poses, free: tuple[boo
 
 def _views_to_serve(
     builder: SimulationBuilder, sphere: bool
-) -> tuple[tuple[bool, bool], Poses, Poses]:
+) -> tuple[tuple[bool, bool], TargetPoses, TargetPoses]:
     """Return the free rolls, the views for the search, and the views that evaluate its result."""
     if sphere:
         sod, odd, centre = _orbit(builder)

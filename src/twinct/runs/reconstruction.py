@@ -23,7 +23,7 @@ from twinct.runs.job import Run, finished_run, rewrite_report, scan_of
 from twinct.runs.judging import ByTruth, WithoutTruth, judge_of
 from twinct.runs.log import logged_to
 from twinct.runs.reconstruction_folder import (
-    Reconstruction,
+    StoredReconstruction,
     free_name,
     reconstruction_base,
     stored_reconstructions,
@@ -36,7 +36,6 @@ from twinct.scan import (
     ScanStore,
     checked_name,
     free_geometry_name,
-    reported,
     scenario_in,
 )
 from twinct.scenario.imported import ScanSettings
@@ -82,7 +81,7 @@ def derive_geometry(
         audience.stage(f"geometry {name}", 1) as step,
     ):
         scan = Run(scenario, folder).scan
-        poses = reported(scenario, scan.joints, scan.executed, scan.commanded, name)
+        poses = scan.simulated.with_settings(scenario).reported_as(name)
         if name in scan.derived and scan.derived[name].digest != poses.digest:
             raise ScanExistsError(
                 f"{folder.geometries / name}.json holds another geometry; choose another --as"
@@ -100,7 +99,7 @@ def reconstruct_run(
     name: str | None = None,
     halves: bool = False,
     observers: Observers = (),
-) -> Reconstruction:
+) -> StoredReconstruction:
     """Add a reconstruction to a scan's folder, and update its figures and its report.
 
     An identical reconstruction is not computed again: the existing one is returned, and shown in
@@ -166,7 +165,7 @@ def reconstruct_run(
     return there
 
 
-def _is_reported(folder: Folder, there: Reconstruction) -> bool:
+def _is_reported(folder: Folder, there: StoredReconstruction) -> bool:
     """Return True if the run's figures, which are written last, name a reconstruction."""
     reported = read_metrics(folder.metrics).get("reconstructions", {}).get(there.name, {})
     return reported.get("digest") == there.digest
@@ -194,12 +193,12 @@ def _made(
     folder: Folder,
     called: tuple[str, str, str, str],
     audience: Audience,
-) -> tuple[Reconstruction, Volume]:
+) -> tuple[StoredReconstruction, Volume]:
     settings, (name, digest, which, of_geometry) = scan.settings, called
     check_corrections(settings)
     require_feasible(settings, scan.provenance.first.geometry(settings.detector.panel))
     volume, residuals, seconds = timed_volume(scan, folder, which, audience)
-    reconstruction = Reconstruction(
+    reconstruction = StoredReconstruction(
         name=name,
         digest=digest,
         geometry=which,

@@ -38,7 +38,7 @@ MOST_SECTION_BYTES = 2**30
 
 
 @dataclass(frozen=True, eq=False)
-class Reconstruction:
+class StoredReconstruction:
     """A reconstruction of a scan, stored beside the run's own volume, if it has one.
 
     Attributes:
@@ -116,7 +116,7 @@ class Reconstruction:
             data["files"] = {name: file_digest(draft / name) for name in _FILES}
             write_json(draft / RECORD, data)
 
-    def with_figures(self, figures: VolumeFigures) -> Reconstruction:
+    def with_figures(self, figures: VolumeFigures) -> StoredReconstruction:
         """Replace the figures, also in the folder, and return the reconstruction with them."""
         file = _record_of(self.path)
         key = "figures" if file.name == RECORD else "judgement"
@@ -124,7 +124,7 @@ class Reconstruction:
         return dataclasses.replace(self, figures=figures)
 
     @classmethod
-    def read(cls, path: Path) -> Reconstruction:
+    def read(cls, path: Path) -> StoredReconstruction:
         """Read a folder that ``keep`` wrote, without the voxels.
 
         Raises:
@@ -209,7 +209,7 @@ def check_files(path: Path) -> None:
     Raises:
         InputError: the folder cannot be read, or a file differs from its digest.
     """
-    Reconstruction.read(path)
+    StoredReconstruction.read(path)
     data = read_json(_record_of(path))
     for name, digest in data.get("files", {}).items():
         if not (path / name).is_file() or file_digest(path / name) != digest:
@@ -243,7 +243,7 @@ def file_digest(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def stored_reconstructions(folder: Path) -> dict[str, Reconstruction]:
+def stored_reconstructions(folder: Path) -> dict[str, StoredReconstruction]:
     """Read all reconstructions in a folder, by name; an absent folder has none.
 
     Raises:
@@ -252,10 +252,10 @@ def stored_reconstructions(folder: Path) -> dict[str, Reconstruction]:
     if not folder.is_dir():
         return {}
     paths = sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
-    return {path.name: Reconstruction.read(path) for path in paths}
+    return {path.name: StoredReconstruction.read(path) for path in paths}
 
 
-def _plain(reconstruction: Reconstruction) -> dict[str, Any]:
+def _plain(reconstruction: StoredReconstruction) -> dict[str, Any]:
     data = {
         name: getattr(reconstruction, name)
         for name in (one.name for one in dataclasses.fields(reconstruction))

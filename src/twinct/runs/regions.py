@@ -15,7 +15,7 @@ from twinct.evaluation import (
     Again,
     Measurement,
     RoundBody,
-    Voxels,
+    VoxelSet,
     ball,
     cuboid,
     cylinder,
@@ -51,7 +51,7 @@ class Places:
         """The section ``evaluation``, or an empty one."""
         return self.scenario.evaluation or Evaluation()
 
-    def region(self, name: str) -> Voxels:
+    def region(self, name: str) -> VoxelSet:
         """Return the voxels of a region."""
         region = self.section.region(name)
         pose, shape = self.world_from_specimen @ region.specimen_from_region, region.shape
@@ -67,7 +67,7 @@ class Places:
             case scenario.WholePart():
                 return self.part(shape.part)
 
-    def part(self, name: str) -> Voxels:
+    def part(self, name: str) -> VoxelSet:
         """Return all voxels that a part fills, even partly, or that a label fills by half."""
         part = self._built.named(name, "evaluation")
         if label := part.label_of(name):
@@ -78,9 +78,9 @@ class Places:
         place = self.world_from_specimen
         box = cuboid(self.grid, place @ middle, high - low + 2 * self.grid.voxel.max()).box
         if not all(side.stop > side.start for side in box):
-            return Voxels(box, np.zeros([s.stop - s.start for s in box], dtype=np.bool_))
+            return VoxelSet(box, np.zeros([s.stop - s.start for s in box], dtype=np.bool_))
         grid = self.grid.part(box)
-        return Voxels(box, volume_fractions(mesh.vertices, mesh.faces, grid, place) > 0)
+        return VoxelSet(box, volume_fractions(mesh.vertices, mesh.faces, grid, place) > 0)
 
     @property
     def _built(self) -> BuiltSpecimen:

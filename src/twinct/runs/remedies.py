@@ -13,7 +13,7 @@ from twinct.core.files.writing import check_picture, storage_errors
 from twinct.core.progress import SILENT, Effort, Progress, WorkSpentError, counted
 from twinct.robots.cell import Marks, overlaps, render_cell
 from twinct.robots.motion.feasible import Indices
-from twinct.robots.reach import CureSearch, Holder, Poses, reasons, shown
+from twinct.robots.reach import CureSearch, Holder, TargetPoses, reasons, shown
 from twinct.robots.reach.cures import MORE
 from twinct.runs.longest_arc import PATH_VIEWS, longest_arc
 from twinct.scan import SimulationBuilder
@@ -154,10 +154,12 @@ def pictured(builder: SimulationBuilder, picture: Path, view: int) -> list[str]:
     return [f"picture of view {view}: {picture}"]
 
 
-def requested_poses(builder: SimulationBuilder, views: Indices | slice = slice(None)) -> Poses:
+def requested_poses(
+    builder: SimulationBuilder, views: Indices | slice = slice(None)
+) -> TargetPoses:
     """Return the requested poses of source and panel in some views."""
     geometry = builder.requested[views]
-    return Poses.of(geometry.source_poses(), geometry.detector_poses())
+    return TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
 
 
 def _holder(builder: SimulationBuilder) -> Holder:

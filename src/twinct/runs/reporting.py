@@ -44,7 +44,7 @@ from twinct.runs.predicted_and_measured import (
     planned_detectability,
     stored_predictions,
 )
-from twinct.runs.reconstruction_folder import Reconstruction, stored_reconstructions
+from twinct.runs.reconstruction_folder import StoredReconstruction, stored_reconstructions
 from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.truth import Truth, truth_of
@@ -276,7 +276,7 @@ def _reprojection(scan: Scan, taken: PosePairs) -> dict[str, float]:
     return {name: float(of(off)) for name, of in (("mean", np.mean), ("max", np.max))}
 
 
-def _others(reconstructions: Iterable[Reconstruction]) -> list[Another]:
+def _others(reconstructions: Iterable[StoredReconstruction]) -> list[Another]:
     return [
         Another(
             one.name,

@@ -30,7 +30,12 @@ from twinct.recon.unexplained import compared_views
 from twinct.recon.volume import Volume
 from twinct.runs.checkpoints import Checkpoints, Follower
 from twinct.runs.checks import check_engine
-from twinct.runs.implants import WithoutImplants, check_implants, volumes_of, without_implants_of
+from twinct.runs.implants import (
+    ScanWithoutImplants,
+    check_implants,
+    volumes_of,
+    without_implants_of,
+)
 from twinct.runs.integrals import hardening_bytes, hardening_corrected
 from twinct.runs.known_motion import gated_scan, motion_bytes, projector_of, views_that_count
 from twinct.runs.metal_reduction import doubts, metal_replaced
@@ -250,11 +255,11 @@ def _corrected(
     algorithm: Algorithm[Any],
     pixels: NDArray[np.bool_] | None,
     audience: Audience,
-) -> tuple[NDArray[np.float32], WithoutMetal | WithoutImplants | None, list[str]]:
+) -> tuple[NDArray[np.float32], WithoutMetal | ScanWithoutImplants | None, list[str]]:
     """Return the line integrals as the scenario corrects them, metal to put back, and warnings."""
     stated, section = scan.settings, scan.settings.reconstruction
     integrals, warnings = scan.line_integrals(), list[str]()
-    metal: WithoutMetal | WithoutImplants | None = None
+    metal: WithoutMetal | ScanWithoutImplants | None = None
     if isinstance(section.metal, KnownImplants):
         with audience.stage("implants", volumes_of(section.metal) * len(A)) as tick:
             known = stated, section.metal, integrals, A, pixels

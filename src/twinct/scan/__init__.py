@@ -5,7 +5,7 @@ from twinct.scan.builder import SimulationBuilder
 from twinct.scan.damage import frame_damage, unknown_files, view_damage
 from twinct.scan.data import Scan, View
 from twinct.scan.integrals import line_integrals
-from twinct.scan.layout import write_frame
+from twinct.scan.layout import image_digests, write_frame
 from twinct.scan.named_geometries import (
     OWN,
     RELATIVE,
@@ -14,7 +14,7 @@ from twinct.scan.named_geometries import (
     free_geometry_name,
     named_geometries,
 )
-from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, reported, scenario_in
+from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, scenario_in
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
 from twinct.scan.saving import save_scan
 from twinct.scan.store import Readings, ScanStore, check_space
@@ -40,11 +40,11 @@ __all__ = [
     "check_space",
     "checked_name",
     "frame_damage",
+    "image_digests",
     "free_geometry_name",
     "line_integrals",
     "local_rig",
     "named_geometries",
-    "reported",
     "save_scan",
     "scenario_in",
     "unknown_files",

@@ -21,7 +21,7 @@ from twinct.recon.few_photons import integrals_of_photons
 from twinct.scan.integrals import line_integrals
 from twinct.scan.named_geometries import NamedGeometry
 from twinct.scan.provenance import Acquired, Provenance, Simulated, simulated
-from twinct.scenario import Scenario
+from twinct.scenario import Detector, Scenario
 from twinct.scenario.imported import ScanSettings
 
 if TYPE_CHECKING:
@@ -214,7 +214,8 @@ class Scan:
             exposure=tuple(r.exposure for r in reached) if reached[0].exposure else (),
             acquired=Acquired(tuple(reached), transmission, plan),
         )
-        return cls(provenance, transmission, bad_pixels=bad_pixels_of(scenario), mas=mas)
+        bad_pixels = bad_pixels_of(scenario.detector, scenario.seed)
+        return cls(provenance, transmission, bad_pixels=bad_pixels, mas=mas)
 
     def save(self, path: str | Path) -> None:
         """Write the scan as a store, as a run does; ``load_scan`` reads it.
@@ -385,14 +386,14 @@ def _draw(
     figure.colorbar(ScalarMappable(norm, "gray"), ax=everywhere, label="line integral, −ln(I / I₀)")
 
 
-def bad_pixels_of(scenario: Scenario) -> NDArray[np.bool_] | None:
-    """Return a scenario's map of bad pixels, (rows, columns); None if it has none.
+def bad_pixels_of(detector: Detector, seed: int) -> NDArray[np.bool_] | None:
+    """Return a detector's map of bad pixels, (rows, columns); None if it has none.
 
     Raises:
         InputError: the file with the map is unusable.
     """
-    if scenario.detector.bad_pixels is None:
+    if detector.bad_pixels is None:
         return None
     from twinct.xray.build import build_bad_pixels
 
-    return build_bad_pixels(scenario.detector, scenario.seed)
+    return build_bad_pixels(detector, seed)

@@ -80,23 +80,6 @@ def _write_plan(root: Any, plan: MotionPlan) -> None:
             group.create_array(name, data=values, chunks=values.shape, compressors=whole)
 
 
-def _attributes(
-    scenario: Scenario,
-    joint_names: tuple[str, ...],
-    digests: dict[str, str] | None,
-    files: tuple[str, ...],
-) -> dict[str, Any]:
-    panel = scenario.detector.panel
-    return {
-        "format": WITH_MANIFEST if joint_names else FORMAT,
-        "digests": digests or image_digests(scenario),
-        "scenario": scenario.resolved(),
-        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
-        "joint_names": list(joint_names),
-        **({"recorded": list(files)} if files else {}),
-    }
-
-
 @dataclass
 class _Frame:
     """Store without views that is being written."""
@@ -163,9 +146,18 @@ def write_frame(
 
     ``digests`` default to digests of the current files. ``files``: recordings of real arms.
     """
-    frame = _frame(path, len(commanded), _attributes(scenario, joint_names, digests, files))
+    panel = scenario.detector.panel
+    attributes = {
+        "format": WITH_MANIFEST if joint_names else FORMAT,
+        "digests": digests or image_digests(scenario),
+        "scenario": scenario.resolved(),
+        "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
+        "joint_names": list(joint_names),
+        **({"recorded": list(files)} if files else {}),
+    }
+    frame = _frame(path, len(commanded), attributes)
     for name in dict.fromkeys(("transmission", *scenario.detector.keep)):
-        frame.add(name, scenario.detector.panel.shape, "f4", compressed=True)
+        frame.add(name, panel.shape, "f4", compressed=True)
     for name, shape in frame.put_poses("commanded", commanded):
         frame.add(name.replace("commanded", "executed"), shape)
     frame.add("executed/object", (3,))
@@ -177,7 +169,7 @@ def write_frame(
     frame.add("state", (state_size,))
     for name in ("simulated_s", "clearance_mm"):
         frame.add(name, ())
-    frame.put(**{BAD_PIXELS: bad_pixels_of(scenario), MAS: mas})
+    frame.put(**{BAD_PIXELS: bad_pixels_of(scenario.detector, scenario.seed), MAS: mas})
     frame.add("status", (), "u1")
     if plan is not None:
         _write_plan(frame.group, plan)

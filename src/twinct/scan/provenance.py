@@ -18,7 +18,7 @@ from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
-from twinct.scan.encoder_model import nominal_poses, relative_to_specimen
+from twinct.scan.encoder_model import EncoderModel, relative_to_specimen
 from twinct.scan.named_geometries import OWN, NamedGeometry, poses_digest
 from twinct.scenario import Scenario, Uncertainty, stage_digests
 from twinct.scenario.imported import STATED, ImportedSettings, ScanSettings
@@ -105,8 +105,22 @@ class Simulated:
     @cached_property
     def reported(self) -> NamedGeometry:
         """Believed poses, with their model and settings."""
-        poses = _with_noise(self.nominal, self.scenario)
-        return NamedGeometry("believed", poses, _made_by(self.scenario, self.executed))
+        return self.reported_as("believed")
+
+    def reported_as(self, name: str) -> NamedGeometry:
+        """Return the believed poses as a geometry of another name."""
+        uncertainty, seed = self.scenario.uncertainty, self.scenario.believed_seed
+        model = "nominal kinematics" if uncertainty.moves else "repeatability"
+        model = "calibrated kinematics" if uncertainty.calibration else model
+        made_by = {"model": model, **_noise_settings(uncertainty), "seed": seed}
+        made_by["executed"] = poses_digest(self.executed)
+        return NamedGeometry(name, reported_poses(self.nominal, uncertainty, seed), made_by)
+
+    @cached_property
+    def encoders(self) -> EncoderModel:
+        """The controllers' model of the arms."""
+        scenario = self.scenario
+        return EncoderModel(scenario.cell, scenario.detector.panel, scenario.uncertainty)
 
     @cached_property
     def nominal(self) -> PosePairs:
@@ -114,7 +128,7 @@ class Simulated:
 
         Equal to ``executed`` if the controllers' model has no errors.
         """
-        return nominal_poses(self.scenario, self.commanded, self.executed, self.joints)
+        return self.encoders.nominal_poses(self.commanded, self.executed, self.joints)
 
     @property
     def stands(self) -> Pose:
@@ -337,33 +351,8 @@ def _without_scenario(settings: ScanSettings) -> str:
     )
 
 
-def reported(
-    scenario: Scenario,
-    joints: Floats,
-    executed: PosePairs,
-    commanded: PosePairs,
-    name: str = "believed",
-) -> NamedGeometry:
-    """Return the poses that the robots report, given the scenario's uncertainty."""
-    nominal = nominal_poses(scenario, commanded, executed, joints)
-    return NamedGeometry(name, _with_noise(nominal, scenario), _made_by(scenario, executed))
-
-
 def _some(poses: PosePairs, views: Sequence[int]) -> PosePairs:
     return PosePairs(tuple(poses.source[v] for v in views), tuple(poses.detector[v] for v in views))
-
-
-def _with_noise(nominal: PosePairs, scenario: Scenario) -> PosePairs:
-    return reported_poses(nominal, scenario.uncertainty, scenario.believed_seed)
-
-
-def _made_by(scenario: Scenario, executed: PosePairs) -> dict[str, Any]:
-    """Return the model and the settings behind the believed poses of executed ones."""
-    uncertainty = scenario.uncertainty
-    model = "nominal kinematics" if uncertainty.moves else "repeatability"
-    model = "calibrated kinematics" if uncertainty.calibration else model
-    made_by = {"model": model, **_noise_settings(uncertainty), "seed": scenario.believed_seed}
-    return made_by | {"executed": poses_digest(executed)}
 
 
 def _noise_settings(uncertainty: Uncertainty) -> dict[str, Any]:

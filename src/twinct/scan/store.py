@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import errno
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -188,8 +188,10 @@ class ScanStore:
         return cls(path)
 
     @classmethod
-    def resume(cls, path: Path, scenario: Scenario) -> ScanStore:
+    def resume(cls, path: Path, digests: Mapping[str, str]) -> ScanStore:
         """Open a store to continue its scan; discard damaged views and remains of a killed write.
+
+        ``digests``: ``image_digests`` of the scenario that is to be continued.
 
         Raises:
             ScanExistsError: the store holds the scan of another scenario.
@@ -197,7 +199,7 @@ class ScanStore:
                 digests fits its metadata; nothing has been changed.
         """
         store = cls(path)
-        store.refuse_other(scenario)
+        store.refuse_other(digests)
         damages = store.damage
         taken = views_taken(path)
         if not store.vouched and len(taken) > 1 and taken <= {damage.view for damage in damages}:
@@ -212,16 +214,16 @@ class ScanStore:
             store._remove_unfinished()
         return store
 
-    def refuse_other(self, scenario: Scenario) -> None:
-        """Check that the store holds the scan of a scenario.
+    def refuse_other(self, digests: Mapping[str, str]) -> None:
+        """Check that the store holds the scan of a scenario, given its ``image_digests``.
 
         Raises:
             ScanExistsError: the store holds the scan of another scenario.
         """
-        own, other = self.digests, image_digests(scenario)
+        own = self.digests
         differ = [
             f"{name}: {own.get(name, 'none')[:12]} there, {digest[:12]} here"
-            for name, digest in other.items()
+            for name, digest in digests.items()
             if own.get(name) != digest
         ]
         if differ:
@@ -379,7 +381,10 @@ class ScanStore:
         """
         if self._has(BAD_PIXELS):
             return self._read(BAD_PIXELS)
-        return bad_pixels_of(self.scenario) if self._format < WITH_MANIFEST else None
+        if self._format >= WITH_MANIFEST:
+            return None
+        scenario = self.scenario
+        return bad_pixels_of(scenario.detector, scenario.seed)
 
     @property
     def mas(self) -> NDArray[np.float64] | None:

@@ -16,7 +16,7 @@ from twinct.specimen import sections
 from twinct.specimen.breathing import (
     Breath,
     Chest,
-    Motion,
+    Displacement,
     PhaseFields,
     Rhythm,
     require_smooth,
@@ -60,7 +60,7 @@ class BodyMotion:
 
     part: str
     rhythm: Rhythm
-    displacement: Motion
+    displacement: Displacement
     specimen_from_part: Pose
 
     def at(self, time_s: float) -> Breath:
@@ -142,7 +142,7 @@ def _pulled_labels(values: NDArray[np.uint16], at: Map) -> NDArray[np.uint16]:
 class _Scaled:
     """A motion with another amplitude."""
 
-    motion: Motion
+    motion: Displacement
     share: float
 
     def __call__(self, points: Floats, breath: Breath) -> Floats:
@@ -166,7 +166,7 @@ def body_motion(section: sections.Specimen) -> BodyMotion:
     part = section.moving_part
     if isinstance(motion, sections.Breathing):
         keys = "diaphragm_mm", "front_mm", "hysteresis", "dome_mm", "reach_mm", "half_axes_mm"
-        ways: Motion = Chest(**{name: getattr(motion, name) for name in keys})
+        ways: Displacement = Chest(**{name: getattr(motion, name) for name in keys})
     else:
         ways = _read_fields(motion)
     return BodyMotion(part.label, rhythm, ways, part.specimen_from_part)

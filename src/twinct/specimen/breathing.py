@@ -90,7 +90,7 @@ def _drawn(seed: int, irregularity: float, breath: int) -> tuple[float, float]:
     return float(length), float(depth)
 
 
-class Motion(Protocol):
+class Displacement(Protocol):
     """Displacement of points of a patient in a state of breathing, mm; a pure function."""
 
     def __call__(self, points: Floats, breath: Breath) -> Floats:
@@ -197,7 +197,9 @@ class PhaseFields:
         return int(np.abs(self.vectors).reshape(len(self.vectors), -1).max(axis=1).argmax())
 
 
-def require_smooth(motion: Motion, breaths: list[Breath], bounds: Floats, where: str) -> float:
+def require_smooth(
+    motion: Displacement, breaths: list[Breath], bounds: Floats, where: str
+) -> float:
     """Check that no state of breathing folds the patient.
 
     Args:

@@ -12,7 +12,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from twinct.geometry import Floats
-from twinct.specimen.implicit import ADD, KEEP, LATTICE, Field, Form, Solid, smin
+from twinct.specimen.implicit import ADD, KEEP, LATTICE, Field, Form, ImplicitSolid, smin
 from twinct.specimen.surface import isosurface
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Canvas:
         affine[0, 3] = -self.step * (self.field.shape[0] - 1)
         return affine
 
-    def draw(self, *solids: Solid) -> None:
+    def draw(self, *solids: ImplicitSolid) -> None:
         """Join solids with what is drawn, each in its own way."""
         for solid in solids:
             part = self._part(solid)
@@ -62,7 +62,7 @@ class Canvas:
                 bound = -distance if solid.op == KEEP else distance
                 self.field[part] = -smin(-field, bound, solid.blend)
 
-    def _part(self, solid: Solid) -> tuple[slice, ...]:
+    def _part(self, solid: ImplicitSolid) -> tuple[slice, ...]:
         """Return the part of the lattice that a solid may change."""
         if solid.op == KEEP:
             return (slice(None),) * 3
@@ -78,7 +78,7 @@ class Canvas:
         """Return the closed surface of both halves."""
         return isosurface(-self.mirrored, 0.0, self.affine)
 
-    def solid(self, middle: ArrayLike = (0, 0, 0)) -> Solid:
+    def solid(self, middle: ArrayLike = (0, 0, 0)) -> ImplicitSolid:
         """Return the drawn model as one solid, whose origin is the canvas's point ``middle``.
 
         A canvas knows distances near its solids only; further away those of its voxels replace
@@ -100,4 +100,4 @@ class Canvas:
         # The first number is the place of the lattice, which the kernels' table sets.
         numbers = (0.0, *counts.tolist(), self.step, *low.tolist())
         box = np.array([-high[0], low[1], low[2]]) - middle, high - middle
-        return Solid(distance, *box, Form(LATTICE, np.eye(3), middle, numbers, lattice))
+        return ImplicitSolid(distance, *box, Form(LATTICE, np.eye(3), middle, numbers, lattice))

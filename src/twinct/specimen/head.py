@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 
 from twinct.specimen.canvas import Canvas
-from twinct.specimen.implicit import Solid, block, ellipsoid, rod
+from twinct.specimen.implicit import ImplicitSolid, block, ellipsoid, rod
 from twinct.specimen.skull import WALL_MM, ear_canal, orbit, skull_canvas, vault
 from twinct.specimen.surface import surface
 
@@ -83,12 +83,12 @@ def brain_canvas(step: float) -> Canvas:
     """Return the brain on half a lattice, in the skull's design frame."""
     outer = vault()
     brain = Canvas(step, outer.low * (0, 1, 1), outer.high)
-    inner = Solid(lambda x, y, z: outer(x, y, z) + WALL_MM / 2, outer.low, outer.high)
+    inner = ImplicitSolid(lambda x, y, z: outer(x, y, z) + WALL_MM / 2, outer.low, outer.high)
     brain.draw(inner, orbit(1.6).cut(), ear_canal(1.5).cut())
     return brain
 
 
-def airways() -> tuple[Solid, ...]:
+def airways() -> tuple[ImplicitSolid, ...]:
     """Return the airways; they leave about 1.5 mm of mucosa on the bone."""
     return (
         ellipsoid((6, 52, -52), (6.5, 21.5, 15.5)),  # nasal cavity with both openings

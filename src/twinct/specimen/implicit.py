@@ -51,7 +51,7 @@ class Form(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class ImplicitSolid:
     """One solid: its signed distance, and the way it joins the solids before it.
 
     Attributes:
@@ -79,19 +79,19 @@ class Solid:
         """Return the signed distance at points."""
         return self.distance(x, y, z)
 
-    def blended(self, blend: float) -> Solid:
+    def blended(self, blend: float) -> ImplicitSolid:
         """Return the solid joined with a fillet."""
         return replace(self, blend=blend)
 
-    def cut(self, blend: float = 0.0) -> Solid:
+    def cut(self, blend: float = 0.0) -> ImplicitSolid:
         """Return the solid as a cut."""
         return replace(self, op=CUT, blend=blend)
 
-    def keep(self, blend: float = 0.0) -> Solid:
+    def keep(self, blend: float = 0.0) -> ImplicitSolid:
         """Return the solid as a bound: only what lies inside it remains."""
         return replace(self, op=KEEP, blend=blend)
 
-    def moved(self, by: ArrayLike) -> Solid:
+    def moved(self, by: ArrayLike) -> ImplicitSolid:
         """Return the solid shifted by a vector, mm."""
         by = np.asarray(by, dtype=float)
         form = self.form and self.form._replace(offset=self.form.offset - self.form.matrix @ by)
@@ -103,7 +103,7 @@ class Solid:
             form=form,
         )
 
-    def mirrored(self) -> Solid:
+    def mirrored(self) -> ImplicitSolid:
         """Return the mirror image at x = 0."""
         flip = np.array([-1.0, 1.0, 1.0])
         form = self.form and self.form._replace(matrix=self.form.matrix @ np.diag(flip))
@@ -111,23 +111,23 @@ class Solid:
         low, high = np.minimum(*ends), np.maximum(*ends)
         return replace(self, distance=lambda x, y, z: self(-x, y, z), low=low, high=high, form=form)
 
-    def within(self, other: Solid, blend: float = 0.0) -> Solid:
+    def within(self, other: ImplicitSolid, blend: float = 0.0) -> ImplicitSolid:
         """Return the intersection of both solids, as one formula."""
-        return Solid(
+        return ImplicitSolid(
             lambda x, y, z: -smin(-self(x, y, z), -other(x, y, z), blend),
             np.maximum(self.low, other.low),
             np.minimum(self.high, other.high),
         )
 
-    def without(self, other: Solid, blend: float = 0.0) -> Solid:
+    def without(self, other: ImplicitSolid, blend: float = 0.0) -> ImplicitSolid:
         """Return this solid without the other, as one formula."""
-        return Solid(
+        return ImplicitSolid(
             lambda x, y, z: -smin(-self(x, y, z), other(x, y, z), blend), self.low, self.high
         )
 
-    def joined(self, other: Solid, blend: float = 0.0) -> Solid:
+    def joined(self, other: ImplicitSolid, blend: float = 0.0) -> ImplicitSolid:
         """Return the union of both solids with a fillet, as one formula."""
-        return Solid(
+        return ImplicitSolid(
             lambda x, y, z: smin(self(x, y, z), other(x, y, z), blend),
             np.minimum(self.low, other.low) - blend / 4,
             np.maximum(self.high, other.high) + blend / 4,
@@ -142,12 +142,12 @@ def smin(a: Field, b: Field, blend: float) -> Field:
     return np.minimum(a, b) - h * h * (blend / 4)
 
 
-def ball(centre: Point, radius: float) -> Solid:
+def ball(centre: Point, radius: float) -> ImplicitSolid:
     """Return a sphere."""
     return ellipsoid(centre, (radius, radius, radius))
 
 
-def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Solid:
+def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> ImplicitSolid:
     """Return an ellipsoid, turned about x, y, z; distance to first order, k (k - 1) / |grad|."""
     matrix = scipy.spatial.transform.Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
     turn = matrix.astype(np.float32)
@@ -161,12 +161,12 @@ def ellipsoid(centre: Point, radii: Point, turn_deg: Point = (0, 0, 0)) -> Solid
         return k0 * (k0 - 1.0) / np.maximum(k1, 1e-6)
 
     form = Form(ELLIPSOID, matrix.T, -matrix.T @ np.array(centre), radii)
-    return Solid(distance, np.subtract(centre, reach), np.add(centre, reach), form)
+    return ImplicitSolid(distance, np.subtract(centre, reach), np.add(centre, reach), form)
 
 
 def rod(
     a: Point, b: Point, radius_a: float, radius_b: float | None = None, flatten: Point = (1, 1, 1)
-) -> Solid:
+) -> ImplicitSolid:
     """Return a tapered rod with round ends; ``flatten`` > 1 makes it thinner along that axis."""
     radius_b = radius_a if radius_b is None else radius_b
     stretch = np.asarray(flatten, dtype=np.float32)
@@ -188,23 +188,29 @@ def rod(
     exact = np.asarray(flatten, dtype=float)
     way = (np.subtract(b, a) * exact).tolist()
     numbers = (*way, radius_a, radius_b, float(exact.max()))
-    return Solid(distance, low, high, Form(ROD, np.diag(exact), -(np.array(a) * exact), numbers))
+    return ImplicitSolid(
+        distance, low, high, Form(ROD, np.diag(exact), -(np.array(a) * exact), numbers)
+    )
 
 
 def rods(
     points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)
-) -> tuple[Solid, ...]:
+) -> tuple[ImplicitSolid, ...]:
     """Return tapered rods from point to point."""
     pairs = zip(points[:-1], points[1:], radii[:-1], radii[1:], strict=True)
     return tuple(rod(a, b, p, q, flatten) for a, b, p, q in pairs)
 
 
-def chain(points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)) -> Solid:
+def chain(
+    points: Sequence[Point], radii: Sequence[float], flatten: Point = (1, 1, 1)
+) -> ImplicitSolid:
     """Return tapered rods from point to point as one formula."""
-    return reduce(Solid.joined, rods(points, radii, flatten))
+    return reduce(ImplicitSolid.joined, rods(points, radii, flatten))
 
 
-def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float = 1.0) -> Solid:
+def block(
+    centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float = 1.0
+) -> ImplicitSolid:
     """Return a box with rounded edges, turned about z."""
     c, s = np.cos(np.radians(turn_z_deg)), np.sin(np.radians(turn_z_deg))
     core = [max(h - rounding, 0.0) for h in half]
@@ -221,7 +227,7 @@ def block(centre: Point, half: Point, turn_z_deg: float = 0.0, rounding: float =
 
     matrix = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     form = Form(BLOCK, matrix, -matrix @ np.array(centre), (*core, rounding))
-    return Solid(distance, np.subtract(centre, reach), np.add(centre, reach), form)
+    return ImplicitSolid(distance, np.subtract(centre, reach), np.add(centre, reach), form)
 
 
 def wall(
@@ -230,7 +236,7 @@ def wall(
     half_height: ArrayLike,
     half_width: ArrayLike,
     rounding: float = 3.0,
-) -> Solid:
+) -> ImplicitSolid:
     """Return an upright plate along a path in (x, y), with height and width at its corners."""
     corners = np.asarray(path, dtype=np.float32)
     table = np.array([middle_z, half_height, half_width], dtype=np.float32)
@@ -256,4 +262,4 @@ def wall(
     reach = float(np.max(half_width))
     low = np.array([*(corners.min(axis=0) - reach), float(np.min(table[0] - table[1]))])
     high = np.array([*(corners.max(axis=0) + reach), float(np.max(table[0] + table[1]))])
-    return Solid(distance, low, high)
+    return ImplicitSolid(distance, low, high)

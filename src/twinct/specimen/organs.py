@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from twinct.core.draws import scan_rng
 from twinct.geometry import Floats
-from twinct.specimen.implicit import Point, Solid
+from twinct.specimen.implicit import ImplicitSolid, Point
 
 TILE = 64
 """Cells along an edge of the random field's period."""
@@ -52,7 +52,7 @@ class Organ:
 
     name: str
     hu: float
-    solids: tuple[Solid, ...] = ()
+    solids: tuple[ImplicitSolid, ...] = ()
     within: str = ""
     inset_mm: float = 0.0
     gradient: Point = (0.0, 0.0, 0.0)
@@ -64,7 +64,7 @@ class Organ:
     edge_mm: float = 0.5
 
 
-class Table(NamedTuple):
+class KernelArrays(NamedTuple):
     """Arrays for the kernels: solids, their boxes, organs, all lattices in a row, texture."""
 
     solids: Floats
@@ -74,7 +74,7 @@ class Table(NamedTuple):
     tile: NDArray[np.float32]
 
 
-def table(organs: Sequence[Organ], seed: int) -> Table:
+def table(organs: Sequence[Organ], seed: int) -> KernelArrays:
     """Return the kernels' arrays; ``seed`` selects the texture.
 
     Raises:
@@ -99,10 +99,10 @@ def table(organs: Sequence[Organ], seed: int) -> Table:
     high = np.array([solid.high for solid in solids]) + margins[:, None]
     forms, lattices = _packed(solids)
     boxes = np.concatenate([low, high], axis=1)
-    return Table(forms, boxes, np.array(rows, dtype=float), lattices, random_field(seed))
+    return KernelArrays(forms, boxes, np.array(rows, dtype=float), lattices, random_field(seed))
 
 
-def _packed(solids: Sequence[Solid]) -> tuple[Floats, NDArray[np.float32]]:
+def _packed(solids: Sequence[ImplicitSolid]) -> tuple[Floats, NDArray[np.float32]]:
     """Return the rows of all solids, and their lattices one after the other, each only once."""
     rows, starts = np.zeros((len(solids), 23)), dict[int, int]()
     parts, length = [np.zeros(1, np.float32)], 1

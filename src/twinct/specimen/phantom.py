@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twinct.geometry import Floats, Pose, VolumeGrid
 from twinct.specimen.ct_image import CtImage
-from twinct.specimen.organs import Organ, Table, label_names, table
+from twinct.specimen.organs import KernelArrays, Organ, label_names, table
 from twinct.specimen.phantom_head import head_organs
 from twinct.specimen.phantom_trunk import trunk_organs
 
@@ -64,7 +64,7 @@ class Phantom:
         object.__setattr__(self, "names", label_names(self.organs))
 
     @cached_property
-    def _table(self) -> Table:
+    def _table(self) -> KernelArrays:
         return table(self.organs, self.seed)
 
     @cached_property

@@ -13,7 +13,7 @@ import numpy as np
 from twinct.core.draws import scan_rng
 from twinct.specimen.canvas import Canvas
 from twinct.specimen.head import MIDDLE, airways, brain_canvas, head_canvas
-from twinct.specimen.implicit import Point, Solid, ball, block, ellipsoid, rod, rods
+from twinct.specimen.implicit import ImplicitSolid, Point, ball, block, ellipsoid, rod, rods
 from twinct.specimen.organs import Organ
 from twinct.specimen.skull import (
     HIGHEST,
@@ -90,7 +90,7 @@ def head_organs(seed: int) -> tuple[Organ, ...]:
 
 
 @lru_cache(maxsize=1)
-def _drawn() -> tuple[Solid, Solid, Solid, Solid]:
+def _drawn() -> tuple[ImplicitSolid, ImplicitSolid, ImplicitSolid, ImplicitSolid]:
     """Return skin, brain, skull and airways."""
     air = Canvas(SKULL_STEP_MM, np.subtract(LOWEST, (0, 0, 20)), np.add(HIGHEST, (0, 20, 0)))
     air.draw(*(airway.blended(2) for airway in airways()))
@@ -105,7 +105,7 @@ def _design(x: float, y: float, z: float) -> Point:
     return x - MIDDLE[0], y - MIDDLE[1], z - MIDDLE[2]
 
 
-def _both(solid: Solid) -> tuple[Solid, Solid]:
+def _both(solid: ImplicitSolid) -> tuple[ImplicitSolid, ImplicitSolid]:
     """Return a solid and its mirror image."""
     return solid, solid.mirrored()
 
@@ -137,7 +137,7 @@ def _lesions(seed: int) -> tuple[Organ, ...]:
     )
 
 
-def _vessels() -> tuple[Solid, ...]:
+def _vessels() -> tuple[ImplicitSolid, ...]:
     """Return the basilar artery, the middle and front cerebral arteries, and the upper sinus."""
     arcs = np.radians(np.linspace(-10, 170, 13))
     sinus = [(0.0, float(-10 + 82 * np.cos(t)), float(38 + 58 * np.sin(t))) for t in arcs]
@@ -154,9 +154,9 @@ def _vessels() -> tuple[Solid, ...]:
     )
 
 
-def _crowns() -> tuple[Solid, ...]:
+def _crowns() -> tuple[ImplicitSolid, ...]:
     """Return the slabs in which the skull is teeth."""
-    slabs: list[Solid] = []
+    slabs: list[ImplicitSolid] = []
     for z0, z1 in (UPPER_CROWN_Z, LOWER_CROWN_Z):
         half = abs(z1 - z0) / 2
         slabs.append(block(_design(0, 62, (z0 + z1) / 2), (42, 32, half), rounding=0.5))

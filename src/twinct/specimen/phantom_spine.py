@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twinct.specimen.implicit import Point, Solid, block, ellipsoid, rod, rods
+from twinct.specimen.implicit import ImplicitSolid, Point, block, ellipsoid, rod, rods
 from twinct.specimen.organs import Organ
 
 LOWEST_MM = -196.0
@@ -36,7 +36,7 @@ def spine() -> tuple[Organ, ...]:
     middles, spacings = _heights()
     line: list[Point] = [(0.0, _middle_y(z) - CANAL_BACK_MM, z) for z in range(-260, 261, 20)]
     count = len(line)
-    discs, bones = list[Solid](), list[Organ]()
+    discs, bones = list[ImplicitSolid](), list[Organ]()
     for level, z, spacing in zip(LEVELS, middles, spacings, strict=True):
         size = spacing / 31.0
         y = _middle_y(z)
@@ -65,13 +65,13 @@ def spine() -> tuple[Organ, ...]:
     )
 
 
-def _vertebra(size: float) -> tuple[Solid, ...]:
+def _vertebra(size: float) -> tuple[ImplicitSolid, ...]:
     """Return a vertebra about the middle of its body; ``size`` 1 is L1."""
     s, back = size, -CANAL_BACK_MM
     body = rod((0, 0, -11.5 * s), (0, 0, 11.5 * s), 20.5 * s, 20.5 * s, (1, 1.3, 1))
     slab = block((0, 0, 0), (26 * s, 20 * s, 13 * s), rounding=2.5).keep(2.5)
     waist = [ellipsoid((x * 27 * s, 0, 0), (6 * s, 14 * s, 7 * s)).cut(4) for x in (-1, 1)]
-    arch = list[Solid]()
+    arch = list[ImplicitSolid]()
     for x in (-1, 1):
         arch += [
             rod((x * 14 * s, -9 * s, 3 * s), (x * 15 * s, back, 2 * s), 5.2 * s, 5.0 * s),
@@ -90,7 +90,7 @@ def ribs() -> tuple[Organ, ...]:
     """Return twelve pairs of ribs, their cartilage, breastbone and collarbones."""
     middles, _ = _heights()
     height = dict(zip(LEVELS, middles, strict=True))
-    bones, cartilage = list[Organ](), list[Solid]()
+    bones, cartilage = list[Organ](), list[ImplicitSolid]()
     for number in range(1, 13):
         level = height[f"T{number}"]
         for side, name in ((1, "right"), (-1, "left")):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from twinct.core.draws import scan_rng
-from twinct.specimen.implicit import Point, Solid, ball, block, ellipsoid, rod, rods
+from twinct.specimen.implicit import ImplicitSolid, Point, ball, block, ellipsoid, rod, rods
 from twinct.specimen.organs import Organ
 from twinct.specimen.phantom_spine import ribs, spine
 
@@ -160,13 +160,13 @@ def _bone_lesions(seed: int) -> tuple[Organ, ...]:
     )
 
 
-def _tree(root: Point, side: int, seed: int, generations: int = 5) -> tuple[Solid, ...]:
+def _tree(root: Point, side: int, seed: int, generations: int = 5) -> tuple[ImplicitSolid, ...]:
     """Return a tree of vessels that forks from ``root`` to the side, forward and backward.
 
     Radii follow Murray's law: the cubes of both branches add up to that of their stem.
     """
     rng = scan_rng(seed, f"phantom branches {side} {root}")
-    solids: list[Solid] = []
+    solids: list[ImplicitSolid] = []
     tips = [(np.array(root, float), np.array([0.8 * side, 0.0, 0.0]), 6.0)]
     for generation in range(generations):
         grown: list[tuple[np.ndarray, np.ndarray, float]] = []

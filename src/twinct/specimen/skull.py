@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from twinct.core.disk_cache import made_once
 from twinct.geometry import Floats
 from twinct.specimen.canvas import Canvas
-from twinct.specimen.implicit import Field, Point, Solid, block, chain, ellipsoid, rod, wall
+from twinct.specimen.implicit import Field, ImplicitSolid, Point, block, chain, ellipsoid, rod, wall
 from twinct.specimen.surface import surface
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ LOWER_CROWN_Z = (-99.0, -108.5)
 """Z range of the crowns, mm: upper neck and edge, lower edge and neck. The teeth do not touch."""
 
 
-def vault() -> Solid:
+def vault() -> ImplicitSolid:
     """Return the braincase's outer surface with its floor; the inner one is WALL_MM inside."""
     back = ellipsoid((0, -14, 2), (71.5, 76, 65))
     front = ellipsoid((0, 24, 4), (58, 63, 57))
@@ -112,11 +112,11 @@ def vault() -> Solid:
         return 1.0 / (1 + 9 * np.cosh(np.clip((y - 4) / 9, -9, 9)) ** -4 * 0.4)
 
     box_low, box_high = egg.low - 6, egg.high + 6
-    above = Solid(lambda x, y, z: (floor(y) - z) * slope(y) + 0 * x, box_low, box_high)
+    above = ImplicitSolid(lambda x, y, z: (floor(y) - z) * slope(y) + 0 * x, box_low, box_high)
     return egg.within(above, 14)
 
 
-def _braincase() -> Iterator[Solid]:
+def _braincase() -> Iterator[ImplicitSolid]:
     outer = vault()
 
     def sutures(x: Field, y: Field, z: Field) -> Field:
@@ -134,7 +134,7 @@ def _braincase() -> Iterator[Solid]:
         d = outer(x, y, z)
         return np.maximum(d + 0.9 * sutures(x, y, z), -(d + WALL_MM))
 
-    yield Solid(shell, outer.low - 3, outer.high + 3)
+    yield ImplicitSolid(shell, outer.low - 3, outer.high + 3)
     # Brow ridges and glabella, temporal lines, occipital protuberance with its nuchal line.
     brow = [(0, 84, -17), (8, 85, -14.5), (16, 85, -12), (26, 82.5, -10)]
     brow += [(36, 77, -10), (48, 66, -15)]
@@ -146,7 +146,7 @@ def _braincase() -> Iterator[Solid]:
     yield chain(nuchal, [1.5, 1.5, 1.5, 1.5, 2.0]).blended(7)
 
 
-def _base() -> Iterator[Solid]:
+def _base() -> Iterator[ImplicitSolid]:
     # Petrous ridges, clivus and sphenoid body, mastoids, condyles, styloid processes.
     yield rod((20, 6, -45), (54, -16, -44), 7, 10).blended(8)
     yield rod((0, -2, -57), (0, 26, -41), 9, 11, (0.8, 1, 1)).blended(8)
@@ -158,7 +158,7 @@ def _base() -> Iterator[Solid]:
     yield rod((22, 30, -38), (44, 44, -30), 7, 5).blended(7)
 
 
-def orbit(grow: float = 0.0) -> Solid:
+def orbit(grow: float = 0.0) -> ImplicitSolid:
     """Return the cone of one orbit: rim at the front outside, apex at the back inside."""
     rim, apex = np.array([33.5, 77.0, -31.0]), np.array([17.0, 38.0, -28.0])
     ahead = rim + (rim - apex) * 0.6
@@ -167,13 +167,13 @@ def orbit(grow: float = 0.0) -> Solid:
     return cone if grow else cone.joined(mouth, 3)
 
 
-def ear_canal(grow: float = 0.0) -> Solid:
+def ear_canal(grow: float = 0.0) -> ImplicitSolid:
     """Return the canal from outside into the petrous ridge."""
     return rod((62, -9, -50), (40, -5, -48), 3.6 + grow, 2.8 + grow)
 
 
-def _face() -> Iterator[Solid]:
-    in_front = Solid(
+def _face() -> Iterator[ImplicitSolid]:
+    in_front = ImplicitSolid(
         lambda x, y, z: y - (86.0 - 0.012 * x * x) + 0 * z,
         np.array([-90.0, -90.0, -150.0]),
         np.array([90.0, 90.0, 90.0]),
@@ -192,7 +192,7 @@ def _face() -> Iterator[Solid]:
     yield ellipsoid((0, 87, -71), (5, 5, 5)).blended(5)
 
 
-def _cheeks() -> Iterator[Solid]:
+def _cheeks() -> Iterator[ImplicitSolid]:
     yield ellipsoid((45, 64, -56), (13, 11, 11), (0, 0, -35)).blended(7)
     yield rod((44, 66, -58), (28, 66, -70), 8, 7).blended(7)
     yield chain(
@@ -203,13 +203,13 @@ def _cheeks() -> Iterator[Solid]:
     yield chain(arch, [7.5, 6.2, 5.4, 5.0, 5.4, 7], (1.7, 1.2, 1)).blended(6)
 
 
-def _openings() -> Iterator[Solid]:
+def _openings() -> Iterator[ImplicitSolid]:
     yield orbit().cut(2)
     # Optic canal and superior fissure lead from the apex into the skull.
     yield rod((17, 40, -28), (11, 22, -27), 2.4).cut(2)
     # Nasal cavity: pear-shaped in front, a chamber behind, choanae at the back.
     pear = chain([(0, 100, -43), (2.8, 100, -55), (6.5, 100, -64.5)], [4.0, 5.8, 6.6])
-    front = Solid(
+    front = ImplicitSolid(
         lambda x, y, z: pear(x, np.full_like(y, 100.0), z) + 0 * y,
         np.array([-14.0, 66.0, -75.0]),
         np.array([14.0, 110.0, -38.0]),
@@ -234,7 +234,7 @@ def _openings() -> Iterator[Solid]:
     yield ellipsoid((0, -24, -60), (15, 17.5, 40)).within(block((0, -24, -60), (30, 30, 22))).cut(3)
 
 
-def _jaw() -> Iterator[Solid]:
+def _jaw() -> Iterator[ImplicitSolid]:
     a, b = LOWER_ARCH
     angles = np.radians(np.linspace(0, 95, 20))
     path = [(a * np.sin(t), ARCH_Y + b * np.cos(t)) for t in angles]
@@ -272,7 +272,7 @@ def _curve(points: Sequence[tuple[float, float]], at: Floats) -> list[tuple[floa
     return [(float(x), float(y)) for x, y in spline(at)]
 
 
-def _teeth() -> Iterator[Solid]:
+def _teeth() -> Iterator[ImplicitSolid]:
     for arch, widths, (z0, z1), depths in (
         (UPPER_ARCH, UPPER_TEETH, UPPER_CROWN_Z, (6.5, 6, 7.5, 8.5, 8.5, 10.5, 10.5)),
         (LOWER_ARCH, LOWER_TEETH, LOWER_CROWN_Z, (5.5, 5.8, 7, 7.5, 8, 10, 10)),

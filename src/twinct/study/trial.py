@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -92,12 +93,20 @@ class TrialSpec:
         return scan_name(self.scan)
 
     def scenario_at(self, place: Place) -> Scenario:
-        """Return the scenario, with the paths of its files at a place of work."""
+        """Return the scenario, checked, with the paths of its files at a place of work.
+
+        Raises:
+            InputError: it is invalid, or asks for geometries that its scan does not have.
+            MissingExtraError: it needs packages that are not installed.
+        """
         data = json.loads(json.dumps(self.scenario))
         for key, (name, inner) in self.files.items():
             path = place.fetch(name)
             _set(data, key, str(path / inner if inner else path))
-        return parse_scenario(data)
+        scenario = parse_scenario(data)
+        require_extras(scenario)
+        check_geometries(scenario)
+        return scenario
 
 
 @dataclass
@@ -113,6 +122,67 @@ class _Seconds:
         self.stages[name] = time.perf_counter() - start
 
 
+@dataclass(frozen=True)
+class _Parts:
+    """Specimen and plan of a scenario, from the cache of a place of work.
+
+    Attributes:
+        scenario: the scenario.
+        cache: the cache.
+        seconds: receives the seconds that specimen and plan take.
+    """
+
+    scenario: Scenario
+    cache: Cache
+    seconds: _Seconds
+
+    @cached_property
+    def specimen(self) -> BuiltSpecimen:
+        digest = specimen_digest(self.scenario)
+        with self.seconds.stage("specimen"):
+            return once(
+                "specimen",
+                digest,
+                lambda: self.cache.stored(
+                    "specimens",
+                    digest,
+                    self._built,
+                    save_built,
+                    lambda path: load_built(self.scenario.specimen, path),
+                ),
+            )
+
+    def _built(self) -> BuiltSpecimen:
+        specimen = SimulationBuilder(self.scenario).specimen
+        # Cached with the specimen, as many trials need them.
+        _ = specimen.hull, specimen.hulls if self.scenario.cell.kind == "arms" else ()
+        return specimen
+
+    @cached_property
+    def plan(self) -> MotionPlan | None:
+        """The motion plan as ``SimulationBuilder`` makes it; None with a gantry."""
+        if self.scenario.cell.kind != "arms":
+            return None
+        builder = self.builder(None)
+
+        def make() -> MotionPlan:
+            plan = builder.plan
+            assert plan is not None
+            return plan
+
+        digest = builder.plan_digest
+        with self.seconds.stage("plan"):
+            return once(
+                "plan",
+                digest,
+                lambda: self.cache.stored("plans", digest, make, save_plan, load_plan),
+            )
+
+    def builder(self, plan: MotionPlan | None) -> SimulationBuilder:
+        """Return the builder of the scenario with its specimen and a plan."""
+        return SimulationBuilder(self.scenario, plan, self.specimen)
+
+
 def take_scan(spec: TrialSpec, place: Place) -> dict[str, float]:
     """Acquire a scan that several trials share, and attach its store as ``scan``.
 
@@ -122,13 +192,11 @@ def take_scan(spec: TrialSpec, place: Place) -> dict[str, float]:
     Raises:
         InputError: the scan cannot be acquired.
     """
-    scenario, cache, seconds = spec.scenario_at(place), Cache(place.folder), _Seconds()
-    _check(scenario)
+    parts = _Parts(spec.scenario_at(place), Cache(place.folder), seconds := _Seconds())
     _start(spec, place.folder, seconds)
-    specimen = _specimen(scenario, cache, seconds)
-    builder = SimulationBuilder(scenario, _plan(scenario, specimen, cache, seconds), specimen)
+    builder = parts.builder(parts.plan)
     with seconds.stage("scan"):
-        folder = cache.path("scans", spec.scan, lambda draft: _acquire(spec, builder, draft))
+        folder = parts.cache.path("scans", spec.scan, lambda draft: _acquire(spec, builder, draft))
     place.attach("scan", folder / "scan.zarr")
     return seconds.stages
 
@@ -150,14 +218,13 @@ def try_trial(spec: TrialSpec, place: Place) -> dict[str, Any]:
     with cache.locked("trials", spec.key):
         folder = own_folder(place.folder / "trials" / spec.key)
         look_through(folder)
-        scenario = spec.scenario_at(place)
-        _check(scenario)
+        parts = _Parts(spec.scenario_at(place), cache, seconds)
         shared_scan = _scan_path(spec, place)
         if spec.keep == "everything":
-            result = _whole_run(spec, scenario, shared_scan, folder, place, seconds)
+            result = _whole_run(spec, parts, shared_scan, folder, place)
             place.attach("run", folder)
         else:
-            result = _figures(spec, scenario, shared_scan, folder, cache, seconds)
+            result = _figures(spec, parts, shared_scan, folder)
             if spec.keep == "volume":
                 place.attach("volume", folder / VOLUME)
     seconds.stages["total"] = time.perf_counter() - began
@@ -191,15 +258,10 @@ def _start(spec: TrialSpec, folder: Path, seconds: _Seconds) -> None:
         here = private_folder(folder)
         with seconds.stage(START), here as passing, suppress(TwinctError):
             first = replace(spec, scan=START, shared=False, keep="figures")
-            _figures(first, smallest, None, passing, Cache(passing), taken)
+            _figures(first, _Parts(smallest, Cache(passing), taken), None, passing)
 
 
 _started = False
-
-
-def _check(scenario: Scenario) -> None:
-    require_extras(scenario)
-    check_geometries(scenario)
 
 
 def _scan_path(spec: TrialSpec, place: Place) -> Path | None:
@@ -226,17 +288,11 @@ def _acquire(spec: TrialSpec, builder: SimulationBuilder, folder: Path) -> None:
 
 
 def _figures(
-    spec: TrialSpec,
-    scenario: Scenario,
-    shared_scan: Path | None,
-    folder: Path,
-    cache: Cache,
-    seconds: _Seconds,
+    spec: TrialSpec, parts: _Parts, shared_scan: Path | None, folder: Path
 ) -> dict[str, Any]:
-    specimen = _specimen(scenario, cache, seconds)
+    scenario, specimen, seconds = parts.scenario, parts.specimen, parts.seconds
     path = shared_scan or folder / "scan.zarr"
-    plan = ScanStore(path).plan if shared_scan else _plan(scenario, specimen, cache, seconds)
-    builder = SimulationBuilder(scenario, plan, specimen)
+    builder = parts.builder(ScanStore(path).plan if shared_scan else parts.plan)
     require_feasible(scenario, builder.commanded)
     check_sight(builder)
     if shared_scan is None:
@@ -245,7 +301,7 @@ def _figures(
     scan = once("scan", spec.scan, lambda: ScanStore(path).read())
     scan = scan.with_settings(scenario)
     with seconds.stage("truth"):
-        truth = _truth(scan, specimen, cache)
+        truth = _truth(scan, specimen, parts.cache)
     images: dict[str, ImageFigures] = {}
     sections, stored = b"", folder / VOLUME
     repeats = Repeats(scan, builder) if repeats_asked(scenario) else None
@@ -275,78 +331,29 @@ def _figures(
 
 
 def _whole_run(
-    spec: TrialSpec,
-    scenario: Scenario,
-    shared_scan: Path | None,
-    folder: Path,
-    place: Place,
-    seconds: _Seconds,
+    spec: TrialSpec, parts: _Parts, shared_scan: Path | None, folder: Path, place: Place
 ) -> dict[str, Any]:
     if shared_scan is not None and not (folder / "scan.zarr").exists():
         save_linked(shared_scan, folder / "scan.zarr")
-    cache = Cache(place.folder)
-    specimen = _specimen(scenario, cache, seconds)
-    plan = None if shared_scan else _plan(scenario, specimen, cache, seconds)
+    builder = parts.builder(None if shared_scan else parts.plan)
+    scenario = parts.scenario
     finished = run(
         scenario,
         folder,
         link=spec.link,
         resume=True,
         threads=place.threads,
-        builder=SimulationBuilder(scenario, plan, specimen),
+        builder=builder,
     )
-    seconds.stages |= finished.figures["seconds"]
+    parts.seconds.stages |= finished.figures["seconds"]
     grid, truth = scenario.reconstruction.volume_grid, Volume.read(finished.paths.truth).array
     region = region_of_interest(finished.scan.relative.geometry(scenario.detector.panel), grid)
     shown = cross_sections(finished.volume.array, truth, region, grid)
     return {
         "figures": flat_figures(finished.figures),
-        "reference_material": specimen.reference_name,
+        "reference_material": builder.specimen.reference_name,
         "sections": packed_sections(shown, float(truth.max())),
     }
-
-
-def _specimen(scenario: Scenario, cache: Cache, seconds: _Seconds) -> BuiltSpecimen:
-    digest = specimen_digest(scenario)
-    with seconds.stage("specimen"):
-        return once(
-            "specimen",
-            digest,
-            lambda: cache.stored(
-                "specimens",
-                digest,
-                lambda: _built(scenario),
-                save_built,
-                lambda path: load_built(scenario.specimen, path),
-            ),
-        )
-
-
-def _built(scenario: Scenario) -> BuiltSpecimen:
-    specimen = SimulationBuilder(scenario).specimen
-    # Cached with the specimen, as many trials need them.
-    _ = specimen.hull, specimen.hulls if scenario.cell.kind == "arms" else ()
-    return specimen
-
-
-def _plan(
-    scenario: Scenario, specimen: BuiltSpecimen, cache: Cache, seconds: _Seconds
-) -> MotionPlan | None:
-    """Return the motion plan as ``SimulationBuilder`` makes it; None with a gantry."""
-    if scenario.cell.kind != "arms":
-        return None
-    builder = SimulationBuilder(scenario, None, specimen)
-
-    def make() -> MotionPlan:
-        plan = builder.plan
-        assert plan is not None
-        return plan
-
-    digest = builder.plan_digest
-    with seconds.stage("plan"):
-        return once(
-            "plan", digest, lambda: cache.stored("plans", digest, make, save_plan, load_plan)
-        )
 
 
 def _truth(scan: Scan, specimen: BuiltSpecimen, cache: Cache) -> Truth:

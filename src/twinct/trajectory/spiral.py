@@ -11,10 +11,10 @@ from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.trajectory.even import even_shares
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views
-from twinct.trajectory.zone import Zone
+from twinct.trajectory.zone import LatitudeZone
 
 
-class SpiralTrajectory(OrbitSettings, Zone):
+class SpiralTrajectory(OrbitSettings, LatitudeZone):
     """A spiral on the sphere from the lowest latitude to the highest, in equal steps.
 
     Each turn rises by the same latitude, so that turns are equally far apart.

@@ -11,13 +11,13 @@ from twinct.core.settings import setting
 from twinct.geometry import Panel, ScanGeometry
 from twinct.trajectory.family import Family
 from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views
-from twinct.trajectory.zone import Zone
+from twinct.trajectory.zone import LatitudeZone
 
 GOLDEN = (math.sqrt(5) - 1) / 2
 """Step of a Fibonacci lattice, as a share of the range of longitude."""
 
 
-class UniformTrajectory(OrbitSettings, Zone):
+class UniformTrajectory(OrbitSettings, LatitudeZone):
     """Views of equal density over a zone of the sphere: a Fibonacci lattice (Gonzalez 2010).
 
     From view to view, the latitude rises and the longitude jumps far: ``motion.order: shortest``

@@ -9,7 +9,7 @@ from twinct.core.settings import Conflict, ConflictError, Finite, Section, setti
 from twinct.geometry import Floats
 
 
-class Zone(Section):
+class LatitudeZone(Section):
     """Keys of a path that fills a zone."""
 
     latitude_range_deg: tuple[Finite, Finite] = setting(
@@ -17,7 +17,7 @@ class Zone(Section):
     )
 
     @model_validator(mode="after")
-    def _in_order(self) -> Zone:
+    def _in_order(self) -> LatitudeZone:
         low, high = self.latitude_range_deg
         if not -90 <= low < high <= 90:
             message = (

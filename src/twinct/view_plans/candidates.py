@@ -11,7 +11,7 @@ from twinct.core.errors import InputError
 from twinct.core.progress import Progress
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.robots.motion import moving_seconds, speeds_of
-from twinct.robots.reach import Holder, Poses
+from twinct.robots.reach import Holder, TargetPoses
 from twinct.scan import SimulationBuilder
 from twinct.scenario import AnyTrajectory, Cell
 from twinct.trajectory import OrbitSettings, UniformTrajectory, commanded_views
@@ -107,7 +107,7 @@ def _holding(
 ) -> tuple[Holder, tuple[Configurations, Configurations]]:
     """Return the solver of joint configurations, and the configurations of each arm alone."""
     holder = Holder(builder.cell, builder.scenario.motion, roll_free=builder.roll_free)
-    poses = Poses.of(geometry.source_poses(), geometry.detector_poses())
+    poses = TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
     return holder, (holder.alone(poses.source, 0), holder.alone(poses.detector, 1))
 
 

@@ -15,11 +15,11 @@ from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import ScanGeometry
 from twinct.scan import SimulationBuilder
-from twinct.scenario import FamilySearch, ViewTask
+from twinct.scenario import FamilySearch
 from twinct.trajectory import OrbitSettings, commanded_views
 from twinct.view_planning import best_parameters, worth_of
 from twinct.view_plans.candidates import orbit_of, reachable
-from twinct.view_plans.journal import Journal
+from twinct.view_plans.journal import SearchJournal
 from twinct.view_plans.search_work import spread
 from twinct.view_plans.task_goals import goals_of
 from twinct.view_plans.trial import trial
@@ -52,7 +52,7 @@ class TunedPath:
 def best_path(
     builder: SimulationBuilder,
     reference: ScanGeometry,
-    journal: Journal,
+    journal: SearchJournal,
     progress: Progress,
     pool: Pool | None = None,
 ) -> TunedPath:
@@ -72,7 +72,8 @@ def best_path(
     """
     task = builder.scenario.task
     assert task is not None and task.family is not None
-    _check(builder, task, task.family)
+    orbit = orbit_of(builder.scenario.trajectory)
+    _check(orbit, task.views, task.family)
     generations, judged = list(journal.generations), 0
     tried = None
     if task.trying is not None and len(generations) < task.family.generations:
@@ -86,7 +87,7 @@ def best_path(
         judged += 1
         if judged <= len(generations):
             return generations[judged - 1]
-        pieces = [_Piece(reference, tried, sets[k : k + TOGETHER]) for k in starts(sets)]
+        pieces = [_PathBatch(reference, tried, sets[k : k + TOGETHER]) for k in starts(sets)]
         judgements = spread(_judged, builder, pieces, pool)
         values = [value for piece in judgements for value, _ in piece]
         journal.judged(values)
@@ -103,7 +104,7 @@ def best_path(
     )
     if tuned.worth <= MISSED:
         raise _infeasible(builder, reference, tuned.parameters)
-    section = _section(builder, task, tuned.parameters)
+    section = _section(orbit, task.views, tuned.parameters)
     views = commanded_views(section, builder.scenario.detector.panel)
     return TunedPath(section, tuned.parameters, views, tuned.history)
 
@@ -112,7 +113,7 @@ def _infeasible(
     builder: SimulationBuilder, reference: ScanGeometry, nearest: Mapping[str, float]
 ) -> InputError:
     """Return the refusal of a search without any feasible path."""
-    ((_, words),) = _judged(builder, _Piece(reference, None, [nearest]))
+    ((_, words),) = _judged(builder, _PathBatch(reference, None, [nearest]))
     near = ", ".join(f"{key} {value:.3g}" for key, value in nearest.items())
     return InputError(
         f"task.family: no tried path is feasible; the nearest, with {near}, {words}; try wider "
@@ -121,7 +122,7 @@ def _infeasible(
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
+class _PathBatch:
     """Paths to be judged.
 
     Attributes:
@@ -141,12 +142,13 @@ def error_of(builder: SimulationBuilder, views: ScanGeometry) -> float:
         return trial(builder, views, None, folder, "path").error_rel
 
 
-def _judged(builder: SimulationBuilder, piece: _Piece) -> list[tuple[float, str]]:
+def _judged(builder: SimulationBuilder, piece: _PathBatch) -> list[tuple[float, str]]:
     """Return the worth of each path, and its violations in words."""
     reference, task = piece.reference, builder.scenario.task
     assert task is not None
     panel, count = builder.scenario.detector.panel, task.views
-    paths = [commanded_views(_section(builder, task, one), panel) for one in piece.sets]
+    orbit = orbit_of(builder.scenario.trajectory)
+    paths = [commanded_views(_section(orbit, count, one), panel) for one in piece.sets]
     held = np.array([len(reachable(builder, path, SILENT)) for path in paths])
     both = ScanGeometry.joined([reference, *paths])
     goals = goals_of(builder, both, len(reference), range(len(reference)), SILENT)
@@ -170,16 +172,12 @@ def _judged(builder: SimulationBuilder, piece: _Piece) -> list[tuple[float, str]
     return judged
 
 
-def _section(
-    builder: SimulationBuilder, task: ViewTask, parameters: Mapping[str, float]
-) -> OrbitSettings:
-    orbit = orbit_of(builder.scenario.trajectory)
-    keys: dict[str, Any] = orbit.model_dump() | {"views": task.views} | dict(parameters)
+def _section(orbit: OrbitSettings, views: int, parameters: Mapping[str, float]) -> OrbitSettings:
+    keys: dict[str, Any] = orbit.model_dump() | {"views": views} | dict(parameters)
     return type(orbit).model_validate(keys)
 
 
-def _check(builder: SimulationBuilder, task: ViewTask, family: FamilySearch) -> None:
-    orbit = orbit_of(builder.scenario.trajectory)
+def _check(orbit: OrbitSettings, views: int, family: FamilySearch) -> None:
     fields = type(orbit).model_fields
     numbers = [
         name
@@ -198,7 +196,7 @@ def _check(builder: SimulationBuilder, task: ViewTask, family: FamilySearch) -> 
             continue
         for side in ("low", "high"):
             try:
-                _section(builder, task, {one.key: getattr(one, side)})
+                _section(orbit, views, {one.key: getattr(one, side)})
             except ValidationError as error:
                 problems.append(f"{key}.{side}: {error.errors()[0]['msg']}")
     if problems:

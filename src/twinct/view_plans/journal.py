@@ -18,7 +18,7 @@ from twinct.scenario import ViewTask
 from twinct.view_planning import Searched
 
 
-class Journal:
+class SearchJournal:
     """State of a search; each change is written to disk.
 
     Attributes:

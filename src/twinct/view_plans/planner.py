@@ -35,7 +35,7 @@ from twinct.view_plans.candidates import (
     spread_evenly,
 )
 from twinct.view_plans.family_search import best_path, error_of
-from twinct.view_plans.journal import Journal, search_digest
+from twinct.view_plans.journal import SearchJournal, search_digest
 from twinct.view_plans.mas import share_exposure
 from twinct.view_plans.picture import draw_view_plan
 from twinct.view_plans.scout import Scouted, scouted
@@ -188,11 +188,11 @@ def plan_views(
     with sole_owner(out / LOCK), ExitStack() as stack:
         seen = None
         if scout is not None:
-            seen = scouted(scenario, scout, progress)
+            seen = scouted(SimulationBuilder(scenario), scout, progress)
             overrides = [*overrides, *seen.overrides]
             scenario = load_scenario(source, overrides)
         digest = search_digest(stage_digests(scenario)["images"], task)
-        journal = Journal(out / SEARCH, digest, resume)
+        journal = SearchJournal(out / SEARCH, digest, resume)
         stack.enter_context(keeping(lambda: f"{out} keeps {journal.in_words}"))
         builder = SimulationBuilder(scenario)
         orbit, panel = orbit_of(scenario.trajectory), scenario.detector.panel
@@ -266,7 +266,7 @@ def _chosen(
     task: ViewTask,
     within: ScanGeometry,
     own: ScanGeometry,
-    journal: Journal,
+    journal: SearchJournal,
     progress: Progress,
 ) -> _Choice:
     """Choose views among the reachable candidates."""
@@ -302,7 +302,7 @@ def _tuned(
     task: ViewTask,
     within: ScanGeometry,
     own: ScanGeometry,
-    journal: Journal,
+    journal: SearchJournal,
     progress: Progress,
     pool: Pool | None,
 ) -> _Choice:

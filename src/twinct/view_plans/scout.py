@@ -14,7 +14,6 @@ from twinct.recon import Projector, registered
 from twinct.runs.reconstruction import load_scan
 from twinct.scan import SimulationBuilder
 from twinct.scan.integrals import line_integrals
-from twinct.scenario import Scenario
 from twinct.view_plans.patient import Patient
 from twinct.xray.build import effective_energy_kev
 
@@ -54,13 +53,13 @@ class Scouted:
         ]
 
 
-def scouted(scenario: Scenario, path: Path, progress: Progress) -> Scouted:
+def scouted(builder: SimulationBuilder, path: Path, progress: Progress) -> Scouted:
     """Register the specimen of a scenario, as one volume, to a scan of a few views.
 
     The poses are the scan's first geometry for reconstruction, normally the believed one.
 
     Args:
-        scenario: its specimen is the prior; it may be off by some centimetres and degrees.
+        builder: its specimen is the prior; it may be off by some centimetres and degrees.
         path: folder of a run, or its scan.zarr.
         progress: receives the progress.
 
@@ -72,8 +71,6 @@ def scouted(scenario: Scenario, path: Path, progress: Progress) -> Scouted:
     if len(scan) < FEWEST:
         raise InputError(f"{path}: {len(scan)} scout view, but at least {FEWEST} are needed")
     settings = scan.scenario
-    builder = SimulationBuilder(scenario)
-    specimen = builder.specimen
     energy = effective_energy_kev(settings.source, settings.detector)
     prior = Patient(builder, VOXEL_MM).attenuation(energy)
     more = 2 * int(np.ceil(AROUND_MM / VOXEL_MM))
@@ -92,7 +89,7 @@ def scouted(scenario: Scenario, path: Path, progress: Progress) -> Scouted:
         step()
     middle = prior.grid.world_from_grid.position
     return Scouted(
-        pose @ specimen.world_from_specimen,
+        pose @ builder.specimen.world_from_specimen,
         float(np.linalg.norm(pose.apply(middle) - middle)),
         pose.angle_deg(Pose.identity()),
         len(scan),

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.progress import Progress
-from twinct.geometry import Floats, ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.runs.acquisition import acquire_to_store
 from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct
 from twinct.scan import SimulationBuilder, local_rig
-from twinct.scenario import Scenario, parse_scenario
+from twinct.scenario import Scenario, ViewTask, parse_scenario
 from twinct.trajectory import write_views
 from twinct.view_plans.trial_picture import draw_tried
 
@@ -50,10 +50,13 @@ def trial(
         folder: folder of the scan, from which a later call continues.
         name: name of the scan.
     """
-    region, _, _ = _region(builder.scenario)
+    scenario = builder.scenario
+    assert scenario.task is not None
+    grid, stands = scenario.reconstruction.volume_grid, scenario.specimen.world_from_specimen
+    region, _ = _region(scenario.task, stands, grid)
     file, store = (folder / f"{name}{ending}" for ending in (".csv", ".zarr"))
     write_views(file, geometry, mas)
-    gantry = SimulationBuilder(_of_gantry(builder.scenario, file), given_specimen=builder.specimen)
+    gantry = SimulationBuilder(_of_gantry(scenario, file), given_specimen=builder.specimen)
     scan = acquire_to_store(gantry, store, local_rig, resume=True).read()
     volume, truth = reconstruct(scan).array, truth_of(scan, gantry)
     off = volume[region].astype(float) - truth.volume[region]
@@ -93,7 +96,8 @@ def tried(
     shown = {"truth": next(iter(trials.values())).truth}
     for name, one in trials.items():
         shown[f"{name.replace('_', ' ')}, error {100 * one.error_rel:.1f} %"] = one.volume
-    _, grid, place = _region(scenario)
+    grid = scenario.reconstruction.volume_grid
+    _, place = _region(task, scenario.specimen.world_from_specimen, grid)
     draw_tried(
         out / PICTURE,
         f"{scenario.name}: planned for the region in the circle",
@@ -106,16 +110,14 @@ def tried(
 
 
 def _region(
-    scenario: Scenario,
-) -> tuple[NDArray[np.bool_], VolumeGrid, tuple[float, float, float]]:
-    """Return voxels of the task's region, (z, y, x), the grid, and the centre in its frame, mm."""
-    task, grid = scenario.task, scenario.reconstruction.volume_grid
-    assert task is not None
-    place = scenario.specimen.world_from_specimen.apply(np.asarray(task.position_mm))
+    task: ViewTask, world_from_specimen: Pose, grid: VolumeGrid
+) -> tuple[NDArray[np.bool_], tuple[float, float, float]]:
+    """Return the voxels of the task's region, (z, y, x), and its centre in the grid's frame, mm."""
+    place = world_from_specimen.apply(np.asarray(task.position_mm))
     px, py, pz = grid.world_from_grid.inverse().apply(place).tolist()
     z, y, x = np.meshgrid(*grid.axes()[::-1], indexing="ij", sparse=True)
     far = np.sqrt((x - px) ** 2 + (y - py) ** 2 + (z - pz) ** 2)
-    return far <= max(task.radius_mm, float(far.min())), grid, (px, py, pz)
+    return far <= max(task.radius_mm, float(far.min())), (px, py, pz)
 
 
 def _of_gantry(scenario: Scenario, file: Path) -> Scenario:

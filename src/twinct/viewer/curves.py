@@ -12,7 +12,7 @@ from twinct.viewer.show import Show
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class Chart:
     """Several series over one axis.
 
     Attributes:
@@ -37,7 +37,7 @@ class Curve:
         return mark
 
 
-def curves(shows: Sequence[Show]) -> list[Curve]:
+def curves(shows: Sequence[Show]) -> list[Chart]:
     """Return all curves of the runs on the page, without empty ones."""
     views = max((len(show) for show in shows), default=0)
     x = np.arange(views, dtype=float)
@@ -57,15 +57,15 @@ def curves(shows: Sequence[Show]) -> list[Curve]:
             by_view[own + name] = _filled(values, views)
     taken = " or ".join(dict.fromkeys(show.kept for show in shows))
     curves_shown = [
-        Curve(f"distance from {taken}, mm", x, True, errors),
-        Curve("smallest gap on the way to a view, mm", x, True, gaps),
-        Curve("residual of a view, relative to p", x, True, by_view),
+        Chart(f"distance from {taken}, mm", x, True, errors),
+        Chart("smallest gap on the way to a view, mm", x, True, gaps),
+        Chart("residual of a view, relative to p", x, True, by_view),
     ]
     most = max(map(len, courses.values()), default=0)
     iterations = np.arange(1, most + 1, dtype=float)
     residuals = {name: _filled(np.array(values), most) for name, values in courses.items()}
     curves_shown.append(
-        Curve("residual of an iteration (RMS of p - A x)", iterations, False, residuals)
+        Chart("residual of an iteration (RMS of p - A x)", iterations, False, residuals)
     )
     return [curve for curve in curves_shown if curve.series and len(curve.x)]
 

@@ -12,6 +12,7 @@ from twinct.core.errors import TwinctError
 from twinct.robots.cell import GantryModel, build_cell, build_gantry
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, GantryCell
+from twinct.specimen import BuiltSpecimen
 from twinct.viewer.live_page import Page
 from twinct.viewer.planned import field_of_view
 from twinct.viewer.room import Room
@@ -66,9 +67,9 @@ def _floating(show: Show) -> GantryCell:
     return GantryCell(kind="gantry", floor_z_mm=-max(1200.0, 1.5 * show.reach_mm))
 
 
-def specimen_as_it_looks(builder: SimulationBuilder) -> trimesh.Trimesh:
+def specimen_as_it_looks(specimen: BuiltSpecimen) -> trimesh.Trimesh:
     """Return the specimen's surface in its own frame, mm, simplified for browsers."""
-    mesh = builder.specimen.surface()
+    mesh = specimen.surface()
     if len(mesh.faces) > MOST_TRIANGLES:
         mesh = mesh.simplify_quadric_decimation(face_count=MOST_TRIANGLES)
     return trimesh.Trimesh(np.asarray(mesh.vertices), np.asarray(mesh.faces), process=False)
@@ -94,7 +95,7 @@ def _fill_up(page: Page, run: int, show: Show, builder: SimulationBuilder | None
         if (room := whole_room(show, builder)) is not None:
             page.put_room(run, room)
         if builder is not None:
-            page.put_specimen(run, specimen_as_it_looks(builder))
+            page.put_specimen(run, specimen_as_it_looks(builder.specimen))
         if not show.poses:
             page.put_field(run, field_of_view(show))
     except TwinctError as error:  # such as a mesh file that has moved since the run

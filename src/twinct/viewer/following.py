@@ -38,7 +38,7 @@ HANGS_S = 60.0
 """Time that the end waits for the last look, without which the page would lack the last views."""
 
 
-class Follower:
+class FolderPoller:
     """Poller of a run's folder, which puts new data on the page."""
 
     def __init__(self, page: Page, run: int, folder: RunFolder, shown: Show) -> None:
@@ -103,7 +103,7 @@ class LivePage:
     def __init__(self, page: Page, out: Path, builder: SimulationBuilder | None = None) -> None:
         """Prepare a page of a run with ``builder``; its folder ``out`` may not exist yet."""
         self._page, self._out, self._builder = page, out, builder
-        self._follower: Follower | None = None
+        self._follower: FolderPoller | None = None
         self._shown: Show | None = None
         page.say("planning")
 
@@ -158,6 +158,6 @@ class LivePage:
             else:
                 self._page.put(0, shown)
             self._shown = shown
-            self._follower = Follower(self._page, 0, folder, shown)
+            self._follower = FolderPoller(self._page, 0, folder, shown)
         else:
             self._follower.nudge()

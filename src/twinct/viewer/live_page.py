@@ -18,7 +18,7 @@ import numpy as np
 
 from twinct.geometry import Floats
 from twinct.scan import Simulated
-from twinct.viewer.curves import Curve, curves
+from twinct.viewer.curves import Chart, curves
 from twinct.viewer.markdown import plain
 from twinct.viewer.numbers import (
     nearest_view,
@@ -95,7 +95,7 @@ class Page:
         self._selected = 0
         self._surface: tuple[Any, ...] = ()
         self._tiles: tuple[Any, ...] = ()
-        self._curves: list[tuple[Curve, Any]] = []
+        self._curves: list[tuple[Chart, Any]] = []
         self._busy = False
         self._playing = False
         self._mute = False
@@ -416,7 +416,7 @@ class Page:
             if curve.over_views:
                 plot.data = (curve.x, *curve.series.values(), curve.marked(self._look.view))
 
-    def _lay_curves(self, curves_shown: list[Curve]) -> bool:
+    def _lay_curves(self, curves_shown: list[Chart]) -> bool:
         """Update the plots; return True if they were made anew because the series have changed."""
         known = [(c.title, tuple(c.series)) for c, _ in self._curves]
         if known == [(c.title, tuple(c.series)) for c in curves_shown]:
@@ -433,7 +433,7 @@ class Page:
             self._curves = [(curve, self._plot(curve)) for curve in curves_shown]
         return True
 
-    def _plot(self, curve: Curve) -> Any:
+    def _plot(self, curve: Chart) -> Any:
         series: list[Any] = [{"label": "view" if curve.over_views else "iteration"}]
         for name in curve.series:
             shade = _ink(colour_of(name.partition(":")[2].strip().split(",")[0], self.shows[0])) \

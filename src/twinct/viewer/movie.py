@@ -22,7 +22,7 @@ from twinct.core.progress import Progress
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell import (
     Marks,
-    Moment,
+    PictureContent,
     build_cell,
     paint_specimen,
     room_pictures,
@@ -30,6 +30,7 @@ from twinct.robots.cell import (
 )
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
+from twinct.specimen import BuiltSpecimen
 from twinct.viewer.filling import gantry_of, specimen_as_it_looks
 from twinct.viewer.magnified import corners
 from twinct.viewer.projection import Projections
@@ -62,7 +63,7 @@ def write_movie(
             progress.stage("film", len(show)) as step,
             _encoder(draft, path) as pipe,
         ):
-            for frame in frames(show, builder):
+            for frame in frames(show, None if builder is None else builder.specimen):
                 pipe.write(np.ascontiguousarray(frame).data)
                 step()
 
@@ -115,10 +116,10 @@ def _encoder(draft: Path, path: Path) -> Iterator[IO[bytes]]:
     raise StorageError(f"{path}: the film could not be written: {ending}")
 
 
-def frames(show: Show, builder: SimulationBuilder | None) -> Iterator[NDArray[np.uint8]]:
+def frames(show: Show, specimen: BuiltSpecimen | None) -> Iterator[NDArray[np.uint8]]:
     """Yield one picture per view, (HEIGHT, WIDTH, 3)."""
     beside, projections = _middle_slice(show), Projections(show)
-    pictures = _rooms(show, builder)
+    pictures = _rooms(show, specimen)
     for view, room in enumerate(pictures):
         frame = Image.new("RGB", (WIDTH, HEIGHT), PAPER)
         frame.paste(Image.fromarray(room), (0, 0))
@@ -135,8 +136,8 @@ def frames(show: Show, builder: SimulationBuilder | None) -> Iterator[NDArray[np
         yield np.asarray(frame)
 
 
-def _rooms(show: Show, builder: SimulationBuilder | None) -> Iterator[NDArray[np.uint8]]:
-    mesh = None if builder is None else specimen_as_it_looks(builder)
+def _rooms(show: Show, specimen: BuiltSpecimen | None) -> Iterator[NDArray[np.uint8]]:
+    mesh = None if specimen is None else specimen_as_it_looks(specimen)
     if isinstance(show.cell, Cell):
         model = build_cell(show.cell, mesh, show.place, show.settings.detector.panel)
         moved = None
@@ -145,7 +146,7 @@ def _rooms(show: Show, builder: SimulationBuilder | None) -> Iterator[NDArray[np
         room = Room(model)
         moved = room, GantryPlaces(room, *show.first[0])
 
-    def moments() -> Iterator[Moment]:
+    def moments() -> Iterator[PictureContent]:
         for view in range(len(show)):
             name, geometry = show.geometry(show.kept, view)
             source, rim = geometry.source[view], corners(geometry, view)
@@ -161,10 +162,10 @@ def _rooms(show: Show, builder: SimulationBuilder | None) -> Iterator[NDArray[np
             places = dict(_object(show, view))
             if moved is not None:
                 places |= _tools(show, view, *moved)
-            yield Moment(show.joints_at(view), marks, places)
+            yield PictureContent(show.joints_at(view), marks, places)
 
-    if builder is not None:
-        paint_specimen(model, builder.specimen.colour)
+    if specimen is not None:
+        paint_specimen(model, specimen.colour)
     camera = whole_camera(model, show.joints_at(len(show) // 2), ROOM_WIDTH / HEIGHT)
     yield from room_pictures(model, moments(), ROOM_WIDTH, HEIGHT, camera)
 

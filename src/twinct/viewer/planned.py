@@ -10,7 +10,7 @@ from twinct.core.foreign_text import counted
 from twinct.evaluation import region_of_interest
 from twinct.geometry import VolumeGrid
 from twinct.geometry.wire import PosePairs
-from twinct.robots.reach import Holder, Poses
+from twinct.robots.reach import Holder, TargetPoses
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
 from twinct.viewer.show import Show
@@ -33,7 +33,7 @@ def planned(builder: SimulationBuilder) -> Show:
         plan, problems, refused = builder.plan, (), ()
     except TrajectoryError as error:
         plan, problems = None, error.problems
-        poses = Poses.of(builder.requested.source_poses(), builder.requested.detector_poses())
+        poses = TargetPoses.of(builder.requested.source_poses(), builder.requested.detector_poses())
         holder = Holder(builder.cell, scenario.motion, roll_free=builder.roll_free)
         refused = tuple(view for view, held in enumerate(holder.held(poses)) if not held)
     views = len(builder.requested)

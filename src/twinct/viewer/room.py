@@ -25,7 +25,7 @@ LEFT_OUT = ("floor", "specimen")
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class RoomBody:
     """One body of the room.
 
     Attributes:
@@ -51,12 +51,12 @@ class Room:
             if name not in LEFT_OUT and (geoms := self._places.seen(body))
         }
         self._indices = list(chosen)
-        bodies: list[Body] = []
+        bodies: list[RoomBody] = []
         for body, geoms in chosen.items():
             name, mesh = self._places.names[body], merge_geoms(model.model, geoms)
             if (rgba := self._places.colour(body)) is not None:
                 mesh.visual = TextureVisuals(material=_matt(rgba))
-            bodies.append(Body(name, mesh))
+            bodies.append(RoomBody(name, mesh))
         self.bodies = tuple(bodies)
 
     def at(self, joints: Floats | None) -> tuple[Floats, Floats]:

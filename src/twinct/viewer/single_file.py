@@ -18,7 +18,7 @@ from PIL import Image
 from twinct.core.files.writing import MADE_BY, storage_errors, write_text
 from twinct.core.progress import Progress
 from twinct.scan import SimulationBuilder
-from twinct.viewer.curves import Curve, curves
+from twinct.viewer.curves import Chart, curves
 from twinct.viewer.filling import specimen_as_it_looks, whole_room
 from twinct.viewer.planned import field_of_view
 from twinct.viewer.scenery import see_whole_room, set_lights
@@ -58,7 +58,7 @@ def export_page(
                 dense_surface(volume.array, volume.grid, level, SURFACE_TRIANGLES), opacity=0.35
             )
         elif builder is not None:
-            stage.set_specimen(specimen_as_it_looks(builder))
+            stage.set_specimen(specimen_as_it_looks(builder.specimen))
             stage.set_field_of_view(field_of_view(show))
         stage.draw(show, look, None)
         serializer = server.get_scene_serializer()
@@ -115,7 +115,7 @@ def _with_pictures(text: str, show: Show, look: Look) -> str:
     return f"{named[:start]}{html.escape(show.name)} - twinct{named[stop:]}"
 
 
-def curves_picture(shown_curves: Sequence[Curve]) -> bytes:
+def curves_picture(shown_curves: Sequence[Chart]) -> bytes:
     """Return a picture (PNG) of all curves, one below the other."""
     figure = Figure(figsize=(6.0, 2.4 * len(shown_curves)), layout="constrained", dpi=110)
     panels = np.atleast_1d(figure.subplots(len(shown_curves), 1))

@@ -43,7 +43,7 @@ def split(mesh: Trimesh, longest_edge_mm: float | None) -> Trimesh:
     return mesh if longest_edge_mm is None else refined(mesh, longest_edge_mm / 1.5)
 
 
-class Placement:
+class SpecimenObstacle:
     """The specimen as an obstacle for source and panel."""
 
     def __init__(self, parts: Sequence[tuple[str, Trimesh]]) -> None:

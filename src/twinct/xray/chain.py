@@ -49,7 +49,7 @@ class ViewImages:
     transmission: Image
 
 
-class Chain:
+class ImagingChain:
     """Source and detector of one scenario.
 
     The steps follow the physics: the expected signal of each physical pixel (the mean over the

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from twinct.core import card
 from twinct.geometry import Panel, ScanGeometry
 from twinct.rays import Surface
-from twinct.rays.mesh_rays import Frame, frame_of
+from twinct.rays.mesh_rays import KernelView, frame_of
 from twinct.xray.engine import EngineChoice, SceneBody
 
 MEMORY_BYTES = 600 * 2**20
@@ -108,7 +108,7 @@ class CudaMeshEngine:
         warp.synchronize_device(device)
 
     def _covered(
-        self, frame: Frame, weights: dict[int, float]
+        self, frame: KernelView, weights: dict[int, float]
     ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Sum up what is certain; return the doubtful pixels and the triangles beside the source.
 
@@ -117,7 +117,7 @@ class CudaMeshEngine:
         from twinct.rays import _warp_crossings as kernels
 
         warp, device = card.warp(), card.device()
-        there = kernels.Frame()
+        there = kernels.CardView()
         there.seen, there.source = warp.mat33d(frame.seen[:3]), warp.vec3d(*frame.seen[3])
         while True:
             assert self._lists is not None
@@ -139,7 +139,7 @@ class CudaMeshEngine:
 
     def _settle(
         self,
-        frame: Frame,
+        frame: KernelView,
         weights: dict[int, float],
         doubts: NDArray[np.int32],
         beside: NDArray[np.int32],

@@ -15,9 +15,9 @@ from twinct.specimen import BuiltSpecimen, Part
 from twinct.specimen.part import rendered
 from twinct.specimen.signals import Inserts
 from twinct.xray._owner import SceneOwner
-from twinct.xray._placement import Placement, longest_edge, mesh_fault, split
+from twinct.xray._placement import SpecimenObstacle, longest_edge, mesh_fault, split
 from twinct.xray.build import effective_energy_kev, physical_panel
-from twinct.xray.chain import Chain, ViewImages
+from twinct.xray.chain import ImagingChain, ViewImages
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.inserts import Insertion
@@ -42,7 +42,7 @@ class Imager(SceneOwner):
 
     A monochromatic point source and an ideal detector give the engine's own image of the meshes,
     each pixel sampled at its centre. All other cases use path lengths (``PathRenderer``) and a
-    ``Chain``; an image then costs one render per point of the focal spot and instant of the
+    ``ImagingChain``; an image then costs one render per point of the focal spot and instant of the
     exposure.
     """
 
@@ -83,7 +83,7 @@ class Imager(SceneOwner):
         self._commanded, self._mas = commanded, mas
         self._paths: PathRenderer | None = None
         self._exposure_s = source.exposure_ms / 1000
-        self._chain: Chain | None = None
+        self._chain: ImagingChain | None = None
         edge = longest_edge(_nearest_mm(specimen, commanded))
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
             self._open_ideal(specimen, edge, engine, objects)
@@ -126,7 +126,7 @@ class Imager(SceneOwner):
         """Upload all that is imaged by one frame of the engine, and prepare all other rays."""
         energy_kev = self._source.energy_kev
         bodies = _bodies(specimen, energy_kev, edge_mm)
-        self._placement = Placement([(part.name, part.mesh) for part in specimen.parts])
+        self._placement = SpecimenObstacle([(part.name, part.mesh) for part in specimen.parts])
         self._own = OwnRays([part for part in specimen.parts if part.own_rays], self.panel)
         self._room = room_rays(objects, self.panel)
         if bodies:
@@ -311,10 +311,10 @@ class Imager(SceneOwner):
         before: PosePairs | None,
         time_s: float,
         insertion: Insertion | None,
-    ) -> tuple[Chain, NDArray[np.float32], tuple[NDArray[np.float32], float] | None]:
+    ) -> tuple[ImagingChain, NDArray[np.float32], tuple[NDArray[np.float32], float] | None]:
         """Return the chain, the expected signal of a view, and that of the view before, if it lags.
 
-        See ``Chain.frame``.
+        See ``ImagingChain.frame``.
         """
         chain = self._chain = self._chain or self._new_chain(
             self._commanded or path[len(path) // 2]
@@ -333,7 +333,7 @@ class Imager(SceneOwner):
 
     def _expected(
         self,
-        chain: Chain,
+        chain: ImagingChain,
         path: ScanGeometry,
         objects: Sequence[Pose],
         index: int,
@@ -353,9 +353,9 @@ class Imager(SceneOwner):
                 chain.add(paths, seen, expected, share)
         return expected
 
-    def _new_chain(self, commanded: ScanGeometry) -> Chain:
+    def _new_chain(self, commanded: ScanGeometry) -> ImagingChain:
         sections = self._source, self._detector
-        return Chain(*sections, self._materials, commanded, self._seed, self._mas)
+        return ImagingChain(*sections, self._materials, commanded, self._seed, self._mas)
 
     def _ideal(
         self,

@@ -16,7 +16,7 @@ from twinct.specimen.mesh_caster import misses
 from twinct.specimen.part import rendered
 from twinct.specimen.surface import corners
 from twinct.xray._owner import SceneOwner
-from twinct.xray._placement import Placement, mesh_fault, split
+from twinct.xray._placement import SpecimenObstacle, mesh_fault, split
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.own_rays import OwnRays, room_rays
@@ -82,7 +82,7 @@ class PathRenderer(SceneOwner):
         self._own_rays = [part.own_rays for part in parts]
         bodies = rendered(parts)
         self._material = [self.materials.index(body.material) for body in bodies]
-        self._placements = [Placement([(part.name, part.mesh)]) for part in parts]
+        self._placements = [SpecimenObstacle([(part.name, part.mesh)]) for part in parts]
         self._corners = [corners(body.mesh) for body in bodies]
         self.panel, self.samples = panel, samples
         fine = self._fine = panel.divided(samples)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from twinct.geometry import ScanGeometry
 from twinct.xray import sections
 from twinct.xray.build import build_spread
-from twinct.xray.chain import Chain
+from twinct.xray.chain import ImagingChain
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def free_photons(
         return None
     if isinstance(noise, sections.SnrNoise):
         return FreePhotons(noise.snr**2, noise.snr**2)  # drawn after the point spread
-    signal, square = Chain(source, detector, (), commanded[:1]).free
+    signal, square = ImagingChain(source, detector, (), commanded[:1]).free
     number = float(signal**2 / square) * detector.binning**2
     spread, panel = build_spread(detector), detector.panel
     gain = 1.0 if spread is None else spread.noise_gain(panel.pitch_u, panel.pitch_v)

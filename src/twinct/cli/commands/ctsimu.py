@@ -21,7 +21,7 @@ from twinct.core.interruption import keeping
 from twinct.ctsimu import Options, load_ctsimu, suite
 from twinct.ctsimu import render as render_ctsimu
 from twinct.ctsimu.export import export_scan
-from twinct.ctsimu.outputs import Files
+from twinct.ctsimu.outputs import OutputPaths
 from twinct.ctsimu.scenario import CtsimuScenario
 from twinct.scan import ScanStore, SimulationBuilder, named_geometries
 
@@ -143,7 +143,7 @@ def qualify(
 
 
 def _kept(scenario: CtsimuScenario, out: Path) -> str:
-    files = Files(out, scenario.name)
+    files = OutputPaths(out, scenario.name)
     done = sum(files.projection(index).exists() for index in range(scenario.frames))
     return f"{out} keeps {done} of {scenario.frames} projections; --resume continues"
 

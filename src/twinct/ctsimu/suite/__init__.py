@@ -13,19 +13,19 @@ from typing import Any
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.files.links import look_through, no_link, own_folder
 from twinct.core.files.writing import remove_folder, storage_errors, write_json
-from twinct.ctsimu.outputs import Files, Options
+from twinct.ctsimu.outputs import Options, OutputPaths
 from twinct.ctsimu.render import render
 from twinct.ctsimu.scenario import load_ctsimu
 from twinct.ctsimu.suite.cases import NOT_TAKEN, TESTS, cases
-from twinct.ctsimu.suite.verdicts import Verdict, verdicts
+from twinct.ctsimu.suite.verdicts import SuiteVerdict, verdicts
 from twinct.ctsimu.writing import make_folder
 
-__all__ = ["NOT_TAKEN", "TESTS", "Verdict", "qualify"]
+__all__ = ["NOT_TAKEN", "TESTS", "SuiteVerdict", "qualify"]
 
 
 def qualify(
     folder: Path, tests: Sequence[str] = TESTS, *, step: Callable[[str], None] = lambda name: None
-) -> list[Verdict]:
+) -> list[SuiteVerdict]:
     """Build the samples, render the images, and evaluate them with the toolbox.
 
     Existing images are evaluated again, not rendered again. Each test has its own folder; figures
@@ -46,7 +46,7 @@ def qualify(
         raise InputError([wrong, *left_out])
     _toolbox()
     make_folder(folder)
-    verdicts: list[Verdict] = []
+    verdicts: list[SuiteVerdict] = []
     for test in tests:
         with storage_errors(folder):
             verdicts += _judged(test, folder / test, step)
@@ -55,16 +55,16 @@ def qualify(
     return verdicts
 
 
-def _judged(test: str, folder: Path, step: Callable[[str], None]) -> list[Verdict]:
+def _judged(test: str, folder: Path, step: Callable[[str], None]) -> list[SuiteVerdict]:
     """Render what is missing, run the toolbox with its output in a log, and read its results."""
     look_through(own_folder(folder))
     for case in cases([test]):
         step(case.name)
         scenario = load_ctsimu(case.write(folder))
         options = Options(case.samples, case.spot_points)
-        render(scenario, folder, options, resume=Files(folder, case.name).key.exists())
+        render(scenario, folder, options, resume=OutputPaths(folder, case.name).key.exists())
     toolbox = _toolbox()
-    renderings = {case.key: str(Files(folder, case.name).metadata) for case in cases([test])}
+    renderings = {case.key: str(OutputPaths(folder, case.name).metadata) for case in cases([test])}
     results = folder / f"{test}-results"
     remove_folder(results)
     with (

@@ -13,7 +13,7 @@ from twinct.ctsimu.suite.cases import COVERAGE_SAMPLES
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SuiteVerdict:
     """One figure of merit of a test; ``passed`` is None if it is only reported."""
 
     test: str
@@ -23,12 +23,12 @@ class Verdict:
     passed: bool | None
 
 
-def verdicts(test: str, results: Path) -> list[Verdict]:
+def verdicts(test: str, results: Path) -> list[SuiteVerdict]:
     """Read the results of a test from the toolbox's output folder."""
     return _READERS[test](results)
 
 
-def _noise(results: Path) -> list[Verdict]:
+def _noise(results: Path) -> list[SuiteVerdict]:
     verdicts = []
     for nominal in (100, 250):
         text = (results / f"2D-FB-1_SNR{nominal}_summary.txt").read_text()
@@ -36,17 +36,17 @@ def _noise(results: Path) -> list[Verdict]:
         mean = _number(text, r"Mean grey value:\s+(\S+)")
         measured = f"{snr:.2f} (mean {mean:.0f})"
         good = abs(snr / nominal - 1) <= 0.02
-        verdicts.append(Verdict("2D-FB-1", "SNR", f"{nominal} within 2 %", measured, good))
+        verdicts.append(SuiteVerdict("2D-FB-1", "SNR", f"{nominal} within 2 %", measured, good))
     return verdicts
 
 
-def _distance(results: Path) -> list[Verdict]:
+def _distance(results: Path) -> list[SuiteVerdict]:
     worst = float(np.abs(np.loadtxt(results / "2D-FB-2_summary.txt")[:, 4]).max())
     what = "largest deviation from the analytic profile"
-    return [Verdict("2D-FB-2", what, "at most 0.1 %", f"{worst:.3f} %", worst <= 0.1)]
+    return [SuiteVerdict("2D-FB-2", what, "at most 0.1 %", f"{worst:.3f} %", worst <= 0.1)]
 
 
-def _coverage(results: Path) -> list[Verdict]:
+def _coverage(results: Path) -> list[SuiteVerdict]:
     text = (results / "2D-WE-2_summary.txt").read_text()
     ours, both = _number(text, r"measured image:\s+(\d+)"), _number(text, r"both images:\s+(\d+)")
     partly = _number(text, r"analytical image:\s+(\d+)")
@@ -59,12 +59,12 @@ def _coverage(results: Path) -> list[Verdict]:
     )
     sampled = f", {COVERAGE_SAMPLES} x {COVERAGE_SAMPLES} samples a pixel"
     return [
-        Verdict("2D-WE-2", what + sampled, required, measured, passed)
+        SuiteVerdict("2D-WE-2", what + sampled, required, measured, passed)
         for what, required, measured, passed in figures
     ]
 
 
-def _spots(results: Path) -> list[Verdict]:
+def _spots(results: Path) -> list[SuiteVerdict]:
     verdicts = []
     for key, sigma_um, mtf20 in (("spot1", 9.579, 29.852), ("spot2", 24.552, 11.770)):
         text = (results / f"2D-WE-1_{key}_summary.txt").read_text()
@@ -75,7 +75,7 @@ def _spots(results: Path) -> list[Verdict]:
     return verdicts
 
 
-def _wires(results: Path) -> list[Verdict]:
+def _wires(results: Path) -> list[SuiteVerdict]:
     verdicts = []
     for key, nominal_um in (("SR75", 75.0), ("SR150", 150.0)):
         text = (results / f"2D-DW-1_{key}_results.txt").read_text()
@@ -84,14 +84,14 @@ def _wires(results: Path) -> list[Verdict]:
     return verdicts
 
 
-def _near(test: str, what: str, value: float, wanted: float, unit: str) -> Verdict:
+def _near(test: str, what: str, value: float, wanted: float, unit: str) -> SuiteVerdict:
     """Return the verdict on a figure with a tolerance of 5 %."""
     off = value / wanted - 1
     measured = f"{value:.3f} {unit} ({100 * off:+.2f} %)"
-    return Verdict(test, what, f"{wanted:g} {unit} within 5 %", measured, abs(off) <= 0.05)
+    return SuiteVerdict(test, what, f"{wanted:g} {unit} within 5 %", measured, abs(off) <= 0.05)
 
 
-def _scintillators(results: Path) -> list[Verdict]:
+def _scintillators(results: Path) -> list[SuiteVerdict]:
     names, ours = _table(results / "2D-SW-1_all_GV_ratios_to_Det1.txt")
     reference = np.loadtxt(results / "2D-SW-1_all_MCprimary_reference_ratios.txt")[:, 1:]
     verdicts = []
@@ -110,29 +110,29 @@ def _scintillators(results: Path) -> list[Verdict]:
             required = "nothing: the steps were taken from this reference"
         what = f"{name}: ratios to D1, primary radiation"
         measured = f"largest deviation {100 * relative:.2f} %, {worst:.2f} of what is allowed"
-        verdicts.append(Verdict("2D-SW-1", what, required, measured, passed))
+        verdicts.append(SuiteVerdict("2D-SW-1", what, required, measured, passed))
     return verdicts
 
 
-def _filters(results: Path) -> list[Verdict]:
+def _filters(results: Path) -> list[SuiteVerdict]:
     verdicts = []
     for key in ("Al", "AlCu", "Fe", "FeCu"):
         worst = np.abs(np.loadtxt(results / f"2D-SW-2_{key}_ratios.txt")[:, 6]).max()
         measured = f"largest deviation {100 * worst:.2f} %"
         verdicts.append(
-            Verdict("2D-SW-2", f"{key}: step ratios, primary", "reported", measured, None)
+            SuiteVerdict("2D-SW-2", f"{key}: step ratios, primary", "reported", measured, None)
         )
     return verdicts
 
 
-def _overlaps(results: Path) -> list[Verdict]:
+def _overlaps(results: Path) -> list[SuiteVerdict]:
     verdicts = []
     for key in ("Al_Al", "Al_Ti"):
         text = (results / f"2D-SW-3_{key}_summary.txt").read_text()
         count = int(_number(text, r"anomalies: (\d+)"))
         pixels = int(_number(text, r"treated pixels: (\d+)"))
         measured = f"{count} in {pixels} pixels"
-        verdicts.append(Verdict("2D-SW-3", f"{key}: anomalies", "0", measured, count == 0))
+        verdicts.append(SuiteVerdict("2D-SW-3", f"{key}: anomalies", "0", measured, count == 0))
     return verdicts
 
 
@@ -149,7 +149,7 @@ def _table(path: Path) -> tuple[list[str], np.ndarray]:
     return lines[0].split("\t")[1:], np.array(rows)
 
 
-_READERS: dict[str, Callable[[Path], list[Verdict]]] = {
+_READERS: dict[str, Callable[[Path], list[SuiteVerdict]]] = {
     "2D-FB-1": _noise,
     "2D-FB-2": _distance,
     "2D-DW-1": _wires,

@@ -19,7 +19,7 @@ from twinct.evaluation.figure_kind import (
     NamedPlaces,
 )
 from twinct.evaluation.observer import detectability
-from twinct.evaluation.region_voxels import Box, Voxels
+from twinct.evaluation.region_voxels import Slices, VoxelSet
 from twinct.geometry import Floats, VolumeGrid
 from twinct.specimen.signals import AnySignal
 
@@ -38,7 +38,7 @@ USUAL_SCANS = 4
 (``benchmarks/bench_observer.py --scans 2``); three differences instead of one narrow this."""
 
 
-class Task(FigureSettings):
+class DetectionTask(FigureSettings):
     """Detection of a signal in a region, rated by the index of detectability.
 
     Each task reconstructs the scan again with the signal inserted into its images, and all tasks
@@ -60,7 +60,7 @@ class Task(FigureSettings):
     )
 
 
-def _measure(at: Measurement, task: Task) -> dict[str, float]:
+def _measure(at: Measurement, task: DetectionTask) -> dict[str, float]:
     if at.again is None:
         log.warning(
             "no detectability of %s: it needs the scan of the volume, to reconstruct it again",
@@ -93,17 +93,17 @@ def _measure(at: Measurement, task: Task) -> dict[str, float]:
     }
 
 
-def _reach(task: Task, grid: VolumeGrid) -> float:
+def _reach(task: DetectionTask, grid: VolumeGrid) -> float:
     """Return the radius that the observer looks at, mm; at least that of two voxels."""
     return max(REACH * task.signal.extent_mm, 2 * float(grid.voxel.max()))
 
 
-def _half(task: Task, grid: VolumeGrid) -> list[int]:
+def _half(task: DetectionTask, grid: VolumeGrid) -> list[int]:
     """Return the voxels on either side of the template's middle, along z, y, x."""
     return np.ceil(_reach(task, grid) / grid.voxel[::-1]).astype(int).tolist()
 
 
-def _seen(task: Task, grid: VolumeGrid) -> NDArray[np.bool_]:
+def _seen(task: DetectionTask, grid: VolumeGrid) -> NDArray[np.bool_]:
     """Return the voxels of the template's box that the observer looks at, (z, y, x)."""
     sides = zip(_half(task, grid), grid.voxel[::-1], strict=True)
     axes = [np.arange(-n, n + 1) * edge for n, edge in sides]
@@ -111,7 +111,7 @@ def _seen(task: Task, grid: VolumeGrid) -> NDArray[np.bool_]:
     return np.asarray(z * z + y * y + x * x <= _reach(task, grid) ** 2)
 
 
-def _places(places: NamedPlaces, task: Task) -> Voxels | None:
+def _places(places: NamedPlaces, task: DetectionTask) -> VoxelSet | None:
     """Return the voxels at which the signal lies in the region and the template in the grid."""
     from scipy.ndimage import distance_transform_edt
 
@@ -135,11 +135,11 @@ def _places(places: NamedPlaces, task: Task) -> Voxels | None:
     inner = tuple(
         slice(s.start - b.start, s.stop - b.start) for s, b in zip(sides, region.box, strict=True)
     )
-    found = Voxels((z, y, x), mask[inner])
+    found = VoxelSet((z, y, x), mask[inner])
     return found if len(found) else None
 
 
-def _inserts(places: Voxels, reach_mm: float, grid: VolumeGrid) -> NDArray[np.intp]:
+def _inserts(places: VoxelSet, reach_mm: float, grid: VolumeGrid) -> NDArray[np.intp]:
     """Return voxels for copies of the signal that do not see each other, (copies, 3), z, y, x.
 
     They are taken from the middle of the places outwards.
@@ -165,17 +165,17 @@ def _shifts(count: int) -> Floats:
     return steps % 1 - 0.5
 
 
-def _around(index: list[int], half: list[int]) -> Box:
+def _around(index: list[int], half: list[int]) -> Slices:
     z, y, x = (slice(i - n, i + n + 1) for i, n in zip(index, half, strict=True))
     return z, y, x
 
 
-def _wider(box: Box, half: list[int]) -> Box:
+def _wider(box: Slices, half: list[int]) -> Slices:
     z, y, x = (slice(s.start - n, s.stop + n) for s, n in zip(box, half, strict=True))
     return z, y, x
 
 
-def _check(places: NamedPlaces, task: Task) -> dict[str, str]:
+def _check(places: NamedPlaces, task: DetectionTask) -> dict[str, str]:
     if not len(places.region(task.region)) or _places(places, task) is not None:
         return {}
     wide = 2 * task.signal.extent_mm
@@ -189,7 +189,7 @@ _OBSERVER = "non-prewhitening observer; in noise, texture and shift"
 
 TASKS = FigureKind(
     "tasks",
-    Task,
+    DetectionTask,
     "Detection tasks; each needs further reconstructions.",
     (
         Figure(

@@ -13,11 +13,11 @@ from twinct.core.extras import require
 
 if TYPE_CHECKING:
     from twinct.link.recording.recorder import Recorder
-    from twinct.link.recording.recovery import Recorded, read_recordings
+    from twinct.link.recording.recovery import RecoveredScan, read_recordings
 
-__all__ = ["Recorded", "Recorder", "read_recordings", "recorder_of", "recordings"]
+__all__ = ["RecoveredScan", "Recorder", "read_recordings", "recorder_of", "recordings"]
 
-_HOMES = {"Recorded": "recovery", "read_recordings": "recovery", "Recorder": "recorder"}
+_HOMES = {"RecoveredScan": "recovery", "read_recordings": "recovery", "Recorder": "recorder"}
 
 
 def recordings(folder: Path) -> list[Path]:

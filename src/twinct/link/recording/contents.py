@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry.wire import Reached
-from twinct.link.recording.reader import Recording, Said, instants_of
+from twinct.link.recording.reader import RecordedMessage, Recording, instants_of
 from twinct.link.recording.recorder import FORMAT
 from twinct.link.stamps import NANO
 from twinct.link.topics import CAMERA, IMAGE, JOINTS, REACHED, STATE, TARGET, VIEWS
@@ -41,7 +41,9 @@ class Contents:
     recordings: Sequence[Recording]
     facts: dict[str, str] = field(default_factory=dict)
     files: dict[str, bytes] = field(default_factory=dict)
-    said: dict[str, dict[int, Said]] = field(default_factory=lambda: {t: {} for t in SMALL})
+    said: dict[str, dict[int, RecordedMessage]] = field(
+        default_factory=lambda: {t: {} for t in SMALL}
+    )
     imaged: dict[int, None] = field(default_factory=dict)
     topics: set[str] = field(default_factory=set)
 
@@ -57,7 +59,7 @@ class Contents:
         contents = cls([Recording(path) for path in paths])
         for recording in contents.recordings:
             for record in recording.records():
-                if isinstance(record, Said):
+                if isinstance(record, RecordedMessage):
                     contents._take(record)
                 elif isinstance(record, Attachment):
                     contents.files.setdefault(record.name, record.data)
@@ -65,7 +67,7 @@ class Contents:
                     contents._take_facts(recording.path, record.metadata)
         return contents
 
-    def _take(self, said: Said) -> None:
+    def _take(self, said: RecordedMessage) -> None:
         self.topics.add(said.topic)
         if said.topic == IMAGE:
             self.imaged[said.stamp_ns] = None
@@ -165,7 +167,7 @@ class Contents:
         given: set[int] = set()
         for recording in self.recordings:
             for record in recording.records():
-                if isinstance(record, Said) and record.topic == IMAGE:
+                if isinstance(record, RecordedMessage) and record.topic == IMAGE:
                     if (stamp := record.stamp_ns) in stamps and stamp not in given:
                         given.add(stamp)
                         yield stamp, _pixels(record.message)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.link.recording.reader import Said, instants_of, reader_of
+from twinct.link.recording.reader import RecordedMessage, instants_of, reader_of
 from twinct.link.recording.recorder import Recorder
 from twinct.link.stamps import NANO, Stamp
 from twinct.link.topics import (
@@ -86,7 +86,7 @@ class GraphRecorder(Recorder):
 
     def _keep(self, heard: Heard) -> None:
         """Write a message; hold an image back until its view's other messages are written."""
-        stamp = Said(heard.topic, heard.kind, heard.raw.data).stamp_ns
+        stamp = RecordedMessage(heard.topic, heard.kind, heard.raw.data).stamp_ns
         if heard.topic == IMAGE and stamp not in self._imaged:
             self._images.setdefault(stamp, []).append(heard)  # several if a target was repeated
         else:

@@ -68,7 +68,7 @@ def _packed_chunks(file: BinaryIO) -> tuple[int, int]:
     return packed, unpacked
 
 
-class Said(NamedTuple):
+class RecordedMessage(NamedTuple):
     """A message of a recording, whose fields are read on request.
 
     Attributes:
@@ -172,7 +172,7 @@ class Recording:
             if (summary := SeekingReader(file).get_summary()) is not None:
                 self._schemas, self._channels = summary.schemas, summary.channels
 
-    def records(self) -> Iterator[Said | Attachment | Metadata]:
+    def records(self) -> Iterator[RecordedMessage | Attachment | Metadata]:
         """Yield messages in ROS 2's encoding, attachments and metadata, in the order of writing.
 
         A file that was cut off yields its remaining records.
@@ -191,7 +191,7 @@ class Recording:
                         channel = channels.get(part.channel_id)
                         schema = channel and schemas.get(channel.schema_id)
                         if channel and schema and channel.message_encoding == "cdr":
-                            yield Said(channel.topic, schema.name, part.data)
+                            yield RecordedMessage(channel.topic, schema.name, part.data)
                     elif isinstance(part, Attachment | Metadata):
                         yield part
 

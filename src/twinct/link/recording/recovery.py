@@ -30,7 +30,7 @@ VIEWS_FILE = "views.csv"
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecoveredScan:
     """A scan from recordings.
 
     Attributes:
@@ -98,7 +98,7 @@ class Recorded:
         return store
 
 
-def read_recordings(paths: Sequence[Path], out: Path) -> Recorded:
+def read_recordings(paths: Sequence[Path], out: Path) -> RecoveredScan:
     """Read the recordings of one scan, by twinct or by other software with the same topics.
 
     Args:
@@ -112,7 +112,7 @@ def read_recordings(paths: Sequence[Path], out: Path) -> Recorded:
     if contents.facts:
         recorded = _own(contents)
     else:
-        recorded = Recorded(contents, *foreign_scan(contents, out / VIEWS_FILE))
+        recorded = RecoveredScan(contents, *foreign_scan(contents, out / VIEWS_FILE))
     if not recorded.reached:
         problems = "; ".join(
             ("no view is complete, so there is nothing to import", *contents.problems)
@@ -121,7 +121,7 @@ def read_recordings(paths: Sequence[Path], out: Path) -> Recorded:
     return recorded
 
 
-def _own(contents: Contents) -> Recorded:
+def _own(contents: Contents) -> RecoveredScan:
     if missing := {SCENARIO, COMMANDED} - contents.files.keys():
         raise InputError(
             f"{contents.names}: cut off before {' and '.join(sorted(missing))}, so there is "
@@ -148,4 +148,4 @@ def _own(contents: Contents) -> Recorded:
     views = {stamp: views[stamp] for stamp in reached}
     digests = {"images": contents.facts["images"]}
     missing = tuple(sorted(set(range(len(commanded))) - set(views.values())))
-    return Recorded(contents, scenario, commanded, reached, views, missing, plan, digests)
+    return RecoveredScan(contents, scenario, commanded, reached, views, missing, plan, digests)

@@ -189,7 +189,7 @@ class WarpKernels:
             self.bring(there, out)
 
     def _view(self, rays: Floats) -> Any:
-        view, warp = self._rays.View(), self._warp
+        view, warp = self._rays.ViewRays(), self._warp
         source, corner, across, up, edges = rays
         vectors = source, corner - source, across, up, edges
         view.source, view.first, view.across, view.up, view.edges = (

@@ -8,7 +8,7 @@ import warp as wp
 
 
 @wp.struct
-class View:
+class ViewRays:
     """Rays of a view, in voxel indices: source, vector to pixel (0, 0), steps; voxel edges, mm."""
 
     source: wp.vec3d
@@ -31,12 +31,12 @@ def _larger(way: wp.vec3d):
 
 
 @wp.func
-def _vector(view: View, row: int, column: int):
+def _vector(view: ViewRays, row: int, column: int):
     return view.first + wp.float64(row) * view.up + wp.float64(column) * view.across
 
 
 @wp.kernel
-def write_chords(view: View, nx: int, ny: int, nz: int, out: wp.array2d(dtype=float)):
+def write_chords(view: ViewRays, nx: int, ny: int, nz: int, out: wp.array2d(dtype=float)):
     """Write the length of each ray in the grid, where it is between all six faces."""
     row, column = wp.tid()
     way = _vector(view, row, column)
@@ -60,7 +60,7 @@ def write_chords(view: View, nx: int, ny: int, nz: int, out: wp.array2d(dtype=fl
 
 @wp.kernel
 def write_table(
-    view: View,
+    view: ViewRays,
     nx: int,
     ny: int,
     nz: int,
@@ -171,7 +171,7 @@ def integrate(
 
 
 @wp.func
-def _pixel(view: View, x: float, y: float, z: float):
+def _pixel(view: ViewRays, x: float, y: float, z: float):
     """Return the column and row at which a point, in voxel indices, is seen."""
     point = wp.vec3d(wp.float64(x), wp.float64(y), wp.float64(z)) - view.source
     t = view.back * point
@@ -188,7 +188,7 @@ def _weight(at: float, size: int, index: int):
 
 @wp.func
 def _gathered(
-    view: View,
+    view: ViewRays,
     y: wp.array2d(dtype=float),
     axes: wp.array2d(dtype=wp.int32),
     lines: wp.array2d(dtype=wp.vec4f),
@@ -239,7 +239,7 @@ def _gathered(
 
 @wp.kernel
 def spread(
-    view: View,
+    view: ViewRays,
     y: wp.array2d(dtype=float),
     axes: wp.array2d(dtype=wp.int32),
     lines: wp.array2d(dtype=wp.vec4f),

@@ -11,7 +11,7 @@ from twinct.robots.cell.fixed import Overlap, apart, overlaps
 from twinct.robots.cell.frames import LinkFrames
 from twinct.robots.cell.render import (
     Marks,
-    Moment,
+    PictureContent,
     check_drawing,
     check_picture_size,
     paint_specimen,
@@ -32,7 +32,7 @@ __all__ = [
     "GantryModel",
     "Gap",
     "Marks",
-    "Moment",
+    "PictureContent",
     "Overlap",
     "apart",
     "build_cell",

@@ -75,7 +75,7 @@ class Marks:
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class PictureContent:
     """Content of one picture in a series.
 
     Attributes:
@@ -160,7 +160,9 @@ def render_cell(
 
     at = None if joints is None else np.asarray(joints, dtype=np.float64)
     camera = whole_camera(cell_model, at, width / height)
-    pixels = next(room_pictures(cell_model, [Moment(at, marks or Marks())], width, height, camera))
+    pixels = next(
+        room_pictures(cell_model, [PictureContent(at, marks or Marks())], width, height, camera)
+    )
     try:
         with storage_errors(Path(path_png)), complete(Path(path_png)) as draft:
             Image.fromarray(pixels).save(draft, format="PNG")
@@ -170,7 +172,7 @@ def render_cell(
 
 def room_pictures(
     cell_model: CellModel | GantryModel,
-    moments: Iterable[Moment],
+    moments: Iterable[PictureContent],
     width: int,
     height: int,
     camera: Any = None,

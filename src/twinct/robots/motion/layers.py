@@ -130,7 +130,7 @@ def clear_pairs(
     return np.zeros((0, 2), np.intp)
 
 
-class Choice:
+class LayerSearch:
     """Search for the best path through layers of nodes, repeated as edges turn out blocked."""
 
     def __init__(self, costs: Sequence[Floats], loads: Sequence[Floats]) -> None:
@@ -197,6 +197,6 @@ def lifted(
             out = (turns + leg[:, j].min() < low) | (turns + leg[:, j].max() > high)
             other = np.where(follows, np.where(out, np.inf, 0.0)[:, None], rewinding_s[k])
             costs.append(np.abs(moves) / speeds[j] + other + aside[k + 1])
-        path, _ = Choice(costs, [aside[0], *[np.zeros(5)] * len(legs)]).best()
+        path, _ = LayerSearch(costs, [aside[0], *[np.zeros(5)] * len(legs)]).best()
         result[:, j] = options[np.arange(len(options)), path]
     return result

@@ -25,7 +25,7 @@ from twinct.robots.motion.home import home_off
 from twinct.robots.motion.layers import (
     DETOUR_S,
     ROUNDS,
-    Choice,
+    LayerSearch,
     clear_pairs,
     lifted,
     promising,
@@ -286,7 +286,7 @@ class _Finder:
             layer[0].load_s[pair[:, 0]] + layer[1].load_s[pair[:, 1]]
             for *layer, pair in zip(*layers, pairs, strict=True)
         ]
-        choice = Choice(costs, loads)
+        choice = LayerSearch(costs, loads)
         least = np.full(len(costs), self._least_mm)
         if from_start:
             least[0] = self._first_mm
@@ -322,7 +322,7 @@ class _Finder:
 
     def _mostly_straight(
         self,
-        choice: Choice,
+        choice: LayerSearch,
         nodes: list[Floats],
         straight: dict[tuple[int, int, int], bool],
         least_mm: Floats,

@@ -1,7 +1,7 @@
 """Reach of the arms, their best placement, and the diagnosis of infeasible views."""
 
 from twinct.robots.reach.cures import CureSearch
-from twinct.robots.reach.holding import Holder, Poses
+from twinct.robots.reach.holding import Holder, TargetPoses
 from twinct.robots.reach.place import Bounds, Placement, place
 from twinct.robots.reach.sphere import Reach, poses_of, reach
 from twinct.robots.reach.why import HeldView, reasons, shown
@@ -11,7 +11,7 @@ __all__ = [
     "CureSearch",
     "Holder",
     "Placement",
-    "Poses",
+    "TargetPoses",
     "Reach",
     "HeldView",
     "place",

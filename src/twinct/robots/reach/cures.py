@@ -17,7 +17,7 @@ from twinct.geometry import Floats
 from twinct.robots.cell import CellModel, apart
 from twinct.robots.motion.branches import SIDES, Branches
 from twinct.robots.motion.feasible import Indices
-from twinct.robots.reach.holding import Flags, Holder, Poses
+from twinct.robots.reach.holding import Flags, Holder, TargetPoses
 from twinct.robots.sections import Cell, Motion
 
 FAILING = 8
@@ -61,15 +61,15 @@ class Change:
     forward_mm: float = 0.0
     scale: float = 1.0
 
-    def scaled(self, poses: Poses) -> Poses:
+    def scaled(self, poses: TargetPoses) -> TargetPoses:
         """Return the poses of the changed trajectory."""
         middle = (poses.source[:, :3, 3] + poses.detector[:, :3, 3]) / 2
-        moved = Poses(poses.source.copy(), poses.detector.copy())
+        moved = TargetPoses(poses.source.copy(), poses.detector.copy())
         for matrices in (moved.source, moved.detector):
             matrices[:, :3, 3] = middle + self.scale * (matrices[:, :3, 3] - middle)
         return moved
 
-    def seen_by(self, poses: Poses, arm: int) -> Floats:
+    def seen_by(self, poses: TargetPoses, arm: int) -> Floats:
         """Return poses that are to an unchanged arm what ``poses`` are to the changed one."""
         moved = self.scaled(poses)
         seen = (moved.source, moved.detector)[arm].copy()
@@ -82,7 +82,7 @@ class _Hopes:
     """Largest numbers of views that changes may cure, as far as each arm's reach shows."""
 
     def __init__(
-        self, model: CellModel, motion: Motion, roll_free: tuple[bool, bool], commanded: Poses
+        self, model: CellModel, motion: Motion, roll_free: tuple[bool, bool], commanded: TargetPoses
     ) -> None:
         self._roll_free, self._commanded = roll_free, commanded
         self._branches = [Branches(model, arm, motion.ik) for arm in range(2)]
@@ -101,7 +101,7 @@ class _Hopes:
 
 
 def _alone(
-    cell: CellModel, motion: Motion, roll_free: tuple[bool, bool], commanded: Poses, arm: int
+    cell: CellModel, motion: Motion, roll_free: tuple[bool, bool], commanded: TargetPoses, arm: int
 ) -> Flags:
     """Return flags of the views that an arm can hold, wherever the other one stands."""
     bodies, other = cell.model.geom_bodyid, SIDES[1 - arm]
@@ -132,7 +132,7 @@ class CureSearch:
     motion: Motion
     roll_free: tuple[bool, bool]
     views: int
-    poses: Callable[[Indices], Poses]
+    poses: Callable[[Indices], TargetPoses]
 
     def words(self, failing: Indices, progress: Progress = SILENT) -> str:
         """Return a sentence about the best change that was found.
@@ -171,7 +171,7 @@ class CureSearch:
         return f"no single change cures the {scope}; {TESTED if all_tried else left}"
 
     def _gained(
-        self, change: Change, commanded: Poses, failing: Indices, least: int, hopes: _Hopes
+        self, change: Change, commanded: TargetPoses, failing: Indices, least: int, hopes: _Hopes
     ) -> int:
         """Return the number of views that a change cures, 0 unless above ``least`` and no loss."""
         gained, holder = 0, None
@@ -193,7 +193,7 @@ class CureSearch:
         assert holder is not None
         return gained if holder.held(change.scaled(self._kept(failing))).all() else 0
 
-    def _kept(self, failing: Indices) -> Poses:
+    def _kept(self, failing: Indices) -> TargetPoses:
         """Return some feasible views."""
         others = np.setdiff1d(np.arange(self.views), failing)
         if not len(others):

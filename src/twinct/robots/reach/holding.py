@@ -33,14 +33,14 @@ Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
-class Poses:
+class TargetPoses:
     """Target poses of source and panel in some views, ``world_from_tool``, (p, 4, 4), mm."""
 
     source: Floats
     detector: Floats
 
     @classmethod
-    def of(cls, sources: Sequence[Pose], detectors: Sequence[Pose]) -> Poses:
+    def of(cls, sources: Sequence[Pose], detectors: Sequence[Pose]) -> TargetPoses:
         """Build from the poses of sources and detectors."""
         return cls(matrices(list(sources)), matrices(list(detectors)))
 
@@ -48,9 +48,9 @@ class Poses:
         """Return the number of views."""
         return len(self.source)
 
-    def __getitem__(self, views: Sequence[int] | NDArray[np.intp]) -> Poses:
+    def __getitem__(self, views: Sequence[int] | NDArray[np.intp]) -> TargetPoses:
         """Return the poses of some views."""
-        return Poses(self.source[views], self.detector[views])
+        return TargetPoses(self.source[views], self.detector[views])
 
 
 class Holder:
@@ -131,11 +131,11 @@ class Holder:
         """Return the configurations of one arm that reach poses, including those in collision."""
         return Branches(self.cell, arm, self.motion.ik, self._seed).of(poses, self._starts)
 
-    def held(self, poses: Poses) -> Flags:
+    def held(self, poses: TargetPoses) -> Flags:
         """Return flags of the views that both arms can hold, clear of each other, (p,)."""
         return self.held_by(poses)[0]
 
-    def held_by(self, poses: Poses) -> tuple[Flags, Flags]:
+    def held_by(self, poses: TargetPoses) -> tuple[Flags, Flags]:
         """Return flags of the views that both arms can hold, (p,), and each arm alone, (2, p)."""
         of_arms = self.alone(poses.source, 0), self.alone(poses.detector, 1)
         held, alone = np.zeros(len(poses), bool), np.zeros((2, len(poses)), bool)

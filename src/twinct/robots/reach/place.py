@@ -23,7 +23,7 @@ from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats
 from twinct.robots.cell import CellModel, overlaps
 from twinct.robots.motion.branches import SIDES
-from twinct.robots.reach.holding import Flags, Holder, Poses
+from twinct.robots.reach.holding import Flags, Holder, TargetPoses
 from twinct.robots.sections import Cell, Motion
 
 SAMPLES = 128
@@ -133,7 +133,7 @@ def place(
     cell: Cell,
     build: Callable[[Cell], CellModel],
     motion: Motion,
-    poses: Poses,
+    poses: TargetPoses,
     *,
     roll_free: tuple[bool, bool] = (True, True),
     bounds: Bounds | None = None,
@@ -171,7 +171,7 @@ class _Search:
         cell: Cell,
         build: Callable[[Cell], CellModel],
         motion: Motion,
-        poses: Poses,
+        poses: TargetPoses,
         roll_free: tuple[bool, bool],
         bounds: Bounds,
         seed: int,
@@ -298,7 +298,7 @@ class _Search:
             seed=self._seed,
         )
 
-    def _alone(self, point: Floats, arm: int, poses: Poses) -> Flags:
+    def _alone(self, point: Floats, arm: int, poses: TargetPoses) -> Flags:
         """Return flags of the views that an arm holds, ignoring the other arm's moving links.
 
         The other arm's base and pillar count as obstacles, but may stand in a wrong place.

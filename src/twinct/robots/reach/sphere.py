@@ -13,7 +13,7 @@ from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, Panel, ScanGeometry, fibonacci_directions
 from twinct.robots.cell import CellModel, Clearance
 from twinct.robots.reach.connected import joined
-from twinct.robots.reach.holding import Flags, Holder, Poses
+from twinct.robots.reach.holding import Flags, Holder, TargetPoses
 from twinct.robots.sections import Motion
 from twinct.trajectory import panel_axes
 
@@ -61,7 +61,7 @@ class Reach:
 
 def poses_of(
     directions: Floats, sod_mm: float, odd_mm: float, isocentre_mm: Floats, panel: Panel
-) -> Poses:
+) -> TargetPoses:
     """Return the poses of source and upright panel on opposite sides of the isocentre.
 
     Args:
@@ -74,7 +74,7 @@ def poses_of(
     u, v = panel_axes(directions)
     sources, panels = isocentre_mm + sod_mm * directions, isocentre_mm - odd_mm * directions
     geometry = ScanGeometry(sources, panels, u, v, panel)
-    return Poses.of(geometry.source_poses(), geometry.detector_poses())
+    return TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
 
 
 def check_reach_request(directions: int, sod_mm: Sequence[float], odd_mm: float) -> None:
@@ -141,7 +141,7 @@ def reach(
 
 
 def _at(
-    holder: Holder, towards: Floats, poses: Poses, connected: bool, progress: Progress
+    holder: Holder, towards: Floats, poses: TargetPoses, connected: bool, progress: Progress
 ) -> dict[str, Any]:
     """Return the results for one radius, by the attributes of ``Reach``."""
     count, cell = len(poses), holder.cell

@@ -15,7 +15,7 @@ from twinct.robots.motion import Kinematics
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.refusals import far_problems, gap_text
 from twinct.robots.reach.cures import CureSearch
-from twinct.robots.reach.holding import Holder, Poses
+from twinct.robots.reach.holding import Holder, TargetPoses
 
 STARTS = 8
 """Random starts of the search for an arm's configuration nearest to a pose."""
@@ -40,7 +40,7 @@ class HeldView:
     words: tuple[str, ...]
 
 
-def shown(holder: Holder, poses: Poses, view: int) -> HeldView:
+def shown(holder: Holder, poses: TargetPoses, view: int) -> HeldView:
     """Return the configuration of both arms closest to a view, and its problems.
 
     Args:

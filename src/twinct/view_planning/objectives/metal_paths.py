@@ -23,10 +23,10 @@ from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.rays import Body, Rays
 from twinct.recon import Projector
 from twinct.recon.volume import Volume
+from twinct.specimen.materials import Material
 from twinct.view_planning.objectives.measures import Mean
 from twinct.view_planning.objectives.objective import (
     LessIsBetter,
-    Material,
     Objective,
     PatientModel,
     Views,

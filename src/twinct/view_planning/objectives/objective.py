@@ -18,6 +18,7 @@ from twinct.core.settings import Conflict, Section, setting
 from twinct.geometry import Floats, Pose, ScanGeometry
 from twinct.rays import Body
 from twinct.recon.volume import Volume
+from twinct.specimen.materials import Material
 from twinct.view_planning.objectives.measures import Measure, figure_of
 
 Share = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -51,18 +52,6 @@ class LessIsBetter(ObjectiveSettings):
         "reachable ones; null: no limit.",
         unit="1",
     )
-
-
-class Material(Protocol):
-    """Material of a part."""
-
-    def mu_per_mm(self, energy_kev: float) -> float:
-        """Return the linear attenuation coefficient, 1/mm."""
-        ...
-
-    def absorption_cm2_g(self, energy_kev: float) -> float:
-        """Return the mass energy absorption coefficient, cm^2/g."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
