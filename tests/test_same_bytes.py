@@ -98,7 +98,7 @@ def described_scan(path: Path) -> dict[str, Any]:
 
 def believed(store: Path) -> dict[str, np.ndarray]:
     """Source, panel centre and axes, as a scan holds those of the other geometries."""
-    poses = ScanStore(store).poses("believed")
+    poses = ScanStore(store).provenance.reported.poses
     axes = np.array([pose.rotation for pose in poses.detector])
     return {
         "believed/source": np.array([pose.position for pose in poses.source]),
