@@ -108,7 +108,7 @@ class Simulated:
         return self.reported_as("believed")
 
     def reported_as(self, name: str) -> NamedGeometry:
-        """Return the believed poses as a geometry of another name."""
+        """Return the believed poses as a geometry with a name."""
         uncertainty, seed = self.scenario.uncertainty, self.scenario.believed_seed
         model = "nominal kinematics" if uncertainty.moves else "repeatability"
         model = "calibrated kinematics" if uncertainty.calibration else model
