@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import re
 import signal
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from waiting import until
 
 from twinct.cli import run_command
 from twinct.scenario import Cell, load_scenario
@@ -76,10 +76,7 @@ def test_a_search_for_a_cure_can_be_left(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: object, **__: object) -> None:
-        said = ""
-        while "out of reach by 2" not in said:  # told before it, by another thread
-            said += capfd.readouterr().err
-            time.sleep(0.01)
+        until(lambda: "out of reach by 2" in capfd.readouterr().err, "the problem is told first")
         raise KeyboardInterrupt
 
     monkeypatch.setattr("twinct.runs.remedies.reasons", interrupted)

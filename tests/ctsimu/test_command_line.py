@@ -80,7 +80,7 @@ def test_too_little_memory_is_no_bug(data, write, tmp_path, monkeypatch, capsys)
     def render(*args, **kwargs):
         raise MemoryError("Unable to allocate 2 GiB")
 
-    monkeypatch.setattr("twinct.ctsimu.render", render)
+    monkeypatch.setattr("twinct.cli.commands.ctsimu.render_ctsimu", render)
     path = str(write(data))
     assert run_command(["ctsimu", "render", path, "--out", str(tmp_path / "out")]) == 2
     assert f"{path}: a panel of 24 x 16 pixels does not fit" in capsys.readouterr().err

@@ -99,7 +99,7 @@ def test_a_second_publisher_ends_the_scan_by_name_and_with_no_wrong_data(
     topic, scenario, targets, fake_command, foreign, fakes
 ):
     local = LocalRig(
-        fakes.FakeRobots(), fakes.FakeImager(scenario.detector), scenario.detector.panel
+        fakes.FakeRobots(), fakes.FakeImager(scenario.detector.panel), scenario.detector.panel
     )
     with closing(RosRig(scenario, node_command=fake_command)) as rig:
         reached, true = rig.move(0, targets[0]), local.move(0, targets[0])

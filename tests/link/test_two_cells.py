@@ -88,7 +88,7 @@ def builder() -> SimulationBuilder:
 
 @pytest.fixture
 def cells(domain: int, builder: SimulationBuilder, fakes: Any) -> Iterator[dict[str, Cell]]:
-    imager = fakes.FakeImager(builder.scenario.detector)
+    imager = fakes.FakeImager(builder.scenario.detector.panel)
     made = {name: Cell(domain, name, builder, imager) for name in ("cell_a", "cell_b")}
     yield made
     for cell in made.values():

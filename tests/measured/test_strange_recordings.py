@@ -18,7 +18,8 @@ from twinct.link.recording.drive_file import NOTE, OUTCOME
 from twinct.link.recording.recorder import PLAN, SCENARIO
 from twinct.measured import driven, import_driven
 from twinct.measured.joint_track import JointTrack
-from twinct.scenario import load_scenario
+from twinct.robots.cell import joint_names_of
+from twinct.scenario import Cell, load_scenario
 
 CHOICE = ArmsRecording()
 
@@ -52,18 +53,20 @@ def test_a_scenario_that_is_none() -> None:
 def test_names_that_are_not_those_of_the_joints(joints: Any) -> None:
     """Joints in another order would be taken for each other."""
     scenario = load_scenario("demo")
+    assert isinstance(scenario.cell, Cell)
+    own = joint_names_of(scenario.cell, scenario.detector.panel)
     heard = driven._Heard(notes={NOTE: {"joints": json.dumps(joints)}})
     with pytest.raises(InputError, match="the recording names the joints .*, but the scenario has"):
-        driven._names(heard, CHOICE, scenario)
-    own = [*driven._names(driven._Heard(), CHOICE, scenario)]
+        driven._names(heard, CHOICE, own)
+    assert tuple(driven._names(driven._Heard(), CHOICE, own)) == own
     right = {f"my_{name}": name for name in own}
     for named, fits in ((right, True), (dict(reversed(right.items())), False)):
         heard.notes[NOTE]["joints"] = json.dumps(named)
         if fits:
-            assert driven._names(heard, CHOICE, scenario) == right
+            assert driven._names(heard, CHOICE, own) == right
             continue
         with pytest.raises(InputError, match="names the joints"):
-            driven._names(heard, CHOICE, scenario)
+            driven._names(heard, CHOICE, own)
 
 
 @pytest.mark.parametrize(

@@ -163,9 +163,9 @@ def test_too_few_balls_and_names_that_are_taken_are_refused(finished):
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        (["--ball-radius-mm", "0"], "--ball-radius-mm 0: must be more than 0"),
-        (["--sigma-mm", "0"], "--sigma-mm 0: must be more than 0"),
-        (["--correlation-views", "-1"], "--correlation-views -1: must be at least 0"),
+        (["--ball-radius-mm", "0"], "ball_radius_mm 0: must be more than 0"),
+        (["--sigma-mm", "0"], "sigma_mm 0: must be more than 0"),
+        (["--correlation-views", "-1"], "correlation_views -1: must be at least 0"),
     ],
 )
 def test_the_command_refuses_what_makes_no_sense_with_balls(finished, keys, said, capsys):

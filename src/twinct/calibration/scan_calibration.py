@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -135,7 +135,7 @@ class Beads:
 
 
 @contextmanager
-def owners_of(folders: Iterable[Folder]) -> Iterator[None]:
+def owners_of(folders: Iterable[Folder]) -> Generator[None, None, None]:
     """Own several folders."""
     with ExitStack() as stack:
         for folder in folders:

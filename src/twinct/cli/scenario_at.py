@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from twinct.scenario import Scenario, load_scenario, named_places
 
 
 @contextmanager
-def scenario_at(file: Path, overrides: Sequence[str]) -> Iterator[Scenario]:
+def scenario_at(file: Path, overrides: Sequence[str]) -> Generator[Scenario, None, None]:
     """Yield the scenario of a file; problems in the block name their place in it.
 
     Raises:

@@ -76,8 +76,8 @@ def sampled(inside: Callable[[Floats], NDArray[np.bool_]], grid: VolumeGrid) -> 
     )
     shares = np.empty(grid.shape)
     for k, layer in enumerate(z.reshape(-1, SAMPLES)):
-        zs, ys, xs = np.meshgrid(layer, y, x, indexing="ij")
-        points = np.stack([xs, ys, zs], axis=-1)
+        points = np.empty((len(layer), len(y), len(x), 3))
+        points[..., 0], points[..., 1], points[..., 2] = x, y[:, None], layer[:, None, None]
         hits = inside(grid.world_from_grid.apply(points))
         split = hits.reshape(SAMPLES, grid.shape[1], SAMPLES, grid.shape[2], SAMPLES)
         shares[k] = split.mean(axis=(0, 2, 4))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -36,7 +36,7 @@ def explained(
     *,
     all_cures: bool = False,
     progress: Progress = SILENT,
-) -> Iterator[None]:
+) -> Generator[None, None, None]:
     """Add a remedy, and a picture of one view, to an error about infeasible views.
 
     The problem is reported before the search for a remedy, which may be interrupted. It does no

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from twinct.core.errors import InputError
 from twinct.core.extras import require
@@ -87,7 +88,8 @@ def write_specimen(scenario: Scenario | str | Path, out: str | Path) -> tuple[Bu
         out.mkdir(parents=True, exist_ok=True)
         for index, part in enumerate(built.parts):
             with complete(out / f"{index}-{part.name}.stl") as draft:
-                part.mesh.export(draft)
+                exported: Any = part.mesh
+                exported.export(draft)
         preview_specimen(built, out / "specimen.png", title=scenario.name)
         Volume(built.truth(grid, energy), grid).write(out / "truth.nii", "twinct truth, 1/mm")
     return built, energy

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -125,7 +125,7 @@ def plan(
 
 
 @contextmanager
-def _pool(address: str | None, jobs: int | None, bound: int) -> Iterator[Pool | None]:
+def _pool(address: str | None, jobs: int | None, bound: int) -> Generator[Pool | None, None, None]:
     """Yield the pool of workers for a search, or None for a single thread; clean up afterwards."""
     workers = jobs or bound
     if address is None and workers == 1:
