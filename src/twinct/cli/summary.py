@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from twinct.cli.progress import say
-
-if TYPE_CHECKING:
-    from twinct.runs import Run
+from twinct.evaluation.figure import REFERENCE
+from twinct.report.pose_words import named_pose_errors
+from twinct.runs import Run
+from twinct.runs.reconstruction_folder import stored_reconstructions
 
 
 def say_result(run: Run) -> None:
     """Print the main figures, each in words: image, poses, report; or those of all volumes."""
-    from twinct.evaluation.figure import REFERENCE
-    from twinct.report.pose_words import named_pose_errors
-    from twinct.runs.reconstruction_folder import stored_reconstructions
-
     if "image" not in run.figures:
         for one in stored_reconstructions(run.paths.reconstructions).values():
             say(one.judged_in_words())

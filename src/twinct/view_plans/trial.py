@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +57,8 @@ def trial(
     region, _ = _region(scenario.task, stands, grid)
     file, store = (folder / f"{name}{ending}" for ending in (".csv", ".zarr"))
     write_views(file, geometry, mas)
-    gantry = SimulationBuilder(_of_gantry(scenario, file), given_specimen=builder.specimen)
+    moved = _of_gantry(scenario.model_dump(mode="json"), file)
+    gantry = SimulationBuilder(moved, given_specimen=builder.specimen)
     scan = acquire_to_store(gantry, store, local_rig, resume=True).read()
     volume, truth = reconstruct(scan).array, truth_of(scan, gantry)
     off = volume[region].astype(float) - truth.volume[region]
@@ -120,9 +122,8 @@ def _region(
     return far <= max(task.radius_mm, float(far.min())), (px, py, pz)
 
 
-def _of_gantry(scenario: Scenario, file: Path) -> Scenario:
-    """Return the scenario with the views of a file and a gantry instead of arms."""
-    data = scenario.model_dump(mode="json")
-    data |= {"cell": {"kind": "gantry"}, "motion": {}, "task": None}
+def _of_gantry(data: dict[str, Any], file: Path) -> Scenario:
+    """Return the scenario of plain data with the views of a file and a gantry instead of arms."""
+    data = data | {"cell": {"kind": "gantry"}, "motion": {}, "task": None}
     data["trajectory"] = {"kind": "file", "path": str(file.resolve())}
     return parse_scenario(data)
