@@ -104,7 +104,7 @@ def test_a_known_motion_is_compensated_and_a_wrong_amplitude_in_part(scan: Scan)
     wrong = otherwise(scan, compensate=True, amplitude_rel=0.5)
     still = simulate(small("specimen.motion=null", "reconstruction.motion=null"))
     volume = reconstruct(still)
-    rest = evaluate(replace(still, scenario=scan.scenario), volume)
+    rest = evaluate(still.with_settings(scan.scenario), volume)
     at_rest = rest.as_dict()["rmse_moving_rel"]
     assert at_rest < known < wrong < ignored
     assert known < at_rest + 0.3 * (ignored - at_rest)
