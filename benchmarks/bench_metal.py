@@ -19,7 +19,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +42,7 @@ def scan(scenario: Scenario, folder: Path) -> Scan:
     store = acquire_to_store(
         SimulationBuilder(scenario), folder / "scan.zarr", local_rig, resume=True
     )
-    return replace(store.read(), scenario=scenario)  # reconstructed as it says now
+    return store.read().with_settings(scenario)  # reconstructed as it says now
 
 
 def without_screws(scenario: Scenario) -> Scenario:

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,7 +78,7 @@ def now(factor: int, photons: float, overrides: list[str]) -> Scenario:
 
 def scanned(of: Scenario, folder: Path) -> Scan:
     store = acquire_to_store(SimulationBuilder(of), folder / "scan.zarr", local_rig, resume=True)
-    return replace(store.read(), scenario=of)  # reconstructed as it says now
+    return store.read().with_settings(of)  # reconstructed as it says now
 
 
 class Judge:
