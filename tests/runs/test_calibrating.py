@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -74,6 +75,8 @@ def test_what_cannot_be_calibrated_is_refused_before_anything_is_written(balls, 
             calibrate(balls / "nowhere", method)
     with pytest.raises(InputError, match="'bead': choose a method from beads, balls, self"):
         calibrate(balls, "bead")
+    with pytest.raises(InputError, match="name: Mock is no method of twinct"):
+        calibrate(balls, Mock())
     assert "other" not in load_scan(balls).derived
 
 

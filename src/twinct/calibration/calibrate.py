@@ -59,8 +59,9 @@ def calibrate(
         if method not in METHODS:
             raise InputError(f"{quoted(method)}: choose a method from {', '.join(METHODS)}")
         method = METHODS[method]()
-    (own,) = (key for key, kind in METHODS.items() if isinstance(method, kind))
-    name = name or own
+    name = name or next((key for key, kind in METHODS.items() if isinstance(method, kind)), None)
+    if name is None:
+        raise InputError(f"name: {type(method).__name__} is no method of twinct: name its geometry")
     free_geometry_name(name)
     with audience_of(observers) as audience:
         return method.run(Folder(Path(path)), name, audience)
