@@ -150,7 +150,7 @@ COMMANDS = {
         ("*_0*.tif",),
     ),
     "ctsimu export": Command(
-        "ctsimu export MADE/run --out OUT/ctsimu", ("ctsimu/*", "ctsimu/projections/*")
+        "ctsimu export MADE/run --out OUT", ("*.json", "*.stl", "projections/*")
     ),
     "ctsimu qualify": Command(
         "ctsimu qualify --out OUT --tests 2D-FB-2", ("2D-FB-2/*.tif", "qualification.json")

@@ -18,7 +18,7 @@ from twinct.calibration import (
     frames_of,
     require_same_arms,
 )
-from twinct.calibration.scan_calibration import balls_of, owners_of, store_geometries
+from twinct.calibration.scan_calibration import balls_of, owners_of
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry import Chain, Floats, Panel, ScanGeometry
@@ -26,7 +26,7 @@ from twinct.observers import Audience
 from twinct.robots.cell import nominal_chains
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import NamedGeometry, Scan
+from twinct.scan import NamedGeometry, Scan, store_geometries
 from twinct.scan.named_geometries import poses_digest
 from twinct.scenario import AnyCell, Cell, Uncertainty
 from twinct.uncertainty.drawn_tool import by_view
@@ -209,9 +209,9 @@ def phantom_views(
 
 
 def _add(arms: CalibratedArms, name: str, where: list[tuple[Folder, Scan]]) -> None:
-    added: list[NamedGeometry] = []
-    for _, scan in where:
+    added: list[tuple[NamedGeometry, Path]] = []
+    for folder, scan in where:
         poses = arms.poses(scan.simulated.encoders.readings(scan.joints))
         made_by = {**arms.made_by, "executed": poses_digest(scan.executed)}
-        added.append(NamedGeometry(name, poses, made_by))
-    store_geometries(added, where)
+        added.append((NamedGeometry(name, poses, made_by), folder.geometries))
+    store_geometries(added)

@@ -8,14 +8,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from twinct.calibration.circular import CircularCalibration, CircularPrior, circular_consistent
-from twinct.calibration.scan_calibration import store_geometries
 from twinct.core.errors import CalibrationError, InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import NamedGeometry
+from twinct.scan import NamedGeometry, store_geometries
 from twinct.scan.integrals import line_integrals
 
 
@@ -68,7 +67,7 @@ class Circle:
                 )
             made_by = {"model": "circle", "believed": scan.reported.digest, **asdict(prior)}
             geometry = NamedGeometry(name, PosePairs.from_geometry(calibration.geometry), made_by)
-            store_geometries([geometry], [(folder, scan)])
+            store_geometries([(geometry, folder.geometries)])
         for sentence in sentences(name, calibration):
             audience.say(sentence)
         return calibration

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ from twinct.calibration import (
     online_calibrated,
     self_calibrated,
 )
-from twinct.core.errors import CalibrationError, InputError, ScanExistsError
+from twinct.core.errors import CalibrationError, InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.foreign_text import counted
 from twinct.core.progress import Progress
@@ -34,7 +34,7 @@ from twinct.geometry.wire import PosePairs
 from twinct.observers import Audience
 from twinct.runs.folder import Folder
 from twinct.runs.reconstruction import load_scan
-from twinct.scan import NamedGeometry, Scan
+from twinct.scan import NamedGeometry, Scan, store_geometries
 from twinct.scan.integrals import line_integrals
 from twinct.scenario import BallHelix, FileSpread, GaussianSpread, Specimen
 from twinct.specimen.balls import nominal_centres
@@ -129,7 +129,7 @@ class Beads:
                 "rms_px": round(float(np.nanmedian(calibration.rms_px)), 4),
             }
             geometry = NamedGeometry(name, PosePairs.from_geometry(calibration.geometry), made_by)
-            store_geometries([geometry] * len(folders), list(zip(folders, scans, strict=True)))
+            store_geometries([(geometry, one.geometries) for one in folders])
         _say_beads(name, calibration, audience)
         return calibration
 
@@ -222,7 +222,7 @@ class Balls:
                 **asdict(self.errors),
             }
             geometry = NamedGeometry(name, PosePairs.from_geometry(stored), made_by)
-            store_geometries([geometry], [(folder, scan)])
+            store_geometries([(geometry, folder.geometries)])
         found = OnlineCalibrated(estimate, aligned(believed, executed, points), at_executed)
         _say_balls(name, found, scan, audience)
         return found
@@ -274,7 +274,7 @@ class OwnProjections:
                 **asdict(self.errors),
             }
             geometry = NamedGeometry(name, PosePairs.from_geometry(stored), made_by)
-            store_geometries([geometry], [(folder, scan)])
+            store_geometries([(geometry, folder.geometries)])
         found = SelfCalibrated(
             estimate,
             aligned(believed, executed, points),
@@ -304,24 +304,6 @@ def _points_of(grid: VolumeGrid) -> Floats:
     size = grid.voxel * np.array(grid.shape[::-1])
     about = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-1, -1, -1]])
     return grid.world_from_grid.apply(size / 6 * about)
-
-
-def store_geometries(
-    geometries: Sequence[NamedGeometry], where: Sequence[tuple[Folder, Scan]]
-) -> None:
-    """Store each geometry beside its scan.
-
-    Raises:
-        ScanExistsError: a scan has another geometry of this name; nothing is written.
-    """
-    for geometry, (folder, scan) in zip(geometries, where, strict=True):
-        name = geometry.name
-        if name in scan.derived and scan.derived[name].digest != geometry.digest:
-            raise ScanExistsError(
-                f"{folder.geometries / name}.json holds another geometry; choose another --as"
-            )
-    for geometry, (folder, _) in zip(geometries, where, strict=True):
-        geometry.write(folder.geometries)
 
 
 def _same_views(path: Path, scan: Scan, phantom: Scan) -> None:

@@ -96,7 +96,7 @@ class Folder:
             overrides: texts ``KEY=VALUE``.
             changes: further values by dotted key.
         """
-        if is_imported(self._stated()):
+        if is_imported(self.stated()):
             return load_imported(self.scenario, overrides, changes)
         scenario = self.scenario_of_run(overrides)
         return scenario.with_(changes) if changes else scenario
@@ -109,7 +109,7 @@ class Folder:
         Raises:
             InputError: the scan was imported, and has no scenario.
         """
-        if is_imported(stated := self._stated()):
+        if is_imported(stated := self.stated()):
             return scenario_in(load_imported(self.scenario))
         motion = stated.get("motion")
         early = isinstance(motion, dict) and "scheme" not in motion
@@ -125,19 +125,6 @@ class Folder:
 
         data = with_paths(json.loads(settings.resolved()), relative)
         write_text(self.scenario, written(data))
-
-    def finished(self, scenario: Scenario) -> bool:
-        """Return True if the folder holds all results of exactly this scenario."""
-        if not all(p.exists() for p in self.results):
-            return False
-        return not self.made_with_others(scenario) and not self.replaced()
-
-    def made_with_others(self, scenario: Scenario) -> bool:
-        """Return True if the folder holds a judged volume of other settings."""
-        if not (self.volume.exists() and self.metrics.exists()):
-            return False
-        made = read_metrics(self.metrics).get("reconstruction_digest")
-        return made != self.volume_digest(scenario)
 
     def file_digests(self) -> dict[str, str]:
         """Return the digests of the files with the volume and its truth, by name."""
@@ -160,15 +147,7 @@ class Folder:
             for name in changed
         )
 
-    def measured(self, scenario: Scenario) -> bool:
-        """Return True if a run was judged with the section ``evaluation`` of a scenario."""
-        if not self.scenario.is_file():
-            return True
-        requested = scenario.evaluation
-        stored = self._stated().get("evaluation")
-        return stored == (requested and requested.model_dump(mode="json"))
-
-    def _stated(self) -> dict[str, Any]:
+    def stated(self) -> dict[str, Any]:
         """Return what the scenario's file states, unchecked."""
         stated = read_file(self.scenario, "scenario").value
         return cast("dict[str, Any]", stated) if isinstance(stated, dict) else {}

@@ -52,6 +52,14 @@ from twinct.runs.repeated_figures import repeated_figures, repeats_asked
 from twinct.runs.repeats import Repeats
 from twinct.runs.reporting import Results, judge, write_results, write_volumes
 from twinct.runs.seconds import Seconds, Timing
+from twinct.runs.stages import (
+    due,
+    figures_digest,
+    figures_made_from,
+    make_due,
+    run_stages,
+    volume_made_from,
+)
 from twinct.runs.truth import truth_of
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import (
@@ -167,12 +175,14 @@ def run(
     chosen = link or installed_link()
     require_memory(scenario)
     check_geometries(scenario, folder.geometries if store else None)
-    if store and folder.finished(scenario) and not store.missing and not store.damage:
-        if not folder.measured(scenario):
-            return _judged_again(finished_run(folder), scenario, observers)
+    stages = run_stages(folder, scenario)
+    wanted = due(stages)
+    if store and not wanted:
         with audience_of(observers) as audience:
             audience.say(f"{folder.path} is complete; the report is {folder.report}")
         return Run(scenario, folder)
+    if store and wanted == ["figures"]:
+        return _judged_again(finished_run(folder), scenario, observers)
     recorder = recorder_of(chosen, folder.path) if record else None
     builder = builder or SimulationBuilder(scenario)
     if store:
@@ -202,11 +212,13 @@ def run(
             seconds.go_on()
         with closing(recorder) if recorder else nullcontext():
             take = builder, folder, seconds, make_rig, audience, recorder
-            _take_views(*take, resume=resume)
-        if folder.finished(scenario):  # only damaged views had to be acquired again
-            folder.seconds.unlink(missing_ok=True)
-        else:
-            _make_volumes(builder, folder, seconds, audience)
+            work = {
+                "views": lambda: _take_views(*take, resume=resume),
+                "volume": lambda: _make_volumes(builder, folder, seconds, audience),
+                "figures": lambda: _rejudge(finished_run(folder), builder, audience),
+            }
+            make_due(stages, work)
+        folder.seconds.unlink(missing_ok=True)
     return Run(scenario, folder)
 
 
@@ -269,36 +281,43 @@ def rewrite_report(
 
 def _judged_again(made: Run, scenario: Scenario, observers: Observers) -> Run:
     """Rewrite the figures of a run; the scenario may differ in its section ``evaluation``."""
-    folder, now = made.paths, Run(scenario, made.paths)
+    folder = made.paths
     builder = SimulationBuilder(scenario, ScanStore(folder.scan).plan)
-    asked_anew = scenario.evaluation != made.scenario.evaluation
-    if asked_anew:
+    if scenario.evaluation != made.scenario.evaluation:
         check_places(builder)
     with sole_owner(folder.lock), audience_of(observers) as audience:
         tell_if_undrawable(audience)
-        before = read_metrics(folder.metrics)
-        truth = truth_of(now.scan, builder, audience, file=folder.truth).written(folder.truth)
-        which = scenario.reconstruction.geometries[0]
-        known = {} if asked_anew else repeated_figures(before["image"])
-        again = None
-        if repeats_asked(scenario) and not known:
-            again = Repeats(now.scan, builder, audience).of(which, made.volume.array)
-        first = judge(now.scan, made.volume, truth, builder.specimen, again)
-        first = replace(first, further={**first.further, **known})
-        figures = {which: first}
-        for which, values in before.get("image_by_geometry", {}).items():
-            # Only the first volume is stored: the others cannot be measured again.
-            data = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
-            figures.setdefault(which, ImageFigures.of(data))
-        if asked_anew:
-            _judge_others(now, builder, audience)
-        volume = replace(made.volume, extras={**made.volume.extras, **algorithm_results(before)})
-        results = Results.of(volume, truth)
-        results = replace(results, figures=figures, residuals=before.get("residuals", {}))
-        timing = Timing(before["seconds"], before["real_time_factor"])
-        write_results(folder, builder, now.scan, results, timing)
-        if asked_anew:
-            folder.write_scenario(scenario)
+        return _rejudge(made, builder, audience)
+
+
+def _rejudge(made: Run, builder: SimulationBuilder, audience: Audience) -> Run:
+    """Rewrite the figures of a run, with the section ``evaluation`` of a builder's scenario."""
+    scenario, folder = builder.scenario, made.paths
+    now = Run(scenario, folder)
+    asked_anew = figures_made_from(folder) != figures_digest(scenario)
+    before = read_metrics(folder.metrics)
+    truth = truth_of(now.scan, builder, audience, file=folder.truth).written(folder.truth)
+    which = scenario.reconstruction.geometries[0]
+    known = {} if asked_anew else repeated_figures(before["image"])
+    again = None
+    if repeats_asked(scenario) and not known:
+        again = Repeats(now.scan, builder, audience).of(which, made.volume.array)
+    first = judge(now.scan, made.volume, truth, builder.specimen, again)
+    first = replace(first, further={**first.further, **known})
+    figures = {which: first}
+    for which, values in before.get("image_by_geometry", {}).items():
+        # Only the first volume is stored: the others cannot be measured again.
+        data = {k: v for k, v in values.items() if not (asked_anew and k in figure_kinds())}
+        figures.setdefault(which, ImageFigures.of(data))
+    if asked_anew:
+        _judge_others(now, builder, audience)
+    volume = replace(made.volume, extras={**made.volume.extras, **algorithm_results(before)})
+    results = Results.of(volume, truth)
+    results = replace(results, figures=figures, residuals=before.get("residuals", {}))
+    timing = Timing(before["seconds"], before["real_time_factor"])
+    write_results(folder, builder, now.scan, results, timing)
+    if asked_anew:
+        folder.write_scenario(scenario)
     return now
 
 
@@ -405,7 +424,8 @@ def _make_volumes(
 ) -> None:
     """Reconstruct from each geometry, judge, store the first volume, and report."""
     scenario = builder.scenario
-    if folder.made_with_others(scenario):
+    there = folder.volume.exists() and folder.metrics.exists()
+    if there and volume_made_from(folder) not in (None, folder.volume_digest(scenario)):
         audience.say(
             f"{folder.volume} is replaced: it was made with other settings (twinct reconstruct "
             "would keep it, and add a volume)"

@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 from twinct.core.errors import InputError, ScanExistsError
@@ -29,6 +30,7 @@ from twinct.runs.reconstruction_folder import (
     stored_reconstructions,
 )
 from twinct.runs.reporting import write_volumes
+from twinct.runs.stages import Stage, make_due
 from twinct.runs.volumes import reconstruct, require_feasible
 from twinct.scan import (
     NamedGeometry,
@@ -37,6 +39,7 @@ from twinct.scan import (
     checked_name,
     free_geometry_name,
     scenario_in,
+    store_geometries,
 )
 from twinct.scenario.imported import ScanSettings
 
@@ -82,11 +85,7 @@ def derive_geometry(
     ):
         scan = Run(scenario, folder).scan
         poses = scan.simulated.with_settings(scenario).reported_as(name)
-        if name in scan.derived and scan.derived[name].digest != poses.digest:
-            raise ScanExistsError(
-                f"{folder.geometries / name}.json holds another geometry; choose another --as"
-            )
-        poses.write(folder.geometries)
+        store_geometries([(poses, folder.geometries)])
         step()
     return poses
 
@@ -147,28 +146,34 @@ def reconstruct_run(
             if name not in (None, there.name):
                 raise ScanExistsError(f"{there.path} already holds this reconstruction; omit --as")
             audience.say(f"{there.path} already holds this reconstruction")
-            if _is_reported(folder, there):
-                return there
+            name = there.name
         else:
             name = free_name(name, reconstruction_base(scan, which), folder.reconstructions)
+        path = folder.reconstructions / name
+
+        def make() -> None:
             stack.enter_context(logged_to(folder.log))
             log.info("reconstruction %s: %s", name, section.in_words)
             judge = judge_of(scan, folder, audience, halves=halves)
-            there, volume = _made(scan, judge, folder, (name, digest, which, of_geometry), audience)
-            there.keep(volume)
+            made, volume = _made(scan, judge, path, (digest, which, of_geometry), folder, audience)
+            made.keep(volume)
             remove_folder(folder.checkpoints)
+
+        volume = Stage("volume", digest, (path,), lambda: StoredReconstruction.read(path).digest)
+        results = folder.metrics, folder.report
+        page = Stage("report", digest, results, partial(_reported_from, folder, name))
+        make_due([volume], {"volume": make})
         if not has_truth:  # no volume of a run is judged again
-            write_volumes(folder, scan)
-            return there
-    with keeping(lambda: f"{there.path} is kept; the same command completes the report"):
-        rewrite_report(folder.path, observers)
-    return there
+            make_due([page], {"report": partial(write_volumes, folder, scan)})
+            return StoredReconstruction.read(path)
+    with keeping(lambda: f"{path} is kept; the same command completes the report"):
+        make_due([page], {"report": lambda: rewrite_report(folder.path, observers)})
+    return StoredReconstruction.read(path)
 
 
-def _is_reported(folder: Folder, there: StoredReconstruction) -> bool:
-    """Return True if the run's figures, which are written last, name a reconstruction."""
-    reported = read_metrics(folder.metrics).get("reconstructions", {}).get(there.name, {})
-    return reported.get("digest") == there.digest
+def _reported_from(folder: Folder, name: str) -> str | None:
+    """Return the digest of a reconstruction that the figures, which are written last, name."""
+    return read_metrics(folder.metrics).get("reconstructions", {}).get(name, {}).get("digest")
 
 
 def timed_volume(
@@ -190,16 +195,17 @@ def timed_volume(
 def _made(
     scan: Scan,
     judge: ByTruth | WithoutTruth,
+    path: Path,
+    of: tuple[str, str, str],
     folder: Folder,
-    called: tuple[str, str, str, str],
     audience: Audience,
 ) -> tuple[StoredReconstruction, Volume]:
-    settings, (name, digest, which, of_geometry) = scan.settings, called
+    settings, (digest, which, of_geometry) = scan.settings, of
     check_corrections(settings)
     require_feasible(settings, scan.provenance.first.geometry(settings.detector.panel))
     volume, residuals, seconds = timed_volume(scan, folder, which, audience)
     reconstruction = StoredReconstruction(
-        name=name,
+        name=path.name,
         digest=digest,
         geometry=which,
         geometry_digest=of_geometry,
@@ -209,7 +215,7 @@ def _made(
         residuals=residuals,
         seconds=seconds,
         slices=judge.slices(volume),
-        path=folder.reconstructions / name,
+        path=path,
         results=algorithm_results(volume.extras),
     )
     return reconstruction, volume

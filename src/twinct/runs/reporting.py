@@ -47,6 +47,7 @@ from twinct.runs.predicted_and_measured import (
 from twinct.runs.reconstruction_folder import StoredReconstruction, stored_reconstructions
 from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
+from twinct.runs.stages import figures_digest
 from twinct.runs.truth import Truth, truth_of
 from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import stage_digests
@@ -169,6 +170,7 @@ def write_results(
         real_time_factor=timing.real_time_factor,
         scenario_digest=digests["images"],
         reconstruction_digest=folder.volume_digest(scenario),
+        figures_digest=figures_digest(scenario),
         residuals=results.residuals,
         reconstructions={
             other.name: {

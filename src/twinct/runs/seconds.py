@@ -12,6 +12,7 @@ from pathlib import Path
 
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import write_text
+from twinct.report import STAGES
 from twinct.scan import Stopwatch
 
 
@@ -34,7 +35,7 @@ class Seconds:
 
     path: Path
     start: float = field(default_factory=time.perf_counter)
-    stages: dict[str, float] = field(default_factory=dict[str, float])
+    stages: dict[str, float] = field(default_factory=lambda: dict.fromkeys(STAGES, 0.0))
     before: dict[str, float] = field(default_factory=dict[str, float])
     simulated_s: float = 0.0
 

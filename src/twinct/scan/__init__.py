@@ -13,6 +13,7 @@ from twinct.scan.named_geometries import (
     checked_name,
     free_geometry_name,
     named_geometries,
+    store_geometries,
 )
 from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, scenario_in
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
@@ -47,6 +48,7 @@ __all__ = [
     "named_geometries",
     "save_scan",
     "scenario_in",
+    "store_geometries",
     "unknown_files",
     "view_damage",
     "write_frame",

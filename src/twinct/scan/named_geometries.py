@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from twinct.core.errors import InputError
+from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.plain_json import read_json
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.core.foreign_text import quoted
@@ -102,6 +102,23 @@ def named_geometries(folder: Path) -> dict[str, NamedGeometry]:
     # Remains of a killed write begin with a dot.
     paths = sorted(p for p in folder.glob("*.json") if not p.name.startswith("."))
     return {path.stem: NamedGeometry.read(path) for path in paths}
+
+
+def store_geometries(kept: Iterable[tuple[NamedGeometry, Path]]) -> None:
+    """Write each geometry into its folder, which keeps what it has.
+
+    Raises:
+        ScanExistsError: a folder has another geometry of this name; nothing is written.
+        InputError: the geometry there is damaged; nothing is written.
+        StorageError: a file cannot be written.
+    """
+    kept = list(kept)
+    for geometry, folder in kept:
+        there = folder / f"{geometry.name}.json"
+        if there.exists() and NamedGeometry.read(there).digest != geometry.digest:
+            raise ScanExistsError(f"{there} holds another geometry; choose another --as")
+    for geometry, folder in kept:
+        geometry.write(folder)
 
 
 def checked_name(name: str) -> str:
