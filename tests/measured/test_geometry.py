@@ -11,8 +11,8 @@ from twinct.core.errors import InputError
 from twinct.geometry import Pose
 from twinct.measured.circle import Circle
 from twinct.measured.description import read_description
-from twinct.measured.field_of_view import grid_of
 from twinct.measured.views import ImageFacts
+from twinct.recon.field_of_view import grid_of
 
 FACTS = ImageFacts(VIEWS, ROWS, COLUMNS)
 POINTS = np.array([[0, 0, 0], BALL, [-7, 9, 4]])

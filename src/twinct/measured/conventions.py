@@ -25,11 +25,11 @@ from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.measured.circle import Circle
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured
-from twinct.measured.field_of_view import grid_of
 from twinct.measured.orientation import PanelPlacement, turned_shape
 from twinct.measured.views import ImageFacts, StatedViews
 from twinct.observers import Observers, audience_of
 from twinct.recon import Projector, sart
+from twinct.recon.field_of_view import grid_of
 from twinct.scan import line_integrals
 
 MOST_VIEWS = 80

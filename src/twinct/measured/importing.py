@@ -22,10 +22,10 @@ from twinct.geometry.wire import PosePairs
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
 from twinct.measured.doubts import Doubts
-from twinct.measured.field_of_view import grid_of
 from twinct.measured.orientation import PanelPlacement, turned_shape
 from twinct.measured.views import ImageFacts
 from twinct.observers import Audience, Observers, audience_of
+from twinct.recon.field_of_view import grid_of
 from twinct.runs import Folder
 from twinct.scan import Imported, Scan, ScanStore, check_space, line_integrals
 from twinct.scenario.imported import ImportedSettings, load_imported

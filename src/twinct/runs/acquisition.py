@@ -34,7 +34,6 @@ from twinct.xray import prepare_engine
 
 if TYPE_CHECKING:
     from twinct.link.tap import Heard
-    from twinct.xray import Imager
     from twinct.xray.chain import ViewImages
 
 log = logging.getLogger(__name__)
@@ -171,8 +170,8 @@ def acquire_to_store(
     def keep(index: int, image: NDArray[np.float32], reached: Reached) -> None:
         nonlocal store
         frames = None
-        if imager is not None:
-            frames = rendered_frames(reached, index, imager)
+        if imager is not None:  # no link transmits these images: they are rendered again
+            frames = imager.frame(reached.path, index, reached.before)
         if store is None:
             robots = reached.joint_names, len(reached.state), builder.followed
             store = ScanStore.create(
@@ -202,11 +201,6 @@ def acquire_to_store(
                 acquire(rig, targets[: views.stop], keep, first=views.start, watch=watch)
     assert store is not None
     return store
-
-
-def rendered_frames(reached: Reached, index: int, imager: Imager) -> ViewImages:
-    """Return a view's raw, flat and dark images, rendered again as no link transmits them."""
-    return imager.frame(reached.path, index, reached.before)
 
 
 def machine_frames(

@@ -9,21 +9,19 @@ from typing import TYPE_CHECKING
 
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.writing import complete, storage_errors
-from twinct.runs.acquisition import rendered_frames
 from twinct.runs.folder import Folder
-from twinct.scan import SimulationBuilder
+from twinct.scan import store_geometries
 
 if TYPE_CHECKING:
-    from twinct.geometry.wire import Reached
-    from twinct.link.recording import RecoveredScan
-    from twinct.xray.chain import ViewImages
+    from twinct.link.recording import ForeignScan, RecoveredScan
 
 
-def import_recordings(paths: Sequence[str | Path], out: str | Path) -> RecoveredScan:
+def import_recordings(paths: Sequence[str | Path], out: str | Path) -> RecoveredScan | ForeignScan:
     """Create a run's folder from recordings of a scan.
 
     ``run(..., resume=True)`` acquires the views that are missing. Raw, flat and dark images are not
-    recorded: they are rendered again if ``detector.keep`` requests them.
+    recorded: they are rendered again if ``detector.keep`` requests them. A recording by another
+    tool becomes an imported scan, as measured images do.
 
     Args:
         paths: recordings of one scan, by twinct or by another tool with the same topics.
@@ -40,21 +38,17 @@ def import_recordings(paths: Sequence[str | Path], out: str | Path) -> Recovered
     folder = Folder(Path(out))
     folder.refuse_others()
     folder.refuse_if_taken(resumes=False)
-    recorded = read_recordings([Path(path) for path in paths], folder.path)
+    recorded = read_recordings([Path(path) for path in paths])
     with storage_errors(folder.path):
         folder.path.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
             stack.enter_context(sole_owner(folder.lock))
-            imager = None
-            if recorded.scenario.detector.keep:
-                imager = stack.enter_context(
-                    SimulationBuilder(recorded.scenario, recorded.plan).imager()
-                )
-
-            def frames_of(index: int, reached: Reached) -> ViewImages | None:
-                return None if imager is None else rendered_frames(reached, index, imager)
-
+            imager = recorded.imager()
+            if imager is not None:
+                stack.enter_context(imager)
             # The scan comes last: without it, an import that was cut short can be repeated.
             draft = stack.enter_context(complete(folder.scan))
-            folder.write_scenario(recorded.rebuild(draft, folder.path, frames_of).scenario)
+            recorded.rebuild(draft, imager)
+            folder.write_scenario(recorded.settings)
+            store_geometries((one, folder.geometries) for one in recorded.geometries)
     return recorded

@@ -37,7 +37,7 @@ def import_(
 
     Several recordings belong to one scan that was interrupted and resumed. Missing views are
     listed; run --resume acquires them. A recording of these topics by another tool is imported,
-    with its poses, cameras and images, as a gantry's scan of an unknown specimen.
+    with its poses, cameras and images, as a measured scan.
 
     From recordings of real arms, made by twinct drive or with --arms.scenario, the executed poses
     are those of the joints at the time of each image.

@@ -13,11 +13,23 @@ from twinct.core.extras import require
 
 if TYPE_CHECKING:
     from twinct.link.recording.recorder import Recorder
-    from twinct.link.recording.recovery import RecoveredScan, read_recordings
+    from twinct.link.recording.recovery import ForeignScan, RecoveredScan, read_recordings
 
-__all__ = ["RecoveredScan", "Recorder", "read_recordings", "recorder_of", "recordings"]
+__all__ = [
+    "ForeignScan",
+    "RecoveredScan",
+    "Recorder",
+    "read_recordings",
+    "recorder_of",
+    "recordings",
+]
 
-_HOMES = {"RecoveredScan": "recovery", "read_recordings": "recovery", "Recorder": "recorder"}
+_HOMES = {
+    "ForeignScan": "recovery",
+    "RecoveredScan": "recovery",
+    "Recorder": "recorder",
+    "read_recordings": "recovery",
+}
 
 
 def recordings(folder: Path) -> list[Path]:

@@ -2,57 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twinct.core.errors import InputError
 from twinct.core.files.plain_json import json_of
 from twinct.core.files.private import temporary_folder
-from twinct.core.files.writing import storage_errors
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.contents import Contents
 from twinct.link.recording.foreign import foreign_scan
 from twinct.link.recording.recorder import COMMANDED, PLAN, SCENARIO
 from twinct.robots.motion import load_plan
-from twinct.scan import NamedGeometry, ScanStore, SimulationBuilder
+from twinct.scan import Imported, NamedGeometry, ScanStore, SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario
-from twinct.trajectory import write_views
+from twinct.scenario.imported import ScanSettings
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
-    from twinct.xray.chain import ViewImages
-
-VIEWS_FILE = "views.csv"
-"""List of views beside the store, for a scan that twinct did not record."""
+    from twinct.xray import Imager
 
 
 @dataclass(frozen=True, eq=False)
-class RecoveredScan:
+class Recovered(ABC):
     """A scan from recordings.
 
     Attributes:
         contents: content of the recordings.
-        scenario: scenario of the scan.
-        commanded: poses of all views.
-        reached: state of the robots in each complete view, by stamp.
-        views: view of each of these stamps.
+        views: view of each complete stamp.
         missing: views that the recordings do not contain.
-        plan: plan that the arms followed, if any.
-        digests: digests of the scenario and its files at scan time; None for recordings of other
-            software.
     """
 
     contents: Contents
-    scenario: Scenario
-    commanded: PosePairs
-    reached: Mapping[int, Reached]
     views: Mapping[int, int]
     missing: tuple[int, ...]
-    plan: MotionPlan | None = None
-    digests: dict[str, str] | None = None
 
     @property
     def missing_in_words(self) -> str:
@@ -62,63 +51,133 @@ class RecoveredScan:
         words = ", ".join(f"{r[0]} to {r[-1]}" if len(r) > 1 else f"{r[0]}" for r in runs)
         return f"view {words}" if len(self.missing) == 1 else f"views {words}"
 
-    def rebuild(
-        self, path: Path, folder: Path, frames_of: Callable[[int, Reached], ViewImages | None]
-    ) -> ScanStore:
+    @property
+    @abstractmethod
+    def settings(self) -> ScanSettings:
+        """Settings of the scan."""
+
+    @property
+    def geometries(self) -> tuple[NamedGeometry, ...]:
+        """Further geometries that the recordings state."""
+        return ()
+
+    def imager(self) -> Imager | None:
+        """Return the imager of the images that a scan keeps and no recording contains, if any."""
+        return None
+
+    def rebuild(self, path: Path, imager: Imager | None) -> ScanStore:
         """Create the scan store; after an error, it is not complete.
 
         Args:
             path: path of the store.
-            folder: existing folder of the run, for the views of a scan of another tool.
-            frames_of: returns the images of a view that ``detector.keep`` requests, given its
-                index and the state of the robots; no recording contains them.
+            imager: the one of ``imager``.
 
         Raises:
             InputError: an image is invalid.
             ScanExistsError: the store already exists.
             StorageError: the store cannot be written.
         """
-        if self.digests is None:
-            with storage_errors(folder):
-                panel = self.scenario.detector.panel
-                write_views(folder / VIEWS_FILE, self.commanded.geometry(panel))
-        any_ = next(iter(self.reached.values()))
-        robots = any_.joint_names, len(any_.state), self.plan
-        # Images of other software did not pass our imaging chain, so their mAs do not matter.
-        mas = None if self.digests is None else SimulationBuilder(self.scenario, self.plan).mas
-        more = {"digests": self.digests, "mas": mas}
-        store = ScanStore.create(path, self.scenario, self.commanded, *robots, **more)
+        store = self._created(path)
         try:
-            for stamp, pixels in self.contents.images(self.reached):
-                index = self.views[stamp]
-                reached = self.reached[stamp]
-                store.write(index, pixels, reached, frames_of(index, reached))
+            for stamp, pixels in self.contents.images(self.views):
+                self._write(store, stamp, pixels, imager)
         except (InputError, ValueError) as error:
             raise InputError(f"{self.contents.names}: {error}") from None
         return store
 
+    @abstractmethod
+    def _created(self, path: Path) -> ScanStore:
+        """Create the store without views."""
 
-def read_recordings(paths: Sequence[Path], out: Path) -> RecoveredScan:
+    def _write(
+        self, store: ScanStore, stamp: int, pixels: NDArray[np.float32], imager: Imager | None
+    ) -> None:
+        store.write(self.views[stamp], pixels)
+
+
+@dataclass(frozen=True, eq=False)
+class RecoveredScan(Recovered):
+    """A scan from recordings by twinct.
+
+    Attributes:
+        scenario: scenario of the scan.
+        commanded: poses of all views.
+        reached: state of the robots in each complete view, by stamp.
+        plan: plan that the arms followed, if any.
+        digests: digests of the scenario and its files at scan time.
+    """
+
+    scenario: Scenario
+    commanded: PosePairs
+    reached: Mapping[int, Reached]
+    plan: MotionPlan | None
+    digests: dict[str, str]
+
+    @property
+    def settings(self) -> Scenario:
+        """The scenario."""
+        return self.scenario
+
+    def imager(self) -> Imager | None:
+        """Return the imager of the images that ``detector.keep`` requests, if any."""
+        if not self.scenario.detector.keep:
+            return None
+        return SimulationBuilder(self.scenario, self.plan).imager()
+
+    def _created(self, path: Path) -> ScanStore:
+        any_ = next(iter(self.reached.values()))
+        robots = any_.joint_names, len(any_.state), self.plan
+        more = {"digests": self.digests, "mas": SimulationBuilder(self.scenario, self.plan).mas}
+        return ScanStore.create(path, self.scenario, self.commanded, *robots, **more)
+
+    def _write(
+        self, store: ScanStore, stamp: int, pixels: NDArray[np.float32], imager: Imager | None
+    ) -> None:
+        view, reached = self.views[stamp], self.reached[stamp]
+        frames = imager and imager.frame(reached.path, view, reached.before)
+        store.write(view, pixels, reached, frames)
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignScan(Recovered):
+    """A scan from recordings by other software: an imported scan, of an object not known.
+
+    Attributes:
+        provenance: panel, reconstruction, and the recorded poses of source and panel.
+        targets: the poses that were asked for, if they are known.
+    """
+
+    provenance: Imported
+    targets: NamedGeometry | None
+
+    @property
+    def settings(self) -> ScanSettings:
+        """The panel and a reconstruction."""
+        return self.provenance.settings
+
+    @property
+    def geometries(self) -> tuple[NamedGeometry, ...]:
+        """The targets, if they are known."""
+        return (self.targets,) if self.targets else ()
+
+    def _created(self, path: Path) -> ScanStore:
+        return ScanStore.create_imported(path, self.provenance, None)
+
+
+def read_recordings(paths: Sequence[Path]) -> RecoveredScan | ForeignScan:
     """Read the recordings of one scan, by twinct or by other software with the same topics.
 
     Args:
         paths: paths of the files, in any order.
-        out: future folder of the scan; nothing is written.
 
     Raises:
         InputError: a file is no recording, or no view is complete.
     """
     contents = Contents.of(paths)
     if contents.facts:
-        recorded = _own(contents)
-    else:
-        recorded = RecoveredScan(contents, *foreign_scan(contents, out / VIEWS_FILE))
-    if not recorded.reached:
-        problems = "; ".join(
-            ("no view is complete, so there is nothing to import", *contents.problems)
-        )
-        raise InputError(f"{contents.names}: {problems}")
-    return recorded
+        return _own(contents)
+    found = foreign_scan(contents)
+    return ForeignScan(contents, found.views, found.missing, found.provenance, found.targets)
 
 
 def _own(contents: Contents) -> RecoveredScan:
@@ -145,7 +204,10 @@ def _own(contents: Contents) -> RecoveredScan:
         if views.get(stamp, len(commanded)) < len(commanded)
         and (got := contents.reached(stamp, samples)) is not None
     }
+    if not reached:
+        problems = ("no view is complete, so there is nothing to import", *contents.problems)
+        raise InputError(f"{contents.names}: {'; '.join(problems)}")
     views = {stamp: views[stamp] for stamp in reached}
     digests = {"images": contents.facts["images"]}
     missing = tuple(sorted(set(range(len(commanded))) - set(views.values())))
-    return RecoveredScan(contents, scenario, commanded, reached, views, missing, plan, digests)
+    return RecoveredScan(contents, views, missing, scenario, commanded, reached, plan, digests)

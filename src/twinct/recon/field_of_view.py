@@ -51,7 +51,5 @@ def _centre(geometry: ScanGeometry) -> Floats:
     beam = geometry.detector - geometry.source
     beam = beam / np.linalg.norm(beam, axis=1, keepdims=True)
     across = np.eye(3) - beam[:, :, None] * beam[:, None, :]
-    centre, *_ = np.linalg.lstsq(
-        across.sum(axis=0), np.einsum("vij,vj->i", across, geometry.source), rcond=1e-9
-    )
-    return np.asarray(centre, np.float64)
+    beams = across.sum(axis=0), np.einsum("vij,vj->i", across, geometry.source)
+    return np.asarray(np.linalg.lstsq(*beams, rcond=1e-9)[0], np.float64)
