@@ -12,7 +12,7 @@ is air or nearly so, because these line integrals are small and smooth.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -129,6 +129,21 @@ class Level:
         rest = Rest.of(level.A.within(EVERYWHERE), x, own.grid, beyond=factor == 1)
         return cls(own.within(rest.blocks), p, pixels, rest)
 
+    def of_views(self, views: list[int]) -> Level:
+        """Return the level of some views."""
+        p, pixels, rest = self.p[views], self.pixels, self.rest
+        if pixels is not None and pixels.ndim == 3:
+            pixels = pixels[views]
+        if rest is not None and rest.images is not None:
+            rest = replace(rest, images=rest.images[views])
+        return Level(self.A[views], p, pixels, rest)
+
+    def measured(self, view: int) -> Singles:
+        """Return a view's line integrals without those of the rest; 0 where a pixel does not count."""
+        image = masked_image(self.p, view, self.pixels)
+        outside = None if self.rest is None else self.rest.at(view, image.shape)
+        return image if outside is None else image - outside
+
     def start(self) -> Singles:
         """Return the volume from which the level starts."""
         if self.rest is None:
@@ -156,10 +171,7 @@ class Level:
 
         Both are 0 unless ``wanted``.
         """
-        measured, mask = masked_image(self.p, view, self.pixels), mask_of(self.pixels, view)
-        outside = None if self.rest is None else self.rest.at(view, measured.shape)
-        if outside is not None:
-            measured = measured - outside
+        measured, mask = self.measured(view), mask_of(self.pixels, view)
         estimate, counts = self.A.update(
             work.held, view, measured, relaxation=relaxation, mask=mask, floor=floor
         )
