@@ -38,7 +38,7 @@ EVIDENCE = 0.3
 FIRST, LAST = -4, 4
 """Powers of two of the strengths of the trial, relative to that of the formula."""
 
-PASSES = 4
+PASSES = 2
 """Passes with each strength."""
 
 PARTS = 10
