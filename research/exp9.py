@@ -7,7 +7,7 @@ from twinct.recon.order import spread_order,subset_number
 from twinct.recon.working import WorkingVolume
 from twinct.recon.ordered_subsets import Minimiser
 import twinct.recon.strength as ST
-def newfast(A,p,photons,passes=3,sart_passes=1,coarse=2,levels=3,relax=1.5,cb=None,extra_coarse=0,times=None,factor_=None):
+def newfast(A,p,photons,passes=3,sart_passes=1,coarse=2,levels=3,relax=1.5,cb=None,extra_coarse=0,times=None,tol=0.0):
     known=None if photons is None else np.full(len(A),float(photons))
     noise=noise_in_air(p,None,known)
     before=None; rho=1.0; T=time.perf_counter(); times={} if times is None else times
@@ -29,8 +29,9 @@ def newfast(A,p,photons,passes=3,sart_passes=1,coarse=2,levels=3,relax=1.5,cb=No
                 if t is not None: rho=t.factor
                 times["trial"]=time.perf_counter()-T; T=time.perf_counter()
             if factor==1 or extra_coarse:
-                m=Minimiser(level,x,w,0.0); m.strength=ST.formula(m)*rho*(1 if factor_ is None else factor_)
+                m=Minimiser(level,x,w,0.0); m.strength=ST.Forces.of(m).strength(rho)
                 for _ in range(passes if factor==1 else extra_coarse):
+                    if factor==1 and tol and m.change<tol: break
                     m.one_pass()
                     if factor==1 and cb: cb(m.x)
                 x=m.x

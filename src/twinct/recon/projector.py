@@ -175,6 +175,40 @@ class Projector:
         self.kernels.bring(ratio.counts, counts)
         return shown, counts[1:-1, 1:-1]
 
+    def line_integrals_of(self, x: Singles, view: int) -> tuple[Singles, Singles]:
+        """Return A x of one view, and the path lengths of its rays in the grid, mm.
+
+        Args:
+            x: volume (z, y, x), float32 in C order, or held by the kernels.
+            view: number of the view.
+
+        Returns:
+            (rows, columns) each; valid until the next call.
+        """
+        if self._room is None:
+            self._room = _Room.of(self.kernels, *self.range_shape[1:])
+        estimate, length = self._room.estimate, self._room.length
+        self.kernels.forward(x, self._rays[view], estimate, self.blocks, length)
+        shown, lengths = self._room.shown[0], self._room.lengths
+        self.kernels.bring(estimate, shown)
+        self.kernels.bring(length, lengths)
+        return shown, lengths
+
+    def add_image(self, image: Singles, view: int, out: Singles) -> None:
+        """Add B of one view's image to a volume: as in ``update``, with all pixels counting.
+
+        Args:
+            image: (rows, columns), float32.
+            view: number of the view.
+            out: volume (z, y, x), float32 in C order, or held by the kernels; changed in place.
+        """
+        if self._room is None:
+            self._room = _Room.of(self.kernels, *self.range_shape[1:])
+        wide = np.pad(image, 1, mode="edge")
+        ones = self._room.ones
+        ratio = Ratio(self.kernels.hold(wide), *ones)
+        self.kernels.update(out, self._pixels[view], *ratio, np.float32(LOWEST), self.blocks)
+
     def back_project(self, images: Singles, scales: Floats, out: Singles) -> None:
         """Add scale / depth^2 times each view's image value at a voxel's projection.
 
@@ -199,19 +233,27 @@ class _Room:
         length: path lengths in the grid, likewise.
         ratio: residuals over lengths, likewise.
         shown: ``estimate`` and ``ratio.counts`` for the caller, or copies if they are on a card.
+        lengths: likewise ``length``.
+        ones: counts and missing pixels of an image whose pixels all count.
     """
 
     estimate: Singles
     length: Singles
     ratio: Ratio
     shown: tuple[Singles, Singles]
+    lengths: Singles
+    ones: tuple[Any, NDArray[np.int32]]
 
     @classmethod
     def of(cls, kernels: Kernels, rows: int, columns: int) -> _Room:
         shown = np.empty((rows, columns), np.float32), np.empty((rows + 2, columns + 2), np.float32)
         estimate, counts = map(kernels.hold, shown)
         ratio = Ratio.room(kernels, rows, columns)._replace(counts=counts)
-        return cls(estimate, kernels.room((rows, columns)), ratio, shown)
+        ones = kernels.hold(np.ones((rows + 2, columns + 2), np.float32))
+        none = np.zeros((rows + 3, columns + 3), np.int32)
+        lengths = np.empty((rows, columns), np.float32)
+        length = kernels.hold(lengths)
+        return cls(estimate, length, ratio, shown, lengths, (ones, none))
 
 
 def check_grid(geometry: ScanGeometry, grid: VolumeGrid) -> None:

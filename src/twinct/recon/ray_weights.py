@@ -9,15 +9,15 @@ model, which is larger than that of the finer one.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from twinct.recon.air import DARKEST, KnownNoise
-from twinct.recon.checks import Mask, mask_of, masked_image
+from twinct.recon.checks import mask_of, masked_image
 from twinct.recon.engine import Singles
+from twinct.recon.levels import Level
 from twinct.recon.projector import Projector
 from twinct.recon.resolution import binned, interpolated
 
@@ -28,9 +28,8 @@ On the tuning objects (benchmarks/bench_objective.py) the error of the truth's o
 0.5 times it in the median.
 """
 
-CORRELATED = 3.5
-"""Ratio by which the model's error weighs more in the strength of the total variation than noise of
-the same variance: along borders, neighbouring rays share it. From the same objects."""
+LEAST_VARIANCE = 1e-12
+"""Smallest variance, so that rays without noise have finite weights."""
 
 MOST_VIEWS = 12
 """Number of views from which means are taken."""
@@ -56,31 +55,39 @@ class RayWeights:
         """Return the weights for a noise, if it is known."""
         return cls(np.zeros(views) if noise is None else noise.in_air**2, model)
 
-    def __call__(self, p: Singles, view: int) -> Singles:
-        """Return the weights of the rays of a view, from its line integrals, (rows, columns)."""
-        return np.divide(1.0, self.variance(p, view), dtype=np.float32)
+    def of_level(self, level: Level, view: int) -> Singles:
+        """Return the weights of a view's rays, (rows, columns); 0 where a pixel does not count."""
+        image, good = masked_image(level.p, view, level.pixels), mask_of(level.pixels, view)
+        found = np.divide(np.float32(1), self.variance(image, view))
+        return found if good is None else np.where(good, found, np.float32(0))
 
     def variance(self, p: Singles, view: int) -> Singles:
-        """Return the variance of each ray, (rows, columns)."""
+        """Return the variance of each ray of a view, from its line integrals, (rows, columns)."""
         spread = np.exp(np.clip(p, 0.0, DARKEST)) * np.float32(self.noise[view])
-        return np.maximum(spread + np.float32(self.model), np.float32(1e-12))
+        return np.maximum(spread + np.float32(self.model), np.float32(LEAST_VARIANCE))
 
     def of_views(self, views: list[int]) -> RayWeights:
         """Return the weights of some views."""
         return RayWeights(self.noise[views], self.model)
 
-    def force(self, p: NDArray[Any], mask: Mask | None) -> float:
-        """Return the root mean square of weight times error, over rays that see the object."""
-        squares: list[float] = []
-        for view in some_views(len(p)):
-            image, good = masked_image(p, view, mask), mask_of(mask, view)
+    def forces(self, level: Level) -> tuple[float, float]:
+        """Return the root mean squares of weight times noise, and times the model's error.
+
+        Rays count that see the object.
+        """
+        noise: list[float] = []
+        model: list[float] = []
+        for view in some_views(len(level.p)):
+            image = masked_image(level.p, view, level.pixels)
+            weights = self.of_level(level, view)
             sees = image > OBJECT * float(np.percentile(image, 99.9))
-            sees = sees if good is None else sees & good
-            weights = self(image, view)[sees].astype(np.float64)
-            error = 1.0 / weights + (CORRELATED - 1) * self.model
+            weights = weights[sees & (weights > 0)].astype(np.float64)
             if weights.size:
-                squares.append(float(np.mean(weights**2 * error)))
-        return float(np.sqrt(np.mean(squares))) if squares else 0.0
+                model.append(float(np.mean(weights**2)) * self.model)
+                noise.append(float(np.mean(weights)) - model[-1])
+        if not model:
+            return 0.0, 0.0
+        return math.sqrt(max(float(np.mean(noise)), 0.0)), math.sqrt(float(np.mean(model)))
 
 
 def error_of_model(A: Projector, x: Singles) -> float:
