@@ -143,8 +143,8 @@ def test_every_wrong_argument_is_named(name, scan):
             "iterations is 0; it must be a whole number of at least 1",
             "x0 has shape (2, 2, 2)",
         ]
-    if name in RESUMABLE or name == "fast":
-        extra["first_relaxation" if name == "fast" else "relaxation"] = 2.0
+    if name in RESUMABLE:
+        extra["relaxation"] = 2.0
         names.append("relaxation is 2.0; it must be above 0 and below 2")
     if name in ("os_sart", "fista_tv", "prior_tv"):
         extra["subsets"] = 25
@@ -153,8 +153,8 @@ def test_every_wrong_argument_is_named(name, scan):
         extra |= {"regularisation": -1.0, "weights": -np.ones_like(p), "huber": 0.0}
         names += ["regularisation is -1.0", "weights must be 0 or more", "huber is 0.0"]
     if name == "fast":
-        extra |= {"passes": 0, "levels": 0, "margin": -1.0, "denoising": np.nan}
-        names += ["passes is 0", "levels is 0", "margin is -1.0", "denoising is nan"]
+        extra |= {"passes": 0, "levels": 0, "margin": -1.0, "regularisation": np.nan}
+        names += ["passes is 0", "levels is 0", "margin is -1.0", "regularisation is nan"]
     if name == "fdk":
         extra["window"] = "blackman"
         names.append("window is 'blackman'")

@@ -8,15 +8,11 @@ from twinct.core.errors import InputError
 from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
-from twinct.recon.air import air_noise
 from twinct.recon.algorithms import BUILT_IN
-from twinct.recon.denoise import lower_variation, noise
+from twinct.recon.denoise import lower_variation
 from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
-from twinct.recon.further_passes import FOR_THICK, SLOW_PASSES
 from twinct.recon.levels import QUIET_SHARE
-from twinct.recon.usual_passes import MOST_PASSES
-from twinct.report import with_results
 
 AROUND_LEFT = 0.1
 """Share of the line integrals that volume and margin leave."""
@@ -42,22 +38,14 @@ def bodies(circle, ellipsoid_integrals):
     return Projector(geometry, grid), p, error
 
 
-def test_one_level_without_more_is_sart(bodies):
-    A, p, _ = bodies
-    A, p = A[::2], p[::2]  # fewer views than voxels along an axis: the relaxation stays
-    own = fast(A, p, passes=2, levels=1, first_relaxation=0.5, denoising=0)
-    other = sart(A, p, iterations=2, relaxation=0.5, nonnegative=True)
-    np.testing.assert_array_equal(own, other)
-
-
 def test_no_key_of_another_algorithm_is_taken_over():
     """A scenario that a run wrote has all keys of its algorithm: their defaults are not these.
 
-    But for ``stop``, which is the same for all.
+    But for ``regularisation``, which means the same for all.
     """
     for other in {*BUILT_IN} - {"fast"}:
         shared = {*BUILT_IN[other].settings.model_fields} & {*Fast.model_fields}
-        assert shared - {"stop"} == {"algorithm"}
+        assert shared - {"regularisation"} == {"algorithm"}
 
 
 def test_it_beats_sart_at_its_best_iteration(bodies):
@@ -77,8 +65,8 @@ def test_it_beats_sart_at_its_best_iteration(bodies):
 
 def test_what_lies_around_is_taken_out(bodies):
     A, p, error = bodies
-    # 0.15 with the margin of the last coarse level, 0.21 with that of the coarsest.
-    assert error(fast(A, p)) < 0.18 * error(fast(A, p, margin=0))
+    # 0.24 with the margin of the last coarse level.
+    assert error(fast(A, p)) < 0.3 * error(fast(A, p, margin=0))
 
 
 def test_leaving_out_air_costs_nothing(bodies, monkeypatch):
@@ -106,17 +94,6 @@ def test_what_is_left_out_is_not_lost(circle, ellipsoid_integrals, value):
     assert volume.array[4:8, 4:8, 73:79].max() < 0.2 * value
 
 
-def test_updates_are_those_that_were_promised(bodies):
-    A, p, _ = bodies
-    seen = []
-    fast(A, p, callback=lambda step: seen.append((step.update, step.updates, step.volume.shape[0])))
-    assert [update for update, _, _ in seen] == list(range(len(seen)))
-    assert {updates for _, updates, _ in seen} == {len(seen)} == {60 * 8}
-    # The coarse grids have their margin: 10 and 3, and 20 and 6 on each side.
-    shapes = [shape for _, _, shape in seen]
-    assert shapes == [16] * 60 * 4 + [32] * 60 * 2 + [40] * 60 * 2
-
-
 def shapes_of(A, p, **keys):
     """Return the number of planes of the volume in each update."""
     planes = []
@@ -133,52 +110,7 @@ def test_with_air_around_the_object_coarse_grids_have_no_margin(circle, ellipsoi
     assert set(shapes_of(A, whole)) == {10, 20, 40}
     assert set(shapes_of(A, beyond)) == {12, 24, 40}
     assert set(shapes_of(A, whole, margin=0.2)) == {14, 28, 40}
-    keys = {"coarse_passes": 2}
-    np.testing.assert_array_equal(fast(A, whole, **keys), fast(A, whole, margin=0.0, **keys))
-
-
-def test_noise_is_no_object_around_thin_parts(circle, ellipsoid_integrals):
-    """A small ball: the noise at the border is a large part of the mean of all rays."""
-    geometry = circle(60, Panel(60, 64, 2.0, 2.0))
-    A = Projector(geometry, VolumeGrid((40, 40, 40), 1.0))
-    ball = 0.05 * ellipsoid_integrals(geometry, (4, -3, 2), (3, 3, 3))
-    for seed in range(5):
-        noise = np.random.default_rng(seed).normal(0, 0.05, A.range_shape)
-        assert shapes_of(A, ball + noise).count(40) >= 60 * (2 + SLOW_PASSES)
-
-
-def test_thin_parts_in_air_are_reconstructed_again_with_small_updates(circle, ellipsoid_integrals):
-    """Wires; not so in a large body, in which they stand out like metal."""
-    A = Projector(circle(80, Panel(60, 64, 2.0, 2.0)), VolumeGrid((40, 40, 40), 1.0))
-    places = [((x, y, 0), (1.2, 1.2, 15)) for x, y in ((-9, 4), (2, -6), (8, 9))]
-    p = 0.3 * sum(ellipsoid_integrals(A.geometry, *place) for place in places)
-    body = 0.04 * ellipsoid_integrals(A.geometry, (0, 0, 0), (16, 16, 16))
-    seen = []
-    fast(A, p, callback=seen.append)
-    assert [step.update for step in seen] == list(range(len(seen)))
-    assert seen[-1].updates == len(seen)
-    assert shapes_of(A, p).count(40) >= 80 * (2 + SLOW_PASSES)
-    assert shapes_of(A, p + body).count(40) <= 80 * (2 + FOR_THICK)
-    for keys in ({"passes": 2}, {"levels": 2}, {"first_relaxation": 1.4}, {"margin": 0.1}):
-        assert shapes_of(A, p, **keys).count(40) == 80 * 2
-    assert shapes_of(A, p, stop="auto", passes=4).count(40) == 80 * 2
-
-
-def test_many_views_need_fewer_passes_in_coarse_voxels(circle, ellipsoid_integrals):
-    geometry = circle(120, Panel(60, 64, 2.0, 2.0))
-    A = Projector(geometry, VolumeGrid((40, 40, 40), 1.0))
-    p = ellipsoid_integrals(geometry, (4, -3, 2), (9, 7, 11))
-    # 120 views are 6 per voxel of the level in between.
-    assert shapes_of(A, p) == [10] * 120 + [20] * 120 + [40] * 120
-    assert shapes_of(A, p, coarse_passes=2) == [10] * 480 + [20] * 240 + [40] * 120
-    assert shapes_of(A, p, margin=0.2) == [14] * 480 + [28] * 240 + [40] * 120
-
-
-def test_many_views_do_not_lower_the_total_variation_more_often(circle, monkeypatch):
-    A, calls = Projector(circle(200, Panel(8, 8, 20.0, 2.0)), VolumeGrid((4, 4, 592), 0.3)), []
-    monkeypatch.setattr(A.kernels, "lower", lambda x, *_: calls.append(float(x.max())))
-    fast(A, np.ones(A.range_shape), photons=1e8, levels=1, passes=2)
-    assert len(calls) == 10
+    np.testing.assert_array_equal(fast(A, whole), fast(A, whole, margin=0.0))
 
 
 def test_a_margin_behind_the_source_is_named(bodies):
@@ -233,23 +165,6 @@ def test_one_walk_lowers_variation_as_step_after_step(shape):
     np.testing.assert_allclose(*results, atol=1e-5)
 
 
-def test_noise_is_that_of_the_even_parts(ball):
-    even, noisy = ball
-    # Of 27 values the deviation scatters by a seventh, and its lower quartile is a tenth lower.
-    assert noise(noisy) == pytest.approx(0.09, rel=0.1)
-    assert noise(even) == 0
-    assert noise(noisy[20:22]) == pytest.approx(0.09, rel=0.2), "blocks as thin as the volume"
-
-
-def test_a_volume_of_thin_parts_does_not_tell_its_noise(ball):
-    even, noisy = ball
-    thin = np.zeros_like(even)
-    thin[::6], thin[1::6] = 1, 1
-    assert noise(thin) is None
-    assert noise(thin + noisy - even) is None
-    assert noise(np.zeros_like(even)) is None
-
-
 @pytest.fixture
 def plates(circle):
     """Line integrals of two plates, 2 and 3 mm thick, in air."""
@@ -267,63 +182,20 @@ def noisy(clean, deviation=0.02):
     return (clean + drawn).astype(np.float32)
 
 
-def test_strength_follows_from_the_noise_of_air_or_of_photons(plates):
-    A, clean, _ = plates
-    p = noisy(clean)
-    assert air_noise(clean, None) == pytest.approx(0, abs=1e-6)
-    assert air_noise(p, None) == pytest.approx(0.02, rel=0.05)
-    pixels = np.ones(A.range_shape[1:], np.bool_)
-    pixels[:, ::2] = False  # no pixel with all of its neighbours: no air
-    assert air_noise(p, pixels) is None
-    of_air = fast(A, p).extras["denoising"]
-    assert of_air["from"] == "air"
-    every = fast(A, p, photons=2500.0).extras["denoising"]
-    assert every["from"] == fast(A, p, mask=pixels, photons=2500.0).extras["denoising"]["from"]
-    assert every["from"] == "photons"
-    assert every["strength"] == pytest.approx(of_air["strength"], rel=0.1)
-    # Views of few photons: more noise, but a relaxation that falls further.
-    few = fast(A, p, photons=np.full(48, 625.0)).extras["denoising"]["strength"]
-    assert 1.2 * every["strength"] < few < 2 * every["strength"]
-
-
 def test_noise_and_thin_parts_are_told_apart(plates):
     A, clean, truth = plates
     p = noisy(clean)
     error = np.square(fast(A, p).array - truth).mean()
-    assert error < 1.05 * np.square(fast(A, p, denoising=0).array - truth).mean()
-
-
-def test_passes_follow_from_the_views_for_each_voxel(bodies):
-    A, p, _ = bodies
-
-    def passes(A, p):
-        seen = []
-        fast(A, p, levels=1, callback=lambda step: bool(seen.append(step.update)))
-        return len(seen) / len(A)
-
-    few = A.on(VolumeGrid((30, 30, 30), 1.4))
-    assert (passes(A, p), passes(few, p), passes(A[::4], p[::4])) == (2, 1, 4)
-    assert passes(A[::12], p[::12]) == MOST_PASSES
-
-
-def test_nothing_is_denoised_where_the_noise_is_unknown(plates, caplog):
-    A, p, _ = plates
-    pixels = np.ones(A.range_shape[1:], np.bool_)
-    pixels[:, ::2] = False  # no pixel with all of its neighbours
-    volume = fast(A, p, mask=pixels)
-    assert volume.extras["denoising"] == {"strength": 0.0, "from": None}
-    assert "not denoised" in caplog.text
-    np.testing.assert_array_equal(volume, fast(A, p, mask=pixels, denoising=0))
-    assert "not denoised, since the noise is unknown" in with_results("fast", volume.extras)
+    assert error < 1.05 * np.square(fast(A, p, regularisation=0).array - truth).mean()
 
 
 def test_predictions_hold_what_lies_around_the_grid(bodies):
     A, p, _ = bodies
     views = [0, 20, 40]
-    volume = fast(A, p, denoising=0, predicted_views=views)
+    volume = fast(A, p, regularisation=0, predicted_views=views)
     predicted, alone = volume.extras["predicted"], A[views](volume.array)
     rest, without = (
         np.linalg.norm(p[views] - q) / np.linalg.norm(p[views]) for q in (predicted, alone)
     )
     assert rest < AROUND_LEFT < 5 * AROUND_LEFT < without
-    assert "predicted" not in fast(A, p, denoising=0).extras
+    assert "predicted" not in fast(A, p, regularisation=0).extras

@@ -106,7 +106,7 @@ def test_parts_keep_the_motion_of_their_views(grid):
 
 ALGORITHMS = {
     "sart": lambda A, p: sart(A, p, iterations=3, relaxation=0.5),
-    "fast": lambda A, p: fast(A, p, denoising=0.0, levels=2, coarse_passes=2),
+    "fast": lambda A, p: fast(A, p, regularisation=0.0, levels=2, passes=2),
     "fista_tv": lambda A, p: fista_tv(A, p, iterations=6, regularisation=1e-4, tv_steps=3),
     "fdk": lambda A, p: fdk(A, p),
 }

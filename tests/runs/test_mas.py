@@ -46,7 +46,7 @@ def test_a_scan_takes_and_keeps_the_mas_of_its_file(tmp_path):
     np.testing.assert_allclose(even.line_integrals()[free], plain[free] - 0.5 / even.photons[0],
         rtol=0, atol=2e-2 / even.photons[0])  # fmt: skip
     thin = {"grid": {"voxels": 16, "voxel_mm": 1.0}, "algorithm": "fast"}
-    assert reconstruct(even, **thin).extras["denoising"]["from"] == "photons"
+    assert reconstruct(even, **thin).extras["regularisation"]["from"] == "photons"
 
 
 def test_other_mas_are_another_scan(tmp_path):

@@ -139,7 +139,7 @@ class Level:
         return Level(self.A[views], p, pixels, rest)
 
     def measured(self, view: int) -> Singles:
-        """Return a view's line integrals without those of the rest; 0 where a pixel does not count."""
+        """Return a view's line integrals less those of the rest; masked pixels are 0 before."""
         image = masked_image(self.p, view, self.pixels)
         outside = None if self.rest is None else self.rest.at(view, image.shape)
         return image if outside is None else image - outside

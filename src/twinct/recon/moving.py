@@ -172,6 +172,18 @@ class MovingProjector(Projector):
             moved.add_undeformed(looked, seen)
         return images
 
+    def line_integrals_of(self, x: Singles, view: int) -> tuple[Singles, Singles]:
+        """Return A x of one view and its path lengths, as in Projector."""
+        there = np.zeros(self.domain_shape, np.float32)
+        self._moved[id(self.motion[view])].add_deformed(x, there)
+        return super().line_integrals_of(there, view)
+
+    def add_image(self, image: Singles, view: int, out: Singles) -> None:
+        """Add B of one view's image to a volume, as in Projector: B goes to the moved voxels."""
+        there = np.zeros(self.domain_shape, np.float32)
+        super().add_image(image, view, there)
+        self._moved[id(self.motion[view])].add_undeformed(there, out)
+
     def back_project(self, images: Singles, scales: Floats, out: Singles) -> None:
         """Add each view's image values at the projections of the moved voxels, as in Projector."""
         for moved, views in self._groups():

@@ -122,8 +122,8 @@ class Minimiser:
         self._sum[:] = 0.0
         total = A.kernels.hold(self._sum)
         for view in views:
-            lengths = A[view].chords()[0]
-            A.add_image(self.weights.of_level(self.level, view) * lengths, view, total)
+            image = self.weights.of_level(self.level, view) * A.chords_of(view)
+            A.add_image(image, view, total)
         A.kernels.bring(total, self._sum)
         return self._sum
 

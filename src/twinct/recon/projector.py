@@ -120,6 +120,12 @@ class Projector:
             self.kernels.chords(rays, self.domain_shape, image)
         return lengths
 
+    def chords_of(self, view: int) -> Singles:
+        """Return the path lengths of one view's rays in the grid, (rows, columns), mm."""
+        lengths = np.empty(self.range_shape[1:], np.float32)
+        self.kernels.chords(self._rays[view], self.domain_shape, lengths)
+        return lengths
+
     def update(
         self,
         x: Singles,

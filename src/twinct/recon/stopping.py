@@ -12,7 +12,7 @@ from twinct.recon.engine import Singles
 Estimate = Callable[[Singles], float]
 """Estimate of the error of a volume, (z, y, x)."""
 
-VOLUMES, PROJECTIONS = 2.5, 0.5
+VOLUMES, PROJECTIONS = 9.0, 0.5
 """Peak memory of ``error_estimate`` and ``BestPass``: the volume of ``fast``, the one before a pass
 and masks; half of the projections, while ``fast`` runs."""
 

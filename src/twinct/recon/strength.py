@@ -38,7 +38,7 @@ EVIDENCE = 0.15
 """Share of the model's error by which mean squared residuals may differ without being evidence."""
 
 FIRST, LAST = -1, 5
-"""Powers of two of the factors that are tried; below the first one, if it is taken, down to -LAST."""
+"""Powers of two of the factors that are tried; while the first is the best, down to -LAST, too."""
 
 PARTS, FEWEST_VIEWS = 10, 20
 """One view of so many is left out; with fewer views than the second number, none is."""

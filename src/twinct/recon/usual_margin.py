@@ -32,9 +32,6 @@ from twinct.recon.working import WorkingVolume
 AIR_BESIDE, AIR_AT_RIM = 0.002, 0.01
 """Signs that something lies beyond the grid (``SignsBeyond``) up to which there is only air."""
 
-OF_NOISE = 3.0
-"""Standard errors of these signs that may be noise."""
-
 MARGINS, VERY_WIDE = (0.1, 0.2, 0.3), 0.6
 """Margins on each side, as shares of the grid's size, and that with which they are compared.
 
@@ -79,16 +76,6 @@ def usual_margin(A: Projector, p: NDArray[Any], pixels: Mask | None, factor: int
         if margin == MARGINS[-1] or scan.left_by(margin) <= most:
             return margin
     return possible[-1]
-
-
-def is_in_air(A: Projector, p: NDArray[Any], pixels: Mask | None) -> bool:
-    """Return whether the projections show only air around the object, apart from noise.
-
-    A margin that only holds noise does no harm, so ``usual_margin`` counts noise as well.
-    """
-    signs = signs_beyond(A, p, pixels)
-    beside, at_rim = (OF_NOISE * error for error in signs.errors)
-    return signs.beside <= AIR_BESIDE + beside and signs.at_rim <= AIR_AT_RIM + at_rim
 
 
 @dataclass(frozen=True, eq=False)

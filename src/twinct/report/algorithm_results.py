@@ -43,11 +43,11 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
         if ratio := prior.get("left_out_ratio"):
             words.append(f"share of the prior {prior['share']:g}")
             words.append(f"residual of left-out views {ratio:.2f} times that without the prior")
-    if (denoising := data.get("denoising")) and denoising["from"] is None:
-        words.append("not denoised, since the noise is unknown")
     if strength := data.get("regularisation"):
         source = {"photons": "from the photons", "air": "from air in the projections"}
         why = source.get(strength["from"], "since the noise is unknown")
         words.append(f"regularisation {strength['strength']:.2g}, {why}")
+        if strength.get("factor"):
+            words[-1] += f" and left-out views (factor {strength['factor']:.2g})"
     words += [f"warning: {one}" for one in data.get("warnings", ())]
     return f"{in_words}: {', '.join(words)}" if words else in_words

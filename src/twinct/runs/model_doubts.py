@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from twinct.recon.projector import Projector
 from twinct.recon.signs_beyond import signs_beyond
-from twinct.recon.thin_parts import SPARSE, mean_thickness
 from twinct.recon.unexplained import Unexplained, typical_attenuation, unexplained
 from twinct.recon.volume import Volume
 from twinct.scan import Scan
-from twinct.scenario import Reconstruction
 
 MUCH_BESIDE = 0.2
 """Share of the attenuation on rays beside the grid from which the user is warned."""
@@ -43,10 +41,6 @@ DENSER, FEWEST_VOXELS = 3.0, 27
 SOME_BESIDE = 0.01
 """Share of the attenuation on rays beside the grid from which something may lie around it."""
 
-TOO_THIN, TOO_THIN_TO_STOP = 1.8, 4.0
-"""Thickness of sparse parts, in voxels, below which ``fast`` may be worse than SART, and ``stop:
-auto`` end too early or too late."""
-
 
 def doubt_of_grid(
     A: Projector, integrals: NDArray[np.float32], pixels: NDArray[np.bool_] | None
@@ -73,25 +67,6 @@ def doubt_of_prior(volume: Volume) -> str | None:
         "the prior does not help: volumes from four fifths of the views predict the others no "
         f"better with it than without it (residuals {ratio:.3f} times as large); is it of the same "
         "object, and sharp enough? fista_tv works without a prior"
-    )
-
-
-def doubt_of_thin_parts(volume: Volume, section: Reconstruction) -> str | None:
-    """Return a warning if parts are too thin for ``fast`` or ``stop: auto``, if one was used."""
-    is_fast = section.algorithm == "fast"
-    if not is_fast and getattr(section, "stop", None) is None:
-        return None
-    thickness, share = mean_thickness(volume.array)
-    if thickness >= (TOO_THIN if is_fast else TOO_THIN_TO_STOP) or share >= SPARSE:
-        return None
-    limit = (
-        "fast can leave up to twice the error of sart at its best pass"
-        if is_fast
-        else "stop: auto can end too early or too late, with up to a fifth more error"
-    )
-    return (
-        f"the object consists of parts about {thickness:.1f} voxels thick: there, {limit}; use "
-        "smaller voxels (reconstruction.grid)"
     )
 
 

@@ -42,7 +42,6 @@ from twinct.runs.metal_reduction import doubts, metal_replaced
 from twinct.runs.model_doubts import (
     doubt_of_grid,
     doubt_of_prior,
-    doubt_of_thin_parts,
     judged_by_rays,
 )
 from twinct.runs.truth import held_bytes
@@ -184,7 +183,7 @@ def _reconstruct(
     volume, doubt = judged_by_rays(
         _counted(volume, section, done), A, integrals, scan, pixels, residuals
     )
-    _warn(audience, warnings, doubt, doubt_of_prior(volume), doubt_of_thin_parts(volume, section))
+    _warn(audience, warnings, doubt, doubt_of_prior(volume))
     if warnings:
         volume = replace(volume, extras={**volume.extras, "warnings": warnings})
     saved.keep_results(volume)

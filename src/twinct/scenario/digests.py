@@ -62,8 +62,9 @@ OF_ARMS = ("motion", "cell.floor_z_mm")
 _AFTER_PLAN = ("settle_speed_mm_s",)
 """Keys of the motion that count only when the arms move."""
 
-_SINCE_NOISE, _BY_NOISE = 3, ("fast", "prior_tv")
-"""Version of the volumes of these algorithms: the noise decides on their steps since then."""
+_SINCE = {"fast": 4, "prior_tv": 3}
+"""Versions of the volumes of these algorithms: the noise decides on their steps since 3, and
+left-out views on the strength of ``fast`` since 4."""
 
 _SINCE_PHOTONS = 2
 """Version of volumes from scans with noise: its photons, or air, count since then."""
@@ -157,8 +158,9 @@ def _stands_on(scenario: Scenario, stage: StageName, base: StageName) -> bool:
 
 def _version(scenario: Scenario, stage: StageName) -> int:
     """Return the version of a stage; it is the former one where the results are."""
-    if stage == "volume" and scenario.reconstruction.algorithm in _BY_NOISE:
-        return _SINCE_NOISE
+    algorithm = scenario.reconstruction.algorithm
+    if stage == "volume" and algorithm in _SINCE:
+        return _SINCE[algorithm]
     if stage == "volume" and _has_noise(scenario):
         return _SINCE_PHOTONS
     return STAGES[stage].version
