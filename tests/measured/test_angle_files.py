@@ -58,7 +58,7 @@ def test_angles_beside_the_numbers_of_the_views(tmp_path):
         ("0\n1.5\nfoo\n4.5\n7\n", "'foo' are not numbers"),
         ("0\n1.5\ninf\n4.5\n", "not finite"),
         ("0\n1.5 3\n", "not hold the same count"),
-        ("", "not hold the same count"),
+        ("", "no line holds numbers"),
     ],
 )
 def test_other_texts_are_named(text, message, tmp_path):

@@ -159,7 +159,6 @@ def test_xtekct_is_a_circle_with_its_axis_to_the_left(tmp_path):
     ("old", "new", "message"),
     [
         ("MaskRadius=30", "DetectorOffsetX=1.2", "DetectorOffsetX is '1.2', and may matter"),
-        ("MaskRadius=30", "WobbleRadius=1.2", "WobbleRadius is '1.2', and may matter"),
         (f"SrcToObject={SOD}", "", "key SrcToObject is missing"),
         (f"SrcToObject={SOD}", "SrcToObject=far", "SrcToObject is 'far', not a finite number"),
         (f"Projections={VIEWS}", "Projections=inf", "Projections is 'inf', not a finite number"),

@@ -91,7 +91,9 @@ def table_of(text: str, where: str) -> NDArray[np.float64]:
             if not rows and count == 1:
                 continue  # names of columns
             raise InputError(f"{where}, line {count}: {quoted(line, 60)} are not numbers") from None
-    if not rows or len({len(row) for row in rows}) != 1:
+    if not rows:
+        raise InputError(f"{where}: no line holds numbers")
+    if len({len(row) for row in rows}) != 1:
         raise InputError(f"{where}: the lines do not hold the same count of numbers")
     return np.array(rows)
 
