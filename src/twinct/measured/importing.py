@@ -222,7 +222,8 @@ def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[f
     section, stack, panel = images.section, images.stack, geometry.panel
     notes = [
         f"{stack.where}: {stack.count} images of {stack.shape[0]} x {stack.shape[1]} pixels (rows "
-        f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}"
+        f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}",
+        *stack.notes,
     ]
     changes = [
         *(["transposed"] if section.transpose else []),
