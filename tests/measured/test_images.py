@@ -320,6 +320,21 @@ def test_bad_stacks_are_named(tmp_path):
     refused("ending '.xyz' are not read", path=str(tmp_path / "3.xyz"))
 
 
+def test_files_of_zeiss_are_named_with_a_way_out(circle, imported, tmp_path, capsys):
+    from twinct.cli import run_command
+
+    path = tmp_path / "scan.txrm"
+    path.write_bytes(b"\xd0\xcf\x11\xe0")
+    message = "scan.txrm: files of Zeiss are not read: convert the projections to TIFF"
+    assert run_command(["import", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    images = {"path": str(path), "values": "intensities", "white": 1.0}
+    for source in (path, {"images": images, "geometry": circle}):
+        with pytest.raises(InputError, match=message):
+            import_measured(source, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_bad_descriptions_are_named_with_their_line(imported, tmp_path):
     file = tmp_path / "scan.yaml"
     file.write_text("images: {path: a.npy, values: counts}\ngeometry: {kind: circle}\n")

@@ -12,11 +12,12 @@ from twinct.core.files.plain_json import json_of
 from twinct.core.foreign_text import quoted
 from twinct.measured.ctsimu_metadata import is_metadata, read_metadata
 from twinct.measured.description import Measured, read_description
+from twinct.measured.stack import NO_ZEISS, ZEISS
 from twinct.measured.toolkits import MOST_BYTES, read_openct
 from twinct.measured.xtekct import read_xtekct
 
 _DESCRIPTIONS = (".yaml", ".yml")
-_SUFFIXES = (*_DESCRIPTIONS, ".xtekct", ".json")
+_SUFFIXES = (*_DESCRIPTIONS, ".xtekct", ".json", *ZEISS)
 
 _KINDS = {
     "vectors": "astra",
@@ -44,6 +45,8 @@ def description_of(path: Path) -> Measured:
     suffix = path.suffix.lower()
     if suffix in _DESCRIPTIONS and not path.is_dir():
         return read_description(path)
+    if suffix in ZEISS:
+        raise InputError(f"{path}: {NO_ZEISS}")
     with library_errors(str(path)):
         if path.is_dir():
             return read_description(_exported(path))

@@ -31,7 +31,14 @@ _PICTURES = (".png", ".bmp", ".pgm", ".jpg", ".jpeg")
 _DICOM = (".dcm", ".ima", "")
 _RAW = (".raw", ".bin", ".img", ".dat", ".vol")
 _HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
-_IMAGES = {*_TIFF, *_PICTURES, *_DICOM, *_RAW, *_HDF5, ".npy", ".npz", ".mha", ".mhd", ".txrm"}
+_IMAGES = {*_TIFF, *_PICTURES, *_DICOM, *_RAW, *_HDF5, ".npy", ".npz", ".mha", ".mhd"}
+
+ZEISS = (".txrm", ".xrm", ".txm")
+NO_ZEISS = (
+    "files of Zeiss are not read: convert the projections to TIFF, such as with txrm2tiff, and "
+    "state distances, pitch and angles as kind: circle in a YAML file (docs/measured_files.md)"
+)
+"""Reason: no real file is public with which a reader, and its sense of rotation, can be tested."""
 
 IMAGE_FACTOR = 32
 """Bytes in memory per pixel while an image is corrected: four images in double precision."""
@@ -125,6 +132,8 @@ def _stack_of(path: Path, files: Sequence[Path], section: Files, key: str) -> St
         return _joined(files, [_npy(file, section, key, image=True) for file in files])
     if suffix in _PICTURES:
         return _joined(files, [_picture(file) for file in files])
+    if suffix in ZEISS:
+        raise InputError(f"{key}.path: {files[0]}: {NO_ZEISS}")
     raise InputError(
         f"{key}.path: {files[0]}: images with the ending {quoted(suffix)} are not read"
     )
