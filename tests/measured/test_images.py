@@ -307,7 +307,13 @@ def test_bad_stacks_are_named(tmp_path):
     refused("no file is there", path=str(tmp_path / "*.tif"))
     tifffile.imwrite(tmp_path / "1.tif", LIT)
     tifffile.imwrite(tmp_path / "2.tif", LIT[:7])
-    refused("2.tif: images of 7 x 26 of uint16, but .*1.tif has 20 x 26")
+    refused("2.tif: images of 7 x 26 of uint16, but .*1.tif has 20 x 26 of uint16: image 1 must")
+    with tifffile.TiffWriter(tmp_path / "all.tiff") as file:
+        for image in (LIT, LIT, LIT[:7], LIT):
+            file.write(image, contiguous=False)
+    several = str(tmp_path / "all.tiff")
+    refused(r"all.tiff: .* image 2 has shape \(7, 26\) of uint16, image 0 \(20, 26\)", path=several)
+    (tmp_path / "all.tiff").unlink()
     (tmp_path / "2.raw").write_bytes(b"12345")
     refused("files of several kinds")
     raw = str(tmp_path / "2.raw")

@@ -179,11 +179,15 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:
     """Return the images of several stacks, one after the other."""
-    first = stacks[0]
+    first, view = stacks[0], 0
     for file, stack in zip(files, stacks, strict=True):
         if (stack.shape, stack.dtype) != (first.shape, first.dtype):
             sizes = (f"{s.shape[0]} x {s.shape[1]} of {s.dtype}" for s in (stack, first))
-            raise InputError(f"{file}: images of {next(sizes)}, but {files[0]} has {next(sizes)}")
+            raise InputError(
+                f"{file}: images of {next(sizes)}, but {files[0]} has {next(sizes)}: image {view} "
+                "must have the size and type of the others"
+            )
+        view += stack.count
     places = [(stack, index) for stack in stacks for index in range(stack.count)]
     where = str(files[0]) if len(files) == 1 else f"{files[0].parent} ({len(files)} files)"
 
@@ -287,10 +291,13 @@ def _tiff(path: Path) -> Stack:
     file_bytes(path, where)
     with library_errors(where), tifffile.TiffFile(path) as file:
         pages = file.pages
-        shapes = {tuple(page.shape) for page in pages}
-        dtype, count = np.dtype(pages.first.dtype), len(pages)
-    if len(shapes) != 1 or len(shape := next(iter(shapes))) != 2:
-        raise InputError(f"{where}: expected grey images of one size; there are {sorted(shapes)}")
+        shape, dtype, count = tuple(pages.first.shape), np.dtype(pages.first.dtype), len(pages)
+        for index, page in enumerate(pages):
+            if len(page.shape) != 2 or (tuple(page.shape), page.dtype) != (shape, dtype):
+                raise InputError(
+                    f"{where}: expected grey images of one size and type, but image {index} has "
+                    f"shape {tuple(page.shape)} of {page.dtype}, image 0 {shape} of {dtype}"
+                )
 
     def image(index: int) -> Image:
         with library_errors(where), tifffile.TiffFile(path) as file:
@@ -300,12 +307,10 @@ def _tiff(path: Path) -> Stack:
 
 
 def _picture(path: Path) -> Stack:
-    from twinct.core.files.images import read_image
+    from twinct.core.files.images import read_image, stated_shape
 
-    shape = read_image(path, "a projection").shape
-    return Stack(
-        str(path), 1, (shape[0], shape[1]), np.dtype(float), lambda index: read_image(path, "view")
-    )
+    shape = stated_shape(path, str(path))
+    return Stack(str(path), 1, shape, np.dtype(float), lambda index: read_image(path, "view"))
 
 
 def _dicom(files: Sequence[Path], section: Files, key: str) -> Stack:
