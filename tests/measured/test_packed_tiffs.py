@@ -8,6 +8,7 @@ import tifffile
 from PIL import Image
 
 from twinct.core.errors import InputError
+from twinct.core.files.images import read_image
 from twinct.measured.description import Files
 from twinct.measured.stack import open_stack
 
@@ -61,6 +62,11 @@ def test_lzw_of_types_that_pillow_calls_by_another_name(tmp_path):
     Image.fromarray(image).save(path, compression="tiff_lzw")
     relabel(path, "PhotometricInterpretation", 0)
     np.testing.assert_array_equal(read(path)[0], image)
+
+
+def test_a_map_of_bad_pixels_may_be_packed(tmp_path):
+    Image.fromarray(COUNTS[0]).save(tmp_path / "a.tif", compression="tiff_lzw")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif", "bad pixels"), COUNTS[0])
 
 
 def test_other_ways_of_packing_are_named(tmp_path):

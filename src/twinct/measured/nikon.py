@@ -78,7 +78,7 @@ class Nikon(Section):
     def _angles(self, file: Xtekct) -> tuple[Floats, list[str], list[str]]:
         """Return the angle of each view, deg, and notes and doubts on them."""
         first, step = file.numbers.get("InitialAngle", 0.0), file.numbers["AngularStep"]
-        steps: Floats = first + step * np.arange(int(file.numbers["Projections"]))
+        steps = np.asarray(first + step * np.arange(int(file.numbers["Projections"])), np.float64)
         path = _file_of_angles(file) if self.angles == "files" else None
         if path is None:
             return steps, [], []
