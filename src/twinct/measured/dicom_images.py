@@ -76,7 +76,7 @@ class DicomFile:
 
 @dataclass(frozen=True)
 class _Told:
-    """What the header of a file says of its place: series and instance.
+    """File and the part of its header that states series and instance.
 
     Attributes:
         path: the file.
