@@ -30,6 +30,9 @@ class Files(Section):
 
     path: str = Field(description="File, folder, or pattern with * in its last part.")
     array: str = setting("", "Name of the array in an .npz, HDF5 or Zarr file.")
+    series: str | int | None = setting(
+        None, "Series in a folder of DICOM files: its number, description or UID."
+    )
     axes: tuple[Axis, Axis, Axis] = setting(
         ("view", "row", "column"), "Order of the axes in an array, the slowest first."
     )

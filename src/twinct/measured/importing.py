@@ -23,7 +23,8 @@ from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
 from twinct.measured.doubts import Doubts
 from twinct.measured.orientation import PanelPlacement, turned_shape
-from twinct.measured.views import ImageFacts
+from twinct.measured.sources import description_of, is_measured
+from twinct.measured.views import ImageFacts, StatedViews
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.field_of_view import grid_of
 from twinct.runs import Folder
@@ -70,7 +71,8 @@ def import_measured(
     """Create a run's folder from a measured scan.
 
     Args:
-        source: description of the scan: a YAML file, plain data, or its model.
+        source: description of the scan: a file or folder of ``description_of``, plain data, or
+            its model.
         out: the folder, without a run in it.
         observers: notified of the views.
 
@@ -80,7 +82,7 @@ def import_measured(
         ScanExistsError: the folder holds a scan.
         StorageError: the folder cannot be written.
     """
-    description = source if isinstance(source, Measured) else read_description(source)
+    description = source if isinstance(source, Measured) else _described(source)
     folder = Folder(Path(out))
     folder.refuse_others()
     folder.refuse_if_taken(resumes=False)
@@ -112,8 +114,16 @@ def import_measured(
         scales = _write_views(store, placement, doubts, audience)
         folder.write_scenario(settings)
         show(partial(_draw, store.read()), (10.4, 7.0), folder.imported)
-    sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(settings)
-    return ImportedScan(folder.path, settings, sentences, doubts.sentences)
+    notes = _notes_of_images(images, geometry, scales)
+    sentences = *notes, *views.notes, *_notes_of_grid(settings)
+    return ImportedScan(folder.path, settings, sentences, (*views.doubts, *doubts.sentences))
+
+
+def _described(source: str | Path | Mapping[str, Any]) -> Measured:
+    if isinstance(source, Mapping):
+        return read_description(source)
+    path = Path(source).expanduser()
+    return description_of(path) if is_measured(path) else read_description(path)
 
 
 def _remove_unfinished(folder: Folder) -> None:
@@ -128,14 +138,14 @@ def _remove_empty(path: Path) -> None:
         path.rmdir()
 
 
-def _placed(description: Measured, images: Corrections) -> tuple[PanelPlacement, tuple[str, ...]]:
-    """Return the way of the images to the panel, and what was read of the geometry."""
+def _placed(description: Measured, images: Corrections) -> tuple[PanelPlacement, StatedViews]:
+    """Return the way of the images to the panel, and the views as stated."""
     section, stack = description.images, images.stack
     rows, columns = turned_shape(section, stack.shape)
     as_stored = not (section.transpose or section.turn_deg)
     stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
     views = description.views(ImageFacts(stack.count, rows, columns, *stated))
-    return PanelPlacement(section, views), views.notes
+    return PanelPlacement(section, views), views
 
 
 def _check_views(description: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
@@ -212,7 +222,8 @@ def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[f
     section, stack, panel = images.section, images.stack, geometry.panel
     notes = [
         f"{stack.where}: {stack.count} images of {stack.shape[0]} x {stack.shape[1]} pixels (rows "
-        f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}"
+        f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}",
+        *stack.notes,
     ]
     changes = [
         *(["transposed"] if section.transpose else []),
