@@ -32,8 +32,9 @@ _DICOM = (".dcm", ".ima", "")
 _RAW = (".raw", ".bin", ".img", ".dat", ".vol")
 _HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
 
-IMAGE_FACTOR = 32
-"""Bytes in memory per pixel while an image is corrected: four images in double precision."""
+IMAGE_FACTOR = 160
+"""Bytes in memory per pixel while an image is corrected, between its neighbours: 20 images in
+double precision."""
 
 
 @dataclass(frozen=True)
@@ -145,10 +146,13 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:
     """Return the images of several stacks, one after the other."""
     first = stacks[0]
-    for file, stack in zip(files, stacks, strict=True):
+    for number, (file, stack) in enumerate(zip(files, stacks, strict=True)):
         if (stack.shape, stack.dtype) != (first.shape, first.dtype):
             sizes = (f"{s.shape[0]} x {s.shape[1]} of {s.dtype}" for s in (stack, first))
-            raise InputError(f"{file}: images of {next(sizes)}, but {files[0]} has {next(sizes)}")
+            raise InputError(
+                f"{file}: images of {next(sizes)}, but {files[0]} has {next(sizes)}; it is file "
+                f"{number} of {len(files)}, from 0"
+            )
     places = [(stack, index) for stack in stacks for index in range(stack.count)]
     where = str(files[0]) if len(files) == 1 else f"{files[0].parent} ({len(files)} files)"
 
@@ -252,10 +256,16 @@ def _tiff(path: Path) -> Stack:
     file_bytes(path, where)
     with library_errors(where), tifffile.TiffFile(path) as file:
         pages = file.pages
-        shapes = {tuple(page.shape) for page in pages}
+        sizes = [tuple(page.shape) for page in pages]
         dtype, count = np.dtype(pages.first.dtype), len(pages)
-    if len(shapes) != 1 or len(shape := next(iter(shapes))) != 2:
-        raise InputError(f"{where}: expected grey images of one size; there are {sorted(shapes)}")
+    shape = sizes[0]
+    if other := next((k for k, size in enumerate(sizes) if size != shape), None):
+        raise InputError(
+            f"{where}: expected grey images of one size; there are {sorted(set(sizes))}: image "
+            f"{other} is the first that differs"
+        )
+    if len(shape) != 2:
+        raise InputError(f"{where}: expected grey images of one size; there are {[shape]}")
 
     def image(index: int) -> Image:
         with library_errors(where), tifffile.TiffFile(path) as file:
