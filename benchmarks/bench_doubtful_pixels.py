@@ -190,7 +190,7 @@ def imported(images: NDArray[Any], folder: Path, **keys: Any) -> tuple[Floats, A
 
 
 def error(scan: Any, known: Floats, algorithm: str = "fdk") -> float:
-    volume = twinct.reconstruct(scan, algorithm=algorithm).values
+    volume = twinct.reconstruct(scan, algorithm=algorithm).array
     return float(np.sqrt(((volume - known) ** 2).mean() / (known**2).mean()))
 
 
