@@ -40,8 +40,9 @@ NO_ZEISS = (
 )
 """Reason: no real file is public with which a reader, and its sense of rotation, can be tested."""
 
-IMAGE_FACTOR = 32
-"""Bytes in memory per pixel while an image is corrected: four images in double precision."""
+IMAGE_FACTOR = 160
+"""Bytes in memory per pixel while an image is corrected, between its neighbours: 20 images in
+double precision."""
 
 
 @dataclass(frozen=True)
