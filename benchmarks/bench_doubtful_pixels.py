@@ -24,8 +24,10 @@ from scipy.spatial.transform import Rotation
 import twinct
 from twinct.measured import import_measured, pixels
 from twinct.measured.circle import Circle
+from twinct.measured.importing import ImportedScan
 from twinct.measured.views import ImageFacts
 from twinct.runs import load_scan
+from twinct.scan import Scan
 
 VIEWS, PIXELS, SAMPLES = 90, 80, 3
 GEOMETRY = {
@@ -179,8 +181,8 @@ def truth(made: Object) -> Floats:
     return total.reshape(nz, 3, ny, 3, nx, 3).mean((1, 3, 5))
 
 
-def imported(images: NDArray[Any], folder: Path, **keys: Any) -> tuple[Floats, Any]:
-    """Import images, and return the stored transmissions and what was told."""
+def imported(images: NDArray[Any], folder: Path, **keys: Any) -> tuple[Scan, ImportedScan]:
+    """Import images, and return the stored scan and what was told."""
     np.save(folder / "images.npy", images)
     grid = {"voxels": list(VOXELS), "voxel_mm": VOXEL_MM}
     section = {"path": str(folder / "images.npy"), **keys}
@@ -189,12 +191,12 @@ def imported(images: NDArray[Any], folder: Path, **keys: Any) -> tuple[Floats, A
     return load_scan(out / "scan"), told
 
 
-def error(scan: Any, known: Floats, algorithm: str = "fdk") -> float:
+def error(scan: Scan, known: Floats, algorithm: str = "fdk") -> float:
     volume = twinct.reconstruct(scan, algorithm=algorithm).array
     return float(np.sqrt(((volume - known) ** 2).mean() / (known**2).mean()))
 
 
-def changed(one: Any, other: Any) -> float:
+def changed(one: Scan, other: Scan) -> float:
     return float((one.transmission != other.transmission).mean())
 
 
@@ -337,7 +339,7 @@ def air(seeds: range, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("what", choices=("clean", "hits", "starved", "constants", "air"))
     parser.add_argument("--seeds", type=int, default=5)
     chosen = parser.parse_args()
