@@ -128,7 +128,7 @@ OBJECTS: dict[str, Callable[[np.random.Generator], Object]] = {
 
 
 @numba.njit(parallel=True, cache=False)
-def _project(matrix, centre, mu, source, first, step_u, step_v, samples, out):  # noqa: ANN001, ANN202
+def _project(matrix, centre, mu, source, first, step_u, step_v, samples, out):
     for row in numba.prange(out.shape[0]):
         for column in range(out.shape[1]):
             total = 0.0

@@ -146,12 +146,17 @@ def read_xtekct(path: Path, ignore: tuple[str, ...] = ()) -> Xtekct:
     return Xtekct(path, numbers, texts, _note_of_unknown(path, stated))
 
 
+class _Parser(configparser.ConfigParser):
+    """Parser that keeps the case of keys, for messages."""
+
+    def optionxform(self, optionstr: str) -> str:
+        """Return a key as it is."""
+        return optionstr
+
+
 def _section(path: Path) -> dict[str, tuple[str, str]]:
     """Return the keys and texts of the section [XTekCT] by the keys in small letters."""
-    parser = configparser.ConfigParser(
-        interpolation=None, strict=False, allow_no_value=True, delimiters=("=",)
-    )
-    parser.optionxform = str  # type: ignore[method-assign, assignment]
+    parser = _Parser(interpolation=None, strict=False, allow_no_value=True, delimiters=("=",))
     try:
         parser.read_string(read_windows_text(path, f"{path}", 2**20))
     except configparser.Error as error:
