@@ -307,7 +307,13 @@ def test_bad_stacks_are_named(tmp_path):
     refused("no file is there", path=str(tmp_path / "*.tif"))
     tifffile.imwrite(tmp_path / "1.tif", LIT)
     tifffile.imwrite(tmp_path / "2.tif", LIT[:7])
-    refused("2.tif: images of 7 x 26 of uint16, but .*1.tif has 20 x 26")
+    refused("2.tif: images of 7 x 26 of uint16, but .*1.tif has 20 x 26 of uint16: image 1 must")
+    with tifffile.TiffWriter(tmp_path / "all.tiff") as file:
+        for image in (LIT, LIT, LIT[:7], LIT):
+            file.write(image, contiguous=False)
+    several = str(tmp_path / "all.tiff")
+    refused(r"all.tiff: .* image 2 has shape \(7, 26\) of uint16, image 0 \(20, 26\)", path=several)
+    (tmp_path / "all.tiff").unlink()
     (tmp_path / "2.raw").write_bytes(b"12345")
     refused("files of several kinds")
     raw = str(tmp_path / "2.raw")
@@ -318,6 +324,21 @@ def test_bad_stacks_are_named(tmp_path):
     refused("no array 'three'", path=str(tmp_path / "a.npz"), array="three")
     (tmp_path / "3.xyz").write_bytes(b"1")
     refused("ending '.xyz' are not read", path=str(tmp_path / "3.xyz"))
+
+
+def test_files_of_zeiss_are_named_with_a_way_out(circle, imported, tmp_path, capsys):
+    from twinct.cli import run_command
+
+    path = tmp_path / "scan.txrm"
+    path.write_bytes(b"\xd0\xcf\x11\xe0")
+    message = "scan.txrm: files of Zeiss are not read: convert the projections to TIFF"
+    assert run_command(["import", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert message in " ".join(capsys.readouterr().err.split())
+    images = {"path": str(path), "values": "intensities", "white": 1.0}
+    for source in (path, {"images": images, "geometry": circle}):
+        with pytest.raises(InputError, match=message):
+            import_measured(source, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_bad_descriptions_are_named_with_their_line(imported, tmp_path):

@@ -23,6 +23,7 @@ from twinct.runs import Folder, import_recordings, verify
 from twinct.runs.job import finished_run
 from twinct.runs.reconstruction_folder import stored_reconstructions
 from twinct.runs.repair import resumable
+from twinct.runs.stages import due, run_stages
 from twinct.scan import Scan, ScanStore, image_digests
 from twinct.scenario import load_scenario
 
@@ -179,7 +180,7 @@ def _resumed(path: Path, scenario_file: Path, *, mend: bool) -> None:
     folder.refuse_others()
     store = resumable(folder, scenario) if mend else ScanStore(folder.scan)
     store.refuse_other(image_digests(scenario))
-    folder.finished(scenario)
+    due(run_stages(folder, scenario))
     store = ScanStore.resume(folder.scan, image_digests(scenario))
     _ = store.plan
     for views in store.missing:

@@ -15,6 +15,8 @@ BOUNDARY_SLACK_PX = 1e-9
 SOURCE_SLACK = 1e-9
 """Share of the source-panel distance by which a voxel must lie in front of the source."""
 
+FEW = 2
+"""Rows or columns of a panel, up to which a margin would leave no voxel, or hardly any."""
 
 LEAST_SHARE = 0.5
 """Share of the largest number of views that sees a voxel, from which on a voxel is judged."""
@@ -126,7 +128,9 @@ def half_spaces(geometry: ScanGeometry, margin_px: float) -> tuple[Floats, Float
 
     edges = ((geometry.u, panel.columns, panel.pitch_u), (geometry.v, panel.rows, panel.pitch_v))
     for axis, count, pitch in edges:
-        half_mm = (count / 2 - margin_px + BOUNDARY_SLACK_PX) * pitch
+        # One or two rows have no room between their pixel centres: they see as far as they reach.
+        among = count / 2 - (margin_px if count > FEW else 0)
+        half_mm = (among + BOUNDARY_SLACK_PX) * pitch
         centre = np.einsum("vk,vk->v", to_panel, axis)[:, None]
         admit(reach * axis - (centre - half_mm) * n)
         admit((centre + half_mm) * n - reach * axis)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from twinct.core.errors import InputError
 from twinct.core.settings import Coordinate, Finite, Length, Pair, Section, setting
 from twinct.geometry import Floats, Panel, ScanGeometry
-from twinct.measured.numbers import read_numbers
+from twinct.measured.angle_files import read_angles
 from twinct.measured.views import ImageFacts, StatedViews
 
 FEW_TURNS = 20
@@ -26,7 +26,9 @@ class Angles(Section):
     first: Finite = setting(0.0, "Angle of the first view.")
     step: Finite | None = setting(None, "Angle from view to view.")
     values: tuple[Finite, ...] | None = setting(None, "Angle of each view.")
-    path: Path | None = setting(None, "File of the angles: .npy, .npz or a text.")
+    path: Path | None = setting(
+        None, "File of the angles: .npy, .npz or a text, which may number the views."
+    )
     array: str = setting("", "Name of the array in an .npz file.")
     unit: Literal["deg", "rad"] = setting("deg", "Unit of all these angles.")
 
@@ -47,7 +49,7 @@ class Angles(Section):
         else:
             angles = np.array(self.values or ())
             if self.path is not None:
-                angles = read_numbers(self.path, self.array, f"{self.path}: angles").ravel()
+                angles = read_angles(self.path, self.array, views, f"{self.path}: angles")
             angles = self.first + angles
         if len(angles) != views:
             raise InputError(f"{where}: {len(angles)} angles, but there are {views} images")

@@ -179,7 +179,7 @@ class _Order:
 
     def read(self) -> list[NDArray[np.float32]]:
         """Return the transmissions of these views."""
-        return [self.images.transmission(int(v))[0].astype(np.float32) for v in self.views]
+        return [self.images.transmission(int(v)).image.astype(np.float32) for v in self.views]
 
     def facts(self, shape: tuple[int, int]) -> ImageFacts:
         """Return the facts on images that are turned to (rows, columns)."""

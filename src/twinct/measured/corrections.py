@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -13,7 +14,17 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.images import read_image
+from twinct.measured.air import air_of
 from twinct.measured.description import Air, FieldImages, Images, Rings
+from twinct.measured.pixels import (
+    Doubtful,
+    Levels,
+    ThreeViews,
+    dark_noise,
+    levels_of,
+    singles,
+    starved,
+)
 from twinct.measured.rings import MeanView
 from twinct.measured.stack import Stack, open_stack
 
@@ -37,6 +48,12 @@ LEAST_UNLIKE = 0.02
 
 MOST_FOR_MEAN = 24
 """Largest number of views in the mean image in which bad pixels are found."""
+
+MOST_FOR_NOISE = 6
+"""Largest number of views in which the noise is measured, each with its neighbours."""
+
+ROUNDING = 12**-0.5
+"""Standard deviation of the error of rounding to whole numbers."""
 
 OPAQUE = 0.2
 """Largest share of the pixels of transmissions that may be 0 or below."""
@@ -66,9 +83,37 @@ class FieldsByView:
         return (1 - share) * self.images[after - 1] + share * self.images[after]
 
 
+class Corrected(NamedTuple):
+    """A view as a transmission.
+
+    Attributes:
+        image: transmission, (rows, columns).
+        scale: brightness of its air, by which it was divided; 1 without a region of air.
+        doubtful: pixels that were repaired.
+        saturated: pixels that hold the largest number of their type.
+    """
+
+    image: Floats
+    scale: float
+    doubtful: Doubtful
+    saturated: Bools
+
+
+class DarkNoise(NamedTuple):
+    """Noise of the dark image.
+
+    Attributes:
+        sigma: standard deviation, as a transmission; 0: unknown.
+        source: where it is from, for messages.
+    """
+
+    sigma: float
+    source: str
+
+
 @dataclass(frozen=True, eq=False)
 class Corrections:
-    """Everything that turns a stored image into a transmission.
+    """Everything that turns a stored image into a transmission: it decides what a pixel is worth.
 
     Attributes:
         section: the section ``images``.
@@ -76,6 +121,9 @@ class Corrections:
         dark: dark images; None: nothing is subtracted.
         flat: flat images without their dark part; None: nothing is divided by.
         bad: bad pixels of the stored images, (rows, columns).
+        air: pixels that show air in all views, (rows, columns); None: unknown.
+        noise: noise of the dark image.
+        levels: noise by brightness; None: single pixels are left as they are.
         gains: factors by which single pixels are too bright, (rows, columns); None: no rings are
             removed.
     """
@@ -85,32 +133,75 @@ class Corrections:
     dark: FieldsByView | None
     flat: FieldsByView | None
     bad: Bools
+    air: Bools | None = None
+    noise: DarkNoise = DarkNoise(0.0, "unknown")
+    levels: Levels | None = None
     gains: Floats | None = None
+    _near: dict[int, tuple[Floats, Bools]] = field(default_factory=dict)
 
-    def transmission(self, view: int) -> tuple[Floats, float]:
-        """Return the transmission of a stored image, (rows, columns), and its scale from air.
+    def transmission(self, view: int) -> Corrected:
+        """Return the transmission of a stored image.
 
         Raises:
             InputError: good pixels are not finite, or the air is not brighter than the dark image.
         """
-        image = self._uncorrected(view)
-        wrong = ~np.isfinite(image) & ~self.bad
-        if wrong.any():
-            row, column = np.argwhere(wrong)[0]
-            raise InputError(
-                f"{self.stack.where}: image {view}: {int(wrong.sum())} pixels are not finite, the "
-                f"first at row {row}, column {column}: name them in images.bad_pixels"
-            )
-        image[self.bad] = 0.0  # filled below; NaN would spread
+        image, saturated = self._read(view)
+        bright = dark = np.zeros(image.shape, np.bool_)
+        if self.levels is not None and (three := self._three(view)) is not None:
+            bright, dark = singles(three, self.levels)
+        left_out = self.bad | bright | dark
         scale = 1.0
         if self.section.air is not None:
-            scale = self._air(self.section.air, image, view)
-            image /= scale
-        image = filled(image, self.bad)
-        return (image if self.gains is None else image / self.gains), scale
+            scale = self._air(image, left_out, view)
+            image = image / scale
+        image = filled(image, left_out)
+        image, low, means = starved(image, self.noise.sigma / scale)
+        image = image if self.gains is None else image / self.gains
+        return Corrected(image, scale, Doubtful(bright, dark, low, means), saturated)
 
-    def _uncorrected(self, view: int) -> Floats:
-        image = self.stack.image(view).astype(np.float64)
+    @cached_property
+    def largest(self) -> float:
+        """The largest number that a pixel can hold; infinite for numbers with fractions."""
+        whole = np.issubdtype(self.stack.dtype, np.integer)
+        return float(np.iinfo(self.stack.dtype).max) if whole else np.inf
+
+    def _read(self, view: int) -> tuple[Floats, Bools]:
+        """Return an image without bad pixels, and which are saturated; keep the last."""
+        if view not in self._near:
+            stored = self.stack.image(view)
+            image = self._uncorrected(view, stored)
+            wrong = ~np.isfinite(image) & ~self.bad
+            if wrong.any():
+                row, column = np.argwhere(wrong)[0]
+                raise InputError(
+                    f"{self.stack.where}: image {view}: {int(wrong.sum())} pixels are not finite, "
+                    f"the first at row {row}, column {column}: name them in images.bad_pixels"
+                )
+            image[self.bad] = 0.0  # filled later; NaN would spread
+            if self.section.values != "line_integrals" and not (image > 0).any():
+                least = "the dark images" if self.dark is not None else "0"
+                raise InputError(
+                    f"{self.stack.where}: image {view}: no pixel is brighter than {least}: was "
+                    "the beam off? Leave this view out, or correct images.darks"
+                )
+            full = stored == self.largest
+            while len(self._near) > 2:
+                del self._near[next(iter(self._near))]
+            self._near[view] = image, full
+        return self._near[view]
+
+    def _three(self, view: int) -> ThreeViews | None:
+        """Return a view between its neighbours, bad pixels filled; None if it has none."""
+        last = self.stack.count - 1
+        if last < 1:
+            return None
+        before, after = (view - 1 if view else 1), (view + 1 if view < last else last - 1)
+        here, *near = (filled(self._read(v)[0], self.bad) for v in (view, before, after))
+        return ThreeViews(near[0], here, near[1])
+
+    def _uncorrected(self, view: int, stored: NDArray[Any] | None = None) -> Floats:
+        stored = self.stack.image(view) if stored is None else stored
+        image = stored.astype(np.float64)
         if self.section.values == "line_integrals":
             return np.exp(-image, out=image)
         if self.dark is not None:
@@ -123,9 +214,9 @@ class Corrections:
             image /= self.section.white - dark
         return image
 
-    def _air(self, air: Air, image: Floats, view: int) -> float:
-        part = (slice(*air.rows), slice(*air.columns))
-        good = image[part][~self.bad[part]]
+    def _air(self, image: Floats, left_out: Bools, view: int) -> float:
+        assert self.air is not None
+        good = image[self.air & ~left_out]
         scale = float(good.mean()) if good.size else 0.0
         if not scale > 0:
             raise InputError(
@@ -159,7 +250,7 @@ def corrections(section: Images) -> Corrections:
                 f"images.flats: {share:.1%} of the pixels are no brighter than "
                 f"{'the dark images' if dark else '0'}; at most {DEAD:.0%} are allowed"
             )
-    if section.air is not None:
+    if isinstance(section.air, Air):
         _check_air(section.air, stack)
     if section.bad_pixels.path is not None:
         bad |= read_image(Path(section.bad_pixels.path), "bad pixels", stack.shape) != 0
@@ -169,13 +260,80 @@ def corrections(section: Images) -> Corrections:
         bad |= unlike(_mean_image(result), bad)
     if bad.all():
         raise InputError("images.bad_pixels: no pixel is good")
+    result = _with_levels(result)
     return result if section.rings is None else replace(result, gains=_gains(result, section.rings))
+
+
+def _with_levels(corrected: Corrections) -> Corrections:
+    """Return corrections that know air and noise, as some views show them."""
+    section, count = corrected.section, corrected.stack.count
+    few = _some(count, MOST_FOR_NOISE)
+    threes = [three for view in few if (three := corrected._three(view)) is not None]
+    images = [filled(corrected._read(view)[0], corrected.bad) for view in few]
+    noise = _dark_noise(corrected, images)
+    levels = levels_of(threes, noise.sigma) if threes else None
+    if isinstance(section.air, Air):
+        air = np.zeros(corrected.stack.shape, np.bool_)
+        air[slice(*section.air.rows), slice(*section.air.columns)] = True
+    else:
+        many = _some(count, MOST_FOR_MEAN)
+        air = air_of([filled(corrected._read(view)[0], corrected.bad) for view in many])
+        if air is None and section.air == "auto":
+            raise InputError(
+                f"{corrected.stack.where}: images.air: auto, but no part of the panel is bright "
+                "and steady in all views: state its rows and columns, or flats of these views"
+            )
+    return replace(
+        corrected, air=air, noise=noise, levels=levels if section.single_pixels else None
+    )
+
+
+def _some(count: int, most: int) -> list[int]:
+    """Return views, spread over a scan."""
+    return [int(v) for v in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
+def _dark_noise(corrected: Corrections, images: list[Floats]) -> DarkNoise:
+    """Return the noise of the dark image: stated, from darks, from the views, or of rounding."""
+    section = corrected.section
+    if section.values == "line_integrals":
+        return DarkNoise(0.0, "unknown")
+    one = _unit(corrected)
+    if section.dark_noise is not None:
+        return DarkNoise(section.dark_noise * one, "images.dark_noise")
+    rounding = one * ROUNDING if np.issubdtype(corrected.stack.dtype, np.integer) else 0.0
+    if noise := _noise_of_darks(section.darks):
+        return DarkNoise(max(noise * one, rounding), "images.darks")
+    air = float(np.median([_bright(image) for image in images]))
+    if noise := dark_noise(images, air):
+        return DarkNoise(max(noise, rounding), "values of 0 and below")
+    return DarkNoise(rounding, "rounding to whole numbers" if rounding else "unknown")
+
+
+def _unit(corrected: Corrections) -> float:
+    """Return the transmission, before any scale of air, that a stored number of 1 is."""
+    if corrected.flat is not None:
+        return 1.0 / float(np.median(corrected.flat.images[0]))
+    if corrected.section.white is not None:
+        dark = 0.0 if corrected.dark is None else float(corrected.dark.image(0).mean())
+        return 1.0 / (corrected.section.white - dark)
+    return 1.0
+
+
+def _noise_of_darks(sections: tuple[FieldImages, ...]) -> float:
+    """Return the standard deviation of two dark images' difference, per image; 0 without two."""
+    for index, section in enumerate(sections):
+        stack = open_stack(section, f"images.darks.{index}")
+        if stack.count > 1:
+            change = np.abs(stack.image(1).astype(np.float64) - stack.image(0))
+            return 1.4826 * float(np.median(change)) / np.sqrt(2)
+    return 0.0
 
 
 def _gains(corrected: Corrections, rings: Rings) -> Floats:
     mean = MeanView()
     for view in range(0, corrected.stack.count, corrected.section.every):
-        mean.add(corrected.transmission(view)[0])
+        mean.add(corrected.transmission(view).image)
     return mean.gains(corrected.section, rings)
 
 

@@ -30,6 +30,9 @@ class Files(Section):
 
     path: str = Field(description="File, folder, or pattern with * in its last part.")
     array: str = setting("", "Name of the array in an .npz, HDF5 or Zarr file.")
+    series: str | int | None = setting(
+        None, "Series in a folder of DICOM files: its number, description or UID."
+    )
     axes: tuple[Axis, Axis, Axis] = setting(
         ("view", "row", "column"), "Order of the axes in an array, the slowest first."
     )
@@ -96,8 +99,18 @@ class Images(Files):
     flats: tuple[FieldImages, ...] = setting((), "Images without object.")
     darks: tuple[FieldImages, ...] = setting((), "Images without radiation.")
     white: Positive | None = setting(None, "Intensity without object, in place of flats.")
-    air: Air | None = setting(None, "Scale each view so that the mean transmission here is 1.")
+    air: Air | Literal["auto"] | None = setting(
+        None, "Scale each view so that the mean transmission here is 1; auto: where all views are "
+        "brightest.",
+    )  # fmt: skip
+    dark_noise: Positive | None = setting(
+        None, "Standard deviation of the dark image, in numbers of the files; null: from darks, or "
+        "from values below 0.",
+    )  # fmt: skip
     bad_pixels: BadPixels = setting(BadPixels(), "Bad pixels.")
+    single_pixels: bool = setting(
+        True, "Repair pixels that differ from all neighbours in row, column and view."
+    )
     rings: Rings | None = setting(None, "Remove rings; the views must cover a turn.")
     transpose: bool = setting(False, "Exchange rows and columns first.")
     turn_deg: Literal[0, 90, 180, 270] = setting(0, "Then turn the image counterclockwise.")

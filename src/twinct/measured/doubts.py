@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.measured.circle import Circle
-from twinct.measured.corrections import Corrections
+from twinct.measured.corrections import SATURATED, Corrections
 from twinct.measured.description import Measured
+from twinct.measured.looks import Looks
+from twinct.scan.integrals import DARKEST
 
-LEAST = 1e-7
-"""Smallest transmission whose logarithm is taken."""
+OFF_AIR = 0.05
+"""Difference of air from 1 that is looked at."""
 
 UNSTEADY = 0.1
 """Change of the mean line integral from view to view, relative to it, that is looked at."""
@@ -46,10 +48,12 @@ class Doubts:
     Attributes:
         description: description of the scan.
         images: its images.
+        looks: counts of its pixels.
     """
 
     description: Measured
     images: Corrections
+    looks: Looks
     _views: list[float] = field(default_factory=list)
     _rows: NDArray[np.float64] | float = 0.0
     _columns: NDArray[np.float64] | float = 0.0
@@ -57,7 +61,7 @@ class Doubts:
 
     def add(self, transmission: NDArray[np.float64]) -> None:
         """Count one more view, (rows, columns), as stored."""
-        p = -np.log(np.maximum(transmission, LEAST))
+        p = -np.log(np.maximum(transmission, DARKEST))
         self._views.append(float(p.mean()))
         self._rows = self._rows + p.mean(axis=1)
         self._columns = self._columns + p.mean(axis=0)
@@ -74,6 +78,7 @@ class Doubts:
         if count == 1:
             return ("one view: no volume can be made from it",)
         result = _doubts_of_angles(self.description.geometry, self.images.stack.count)
+        result += self._doubts_of_pixels()
         if (
             self.description.images.values == "line_integrals"
             and self._like_transmissions > count / 2
@@ -96,6 +101,26 @@ class Doubts:
                 )
             )
         return tuple(result)
+
+    def _doubts_of_pixels(self) -> list[str]:
+        result, air, where = [], self.looks.air, self.images.stack.where
+        if air is not None and self.images.section.air is None and abs(air - 1) > OFF_AIR:
+            flats = "flats" if self.images.flat is not None else "white"
+            cause = {"intensities": f"images.{flats} of another exposure than the views'"}.get(
+                self.description.images.values, "numbers that were never divided by air"
+            )
+            result.append(
+                f"{where}: the brightest steady pixels read {air:.3g}; air must read 1: {cause}? "
+                "images.air: auto scales each view to 1 there, images.air with rows and columns in "
+                "a region of your own; right only if these pixels show air"
+            )
+        if (share := self.looks.share("saturated")) > SATURATED:
+            result.append(
+                f"{where}: {share:.1%} of the pixels are saturated, at {self.images.largest:.0f}, "
+                f"the first in image {self.looks.first_saturated}: their line integrals are too "
+                "large; repeat the scan with less exposure"
+            )
+        return result
 
     def _other_axes(self) -> list[tuple[str, NDArray[np.float64]]]:
         """Return the sums along each axis that may be that of the views, by their counts."""

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
@@ -22,18 +21,18 @@ from twinct.geometry.wire import PosePairs
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
 from twinct.measured.doubts import Doubts
+from twinct.measured.imported_picture import SIZE_IN, draw_imported
+from twinct.measured.looks import Looks
 from twinct.measured.orientation import PanelPlacement, turned_shape
-from twinct.measured.views import ImageFacts
+from twinct.measured.sources import description_of, is_measured
+from twinct.measured.views import ImageFacts, StatedViews
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.field_of_view import grid_of
 from twinct.runs import Folder
-from twinct.scan import Imported, Scan, ScanStore, check_space, line_integrals
+from twinct.scan import Imported, ScanStore, check_space
 from twinct.scenario.imported import ImportedSettings, load_imported
 
 NO_TRUTH = "A measured scan: there is no truth."
-
-MOST_DOTS = 72
-"""Largest number of views whose places a picture shows: more dots would run together."""
 
 ONE_WAY = 0.4
 """Largest length of the mean direction of views that cover a turn; 240 degrees of it have 0.41."""
@@ -70,7 +69,8 @@ def import_measured(
     """Create a run's folder from a measured scan.
 
     Args:
-        source: description of the scan: a YAML file, plain data, or its model.
+        source: description of the scan: a file or folder of ``description_of``, plain data, or
+            its model.
         out: the folder, without a run in it.
         observers: notified of the views.
 
@@ -80,7 +80,7 @@ def import_measured(
         ScanExistsError: the folder holds a scan.
         StorageError: the folder cannot be written.
     """
-    description = source if isinstance(source, Measured) else read_description(source)
+    description = source if isinstance(source, Measured) else _described(source)
     folder = Folder(Path(out))
     folder.refuse_others()
     folder.refuse_if_taken(resumes=False)
@@ -107,13 +107,22 @@ def import_measured(
         stack.callback(_remove_unfinished, folder)
         # The scan comes last: without it, an import that was cut short can be repeated.
         draft = stack.enter_context(complete(folder.scan))
-        doubts = Doubts(description, images)
+        looks = Looks(images)
+        doubts = Doubts(description, images, looks)
         store = ScanStore.create_imported(draft, taken, bad)
-        scales = _write_views(store, placement, doubts, audience)
+        _write_views(store, placement, doubts, audience)
         folder.write_scenario(settings)
-        show(partial(_draw, store.read()), (10.4, 7.0), folder.imported)
-    sentences = *_notes_of_images(images, geometry, scales), *views, *_notes_of_grid(settings)
-    return ImportedScan(folder.path, settings, sentences, doubts.sentences)
+        show(partial(draw_imported, store.read(), placement, looks), SIZE_IN, folder.imported)
+    notes = *_notes_of_images(images, geometry, looks), *views.notes
+    sentences = *notes, *_notes_of_grid(settings), *looks.table
+    return ImportedScan(folder.path, settings, sentences, (*views.doubts, *doubts.sentences))
+
+
+def _described(source: str | Path | Mapping[str, Any]) -> Measured:
+    if isinstance(source, Mapping):
+        return read_description(source)
+    path = Path(source).expanduser()
+    return description_of(path) if is_measured(path) else read_description(path)
 
 
 def _remove_unfinished(folder: Folder) -> None:
@@ -128,14 +137,14 @@ def _remove_empty(path: Path) -> None:
         path.rmdir()
 
 
-def _placed(description: Measured, images: Corrections) -> tuple[PanelPlacement, tuple[str, ...]]:
-    """Return the way of the images to the panel, and what was read of the geometry."""
+def _placed(description: Measured, images: Corrections) -> tuple[PanelPlacement, StatedViews]:
+    """Return the way of the images to the panel, and the views as stated."""
     section, stack = description.images, images.stack
     rows, columns = turned_shape(section, stack.shape)
     as_stored = not (section.transpose or section.turn_deg)
     stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
     views = description.views(ImageFacts(stack.count, rows, columns, *stated))
-    return PanelPlacement(section, views), views.notes
+    return PanelPlacement(section, views), views
 
 
 def _check_views(description: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
@@ -193,26 +202,25 @@ def _settings(description: Measured, geometry: ScanGeometry) -> ImportedSettings
 
 def _write_views(
     store: ScanStore, placement: PanelPlacement, doubts: Doubts, audience: Audience
-) -> list[float]:
-    """Write all views; return the scale of each from its air."""
+) -> None:
+    """Write all views, and count what they hold."""
     images = doubts.images
     every = images.section.every
-    scales: list[float] = []
     with audience.stage("import", store.views) as step:
         for view in range(store.views):
-            image, scale = images.transmission(view * every)
-            scales.append(scale)
-            doubts.add(image)
-            store.write(view, placement.image(image).astype(np.float32))
+            corrected = images.transmission(view * every)
+            doubts.looks.add(view * every, corrected)
+            doubts.add(corrected.image)
+            store.write(view, placement.image(corrected.image).astype(np.float32))
             step()
-    return scales
 
 
-def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[float]) -> list[str]:
+def _notes_of_images(images: Corrections, geometry: ScanGeometry, looks: Looks) -> list[str]:
     section, stack, panel = images.section, images.stack, geometry.panel
     notes = [
         f"{stack.where}: {stack.count} images of {stack.shape[0]} x {stack.shape[1]} pixels (rows "
-        f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}"
+        f"x columns), {stack.dtype}, as {section.values.replace('_', ' ')}",
+        *stack.notes,
     ]
     changes = [
         *(["transposed"] if section.transpose else []),
@@ -237,7 +245,8 @@ def _notes_of_images(images: Corrections, geometry: ScanGeometry, scales: list[f
             f"median of {section.rings.width} pixels along the rows (Boin and Haibel 2006)"
         )
     if section.air is not None:
-        notes.append(f"air: {min(scales):.4g} to {max(scales):.4g}, scaled to 1 in each view")
+        low, high = min(looks.scales), max(looks.scales)
+        notes.append(f"air: {low:.4g} to {high:.4g}, scaled to 1 in each view")
     return notes
 
 
@@ -248,28 +257,3 @@ def _notes_of_grid(settings: ImportedSettings) -> list[str]:
         f"grid: {' x '.join(map(str, voxels))} voxels (x, y, z) of "
         f"{' x '.join(f'{edge:.4g}' for edge in edges)} mm"
     ]
-
-
-def _draw(scan: Scan, figure: Any) -> None:
-    """Draw three views as imported, and source and panel of all views from above."""
-    chosen = [0, len(scan) // 3, 2 * len(scan) // 3]
-    panel = scan.settings.detector.panel
-    images: NDArray[np.float32] = line_integrals(scan.transmission[chosen])
-    width, height = panel.size_mm
-    extent = (-width / 2, width / 2, -height / 2, height / 2)
-    views, above = figure.subfigures(2, 1, height_ratios=(1.0, 1.3))
-    for at, view, image in zip(views.subplots(1, 3), chosen, images, strict=True):
-        at.imshow(image, cmap="gray", origin="lower", extent=extent)
-        at.set(title=f"view {view}", xlabel="u / mm", ylabel="v / mm")
-    axes = above.subplots()
-    geometry = scan.geometry()
-    for points, name, colour in (
-        (geometry.source, "source", "#b3452c"),
-        (geometry.detector, "panel", "#2c6fb3"),
-    ):
-        some = points[:: -(-len(points) // MOST_DOTS)]
-        axes.plot(some[:, 0], some[:, 1], ".", markersize=2, color=colour, label=name)
-        axes.plot(*points[0, :2], "o", color=colour, label=f"{name}, view 0")
-    axes.plot(0, 0, "k+", label="origin")
-    axes.set(title="from above", xlabel="x / mm", ylabel="y / mm", aspect="equal")
-    axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.0))

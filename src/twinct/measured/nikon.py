@@ -1,15 +1,15 @@
-"""Circular scans of Nikon machines: the numbers of an .xtekct file.
+"""Circular scans of Nikon machines: the geometry of an .xtekct file and its files of angles.
 
 Meaning of the keys as in CIL's reader (cil.io.NikonDataReader): the object turns clockwise by
 AngularStep, columns run left and rows down, seen from the source; the axis is ObjectOffsetX left of
-the line from the source to the panel's centre, and leans by ObjectRoll and ObjectTilt.
+the line from the source to the panel's centre, and leans by ObjectRoll and ObjectTilt. CIL leaves
+``_ctdata.txt`` and ``.ang`` unread; their meaning is that of CCPi's XtekReader and of TIGRE: angles
+of the stage, those in ``.ang`` in the reverse order.
 """
 
 from __future__ import annotations
 
-import configparser
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -17,30 +17,15 @@ import numpy as np
 from pydantic import Field
 
 from twinct.core.errors import InputError
-from twinct.core.files.boundary import read_text
-from twinct.core.foreign_text import number, quoted, shortened
 from twinct.core.settings import Section, setting
+from twinct.geometry import Floats
+from twinct.measured.angle_files import read_angles
 from twinct.measured.circle import Angles, Circle
 from twinct.measured.views import ImageFacts, StatedViews
+from twinct.measured.xtekct import Xtekct, read_xtekct
 
-_NEEDED = ("SrcToObject", "SrcToDetector", "DetectorPixelSizeX", "DetectorPixelSizeY")
-_NEEDED += ("DetectorPixelsX", "DetectorPixelsY", "Projections", "AngularStep")
-_USED = (
-    *_NEEDED,
-    *("InitialAngle", "ObjectOffsetX", "ObjectRoll", "ObjectTilt"),
-    *("CentreOfRotationTop", "CentreOfRotationBottom", "WhiteLevel"),
-)
-_WITHOUT_EFFECT = (
-    "Voxel Offset MaskRadius Coef Scattering Region Units Scale Output Input Derivative Filter "
-    "Cut MedianFilter Xray Intensity Blanking Order Interpolation Timing Auto CTPro Version "
-    "Product Name Operator Import Median Automatic Convert Extended Increment Modifier Slice Angle "
-    "Flux Use Dim Reference BlackLevel Hu Air Normalisation AngularStep Helical Modifier Exponent "
-    "Scaling TIFFScaling LowPercentile HighPercentile"
-).split()
-"""Beginnings of keys on the volume, the beam hardening and the software."""
-
-_MATTER = ("DetectorOffsetX", "DetectorOffsetY", "DetectorAngle", "DetectorTilt", "HelicalPitch")
-"""Keys with an effect on the geometry, whose signs no public reader agrees on."""
+APART = 0.5
+"""Pixels by which two statements on the axis may differ."""
 
 
 class Nikon(Section):
@@ -48,103 +33,137 @@ class Nikon(Section):
 
     kind: Literal["nikon"]
     path: Path = Field(description="The .xtekct file.")
-    ignore: tuple[str, ...] = setting((), "Keys of the file that may be ignored.")
+    ignore: tuple[str, ...] = setting((), "Keys of the file that are treated as absent.")
+    angles: Literal["files", "steps"] = setting(
+        "files",
+        "Angles from _ctdata.txt or the .ang file beside it, if there is one, or from AngularStep.",
+    )
 
     def views(self, facts: ImageFacts) -> StatedViews:
         """Return the views.
 
         Raises:
-            InputError: a key is missing, unknown, or does not fit the images.
+            InputError: a key or an angle is missing, or does not fit the images.
         """
-        keys = read_xtekct(self.path, self.ignore)
-        where = f"{self.path}"
-        pixels = int(keys["DetectorPixelsY"]), int(keys["DetectorPixelsX"])
+        file = read_xtekct(self.path, self.ignore)
+        keys, where = file.numbers, f"{self.path}"
         panel = facts.panel((keys["DetectorPixelSizeX"], keys["DetectorPixelSizeY"]))
-        if pixels != panel.shape:
+        stated = int(keys["DetectorPixelsY"]), int(keys["DetectorPixelsX"])
+        if stated != panel.shape:
             raise InputError(
-                f"{where}: states {pixels[0]} x {pixels[1]} pixels (rows x columns), but the "
+                f"{where}: states {stated[0]} x {stated[1]} pixels (rows x columns), but the "
                 f"images have {panel.rows} x {panel.columns}"
             )
         facts.require(where, int(keys["Projections"]))
-        sod, sdd = keys["SrcToObject"], keys["SrcToDetector"]
-        top, bottom = keys.get("CentreOfRotationTop", 0.0), keys.get("CentreOfRotationBottom", 0.0)
-        roll = -math.degrees(math.atan2(top - bottom, pixels[0] * panel.pitch_v))
-        step = keys["AngularStep"]
+        axis, doubts = _axis(file, panel.rows)
+        angles, of_angles, of_steps = self._angles(file)
         circle = Circle(
             kind="circle",
-            sod_mm=sod,
-            sdd_mm=sdd,
+            sod_mm=keys["SrcToObject"],
+            sdd_mm=keys["SrcToDetector"],
             pitch_mm=(panel.pitch_u, panel.pitch_v),
-            angles=Angles(
-                values=tuple(keys.get("InitialAngle", 0) + step * np.arange(facts.views))
-            ),
+            angles=Angles(values=tuple(angles.tolist())),
             rotates="object",
             direction="clockwise",
             columns="left",
-            axis_offset_mm=-keys.get("ObjectOffsetX", (top + bottom) / 2 * sod / sdd),
-            axis_roll_deg=keys.get("ObjectRoll", roll),
+            axis_offset_mm=-axis[0],
+            axis_roll_deg=axis[1],
             axis_tilt_deg=keys.get("ObjectTilt", 0.0),
         )
         views = circle.views(facts)
-        return StatedViews(
-            views.geometry, views.flip_rows, views.flip_columns, notes=(where, *views.notes)
+        notes = where, *file.notes, *of_angles, *views.notes
+        flips = views.flip_rows, views.flip_columns
+        return StatedViews(views.geometry, *flips, notes=notes, doubts=(*doubts, *of_steps))
+
+    def _angles(self, file: Xtekct) -> tuple[Floats, list[str], list[str]]:
+        """Return the angle of each view, deg, and notes and doubts on them."""
+        first, step = file.numbers.get("InitialAngle", 0.0), file.numbers["AngularStep"]
+        steps = np.asarray(first + step * np.arange(int(file.numbers["Projections"])), np.float64)
+        path = _file_of_angles(file) if self.angles == "files" else None
+        if path is None:
+            return steps, [], []
+        angles, how = _in_order(path, read_angles(path, "", len(steps), f"{path}: angles"), steps)
+        if abs(_wrapped(angles[0])) < abs(_wrapped(angles[0] - first)):
+            angles, how = angles + first, f"{how}, counted from InitialAngle ({first:g} deg)"
+        off = np.abs(_wrapped(angles - angles[0] - steps + first)).max()
+        sentence = (
+            f"{path.name}: angles {angles[0]:.6g} to {angles[-1]:.6g} deg{how}; they depart from "
+            f"AngularStep ({step:g} deg) by up to {off:.3g} deg"
         )
+        if off <= abs(step):
+            return angles, [sentence], []
+        return angles, [], [f"{sentence}: geometry.angles: steps takes AngularStep instead"]
 
 
-def read_xtekct(path: Path, ignore: tuple[str, ...] = ()) -> dict[str, float]:
-    """Return the numbers of an .xtekct file that matter, by key.
+def _file_of_angles(file: Xtekct) -> Path | None:
+    """Return the file of angles beside an .xtekct file: _ctdata.txt, else an .ang file."""
+    folder = file.path.parent
+    names = {file.name.lower(), file.path.stem.lower(), ""}
+    alone = sum(other.suffix.lower() == ".xtekct" for other in folder.iterdir()) == 1
+    for ending in ("_ctdata.txt", ".ang"):
+        files = sorted(f for f in folder.iterdir() if f.name.lower().endswith(ending))
+        own = [f for f in files if f.name[: -len(ending)].lower() in names]
+        if len(own := own or (files if alone else [])) == 1:
+            return own[0]
+        if own:
+            raise InputError(
+                f"{file.path}: which file has its angles, {' or '.join(f.name for f in own)}? Move "
+                "the others away, or state geometry.angles: steps in a YAML file"
+            )
+    return None
+
+
+def _in_order(path: Path, angles: Floats, steps: Floats) -> tuple[Floats, str]:
+    """Return angles that run the way of the steps, and what was done to them in words.
 
     Raises:
-        InputError: a key is missing or no number, or one that may matter is not known.
+        InputError: there are more or fewer than steps, or they run the other way.
     """
-    text = read_text(path, f"{path}", 2**20)
-    parser = configparser.ConfigParser(interpolation=None, strict=False)
-    parser.optionxform = str  # type: ignore[method-assign, assignment]
-    try:
-        parser.read_string(text)
-    except configparser.Error as error:
-        raise InputError(f"{path}: not an .xtekct file: {str(error).splitlines()[0]}") from None
-    if "XTekCT" not in parser:
-        raise InputError(f"{path}: not an .xtekct file: it has no section [XTekCT]")
-    section = dict(parser["XTekCT"])
-    problems = [f"{path}: the key {key} is missing" for key in _NEEDED if key not in section]
-    problems += [f"{path}: {what}" for what in _unknown(section, ignore)]
-    numbers: dict[str, float] = {}
-    for key in _USED:
-        if key in section:
-            try:
-                numbers[key] = number(section[key])
-                if not math.isfinite(numbers[key]):
-                    raise ValueError
-            except ValueError:
-                problems.append(f"{path}: {key} is {quoted(section[key])}, not a finite number")
-    if problems:
-        raise InputError(problems)
-    return numbers
+    if len(angles) != len(steps):
+        raise InputError(
+            f"{path}: {len(angles)} angles, but the .xtekct file states {len(steps)} projections: "
+            "remove the file, or state geometry.angles: steps in a YAML file"
+        )
+    if len(angles) < 2:
+        return angles, ""
+    step = steps[1] - steps[0]
+    way = float(np.median(_wrapped(np.diff(angles))))
+    if way * step >= 0:
+        return angles, ""
+    if path.suffix.lower() != ".ang":
+        raise InputError(
+            f"{path}: the angles change by {way:.4g} deg from view to view, but AngularStep is "
+            f"{step:g} deg: state geometry.angles: steps in a YAML file, or correct one of them"
+        )
+    ways = {", in the reverse order": angles[::-1], ", negated": -angles}
+    how = min(ways, key=lambda one: np.abs(_wrapped(ways[one][0] - [0.0, steps[0]])).min())
+    return ways[how], how
 
 
-def _unknown(section: Mapping[str, str], ignore: tuple[str, ...]) -> list[str]:
-    """Return a sentence for each key that may matter and is not read."""
-    unknown: list[str] = []
-    for key, text in section.items():
-        if key in _USED or key in ignore or _is_zero(text):
-            continue
-        if key in _MATTER or not key.startswith(tuple(_WITHOUT_EFFECT)):
-            if key in _MATTER or _is_number(text):
-                unknown.append(
-                    f"{shortened(key, 80)} is {quoted(text)}, and may matter, but is not read: "
-                    "state the geometry as kind: circle, or name the key in geometry.ignore"
-                )
-    return unknown
+def _axis(file: Xtekct, rows: int) -> tuple[tuple[float, float], list[str]]:
+    """Return the axis' offset to the left, mm, and its roll, deg, and doubts on them."""
+    keys = file.numbers
+    scale = keys["SrcToObject"] / keys["SrcToDetector"]
+    pitch, height = keys["DetectorPixelSizeX"], rows * keys["DetectorPixelSizeY"]
+    top, bottom = (keys.get(f"CentreOfRotation{end}", 0.0) for end in ("Top", "Bottom"))
+    offset, roll = (top + bottom) / 2 * scale, -math.degrees(math.atan2(top - bottom, height))
+    axis = keys.get("ObjectOffsetX", offset), keys.get("ObjectRoll", roll)
+    doubts: list[str] = []
+    centres = f"CentreOfRotationTop and CentreOfRotationBottom ({top:g} and {bottom:g} mm"
+    use = "is used; to use the others, name it in geometry.ignore in a YAML file"
+    if (top or bottom) and abs(axis[0] - offset) > APART * pitch * scale:
+        doubts.append(
+            f"{file.path}: two centres: the axis is {axis[0]:g} mm from the beam's middle by "
+            f"ObjectOffsetX, but {offset:.4g} mm by {centres} on the panel); ObjectOffsetX {use}"
+        )
+    if (top or bottom) and abs(math.radians(axis[1] - roll)) * height > APART * pitch:
+        doubts.append(
+            f"{file.path}: two rolls of the axis: {axis[1]:g} deg by ObjectRoll, but {roll:.4g} "
+            f"deg by {centres}); ObjectRoll {use}"
+        )
+    return axis, doubts
 
 
-def _is_number(text: str) -> bool:
-    try:
-        number(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _is_zero(text: str) -> bool:
-    return _is_number(text) and number(text) == 0
+def _wrapped(degrees: Floats | float) -> Floats:
+    """Return angles in [-180, 180), deg."""
+    return np.asarray((np.asarray(degrees) + 180) % 360 - 180, np.float64)

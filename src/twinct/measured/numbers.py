@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,8 +12,8 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npy, read_npz
-from twinct.core.files.boundary import read_text
 from twinct.core.foreign_text import number, quoted
+from twinct.measured.windows_text import read_windows_text
 
 T = TypeVar("T")
 MOST_BYTES = 2**32
@@ -22,7 +23,8 @@ MOST_TEXT = 2**28
 def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
     """Return the numbers of a .npy or .npz file, or the rows of a text, float64.
 
-    A text separates numbers by commas, semicolons or blanks; lines that begin with # do not count,
+    A text separates numbers by commas, semicolons or blanks. Commas are decimal ones where
+    semicolons or blanks separate, and no number has a point. Lines that begin with # do not count,
     nor does a first line of names.
 
     Args:
@@ -39,7 +41,7 @@ def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
     elif suffix == ".npz":
         numbers = named_array(read_npz(path, where, MOST_BYTES), array, where)
     else:
-        numbers = _table(read_text(path, where, MOST_TEXT), where)
+        numbers = table_of(read_windows_text(path, where, MOST_TEXT), where)
     if numbers.dtype.kind not in "fiu":
         raise InputError(f"{where} holds {numbers.dtype}, not numbers")
     numbers = numbers.astype(np.float64)
@@ -71,18 +73,46 @@ def array_name(names: Sequence[str], name: str, where: str) -> str:
     return name
 
 
-def _table(text: str, where: str) -> NDArray[np.float64]:
+def table_of(text: str, where: str) -> NDArray[np.float64]:
+    """Return the rows of numbers in a text.
+
+    Raises:
+        InputError: a line holds other words, or the lines hold different counts of numbers.
+    """
+    lines = [(count, line) for count, line in enumerate(text.splitlines(), start=1)]
+    lines = [(count, line) for count, line in lines if line.strip() and line.lstrip()[0] != "#"]
+    comma = "." if _has_decimal_commas([line for _, line in lines]) else " "
     rows: list[list[float]] = []
-    for count, line in enumerate(text.splitlines(), start=1):
-        words = line.replace(",", " ").replace(";", " ").split()
-        if not words or words[0].startswith("#"):
-            continue
+    for count, line in lines:
+        words = line.replace(";", " ").replace(",", comma).split()
         try:
             rows.append([number(word) for word in words])
         except ValueError:
             if not rows and count == 1:
                 continue  # names of columns
             raise InputError(f"{where}, line {count}: {quoted(line, 60)} are not numbers") from None
-    if not rows or len({len(row) for row in rows}) != 1:
+    if not rows:
+        raise InputError(f"{where}: no line holds numbers")
+    if len({len(row) for row in rows}) != 1:
         raise InputError(f"{where}: the lines do not hold the same count of numbers")
     return np.array(rows)
+
+
+_DECIMAL = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
+_PLAIN = re.compile(r"[+-]?[0-9]+([eE][+-]?[0-9]+)?")
+
+
+def _has_decimal_commas(lines: Sequence[str]) -> bool:
+    """Return True if all numbers are whole or have one comma, and something else separates them."""
+    if lines and not re.search("[0-9]", lines[0]):
+        lines = lines[1:]  # names of columns
+    words = [line.replace(";", " ").split() for line in lines]
+    if not any(len(row) > 1 for row in words):
+        return False  # a comma may be what separates
+    decimal = False
+    for word in (word for row in words for word in row):
+        if _DECIMAL.fullmatch(word):
+            decimal = True
+        elif not _PLAIN.fullmatch(word):
+            return False
+    return decimal

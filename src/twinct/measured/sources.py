@@ -12,11 +12,12 @@ from twinct.core.files.plain_json import json_of
 from twinct.core.foreign_text import quoted
 from twinct.measured.ctsimu_metadata import is_metadata, read_metadata
 from twinct.measured.description import Measured, read_description
-from twinct.measured.nikon import read_xtekct
+from twinct.measured.stack import NO_ZEISS, ZEISS
 from twinct.measured.toolkits import MOST_BYTES, read_openct
+from twinct.measured.xtekct import read_xtekct
 
 _DESCRIPTIONS = (".yaml", ".yml")
-_SUFFIXES = (*_DESCRIPTIONS, ".xtekct", ".json")
+_SUFFIXES = (*_DESCRIPTIONS, ".xtekct", ".json", *ZEISS)
 
 _KINDS = {
     "vectors": "astra",
@@ -44,6 +45,8 @@ def description_of(path: Path) -> Measured:
     suffix = path.suffix.lower()
     if suffix in _DESCRIPTIONS and not path.is_dir():
         return read_description(path)
+    if suffix in ZEISS:
+        raise InputError(f"{path}: {NO_ZEISS}")
     with library_errors(str(path)):
         if path.is_dir():
             return read_description(_exported(path))
@@ -137,16 +140,16 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _nikon(path: Path) -> dict[str, Any]:
-    keys = read_xtekct(path)
-    if "WhiteLevel" not in keys:
+    file = read_xtekct(path)
+    if "WhiteLevel" not in file.numbers:
         raise InputError(f"{path}: the key WhiteLevel is missing; state images in a YAML file")
     return {
-        "name": path.stem,
+        "name": file.name,
         "description": f"Imported from {path.name}.",
         "images": {
-            "path": str(path.parent / "*.tif"),
+            "path": str(file.images()),
             "values": "intensities",
-            "white": keys["WhiteLevel"],
+            "white": file.numbers["WhiteLevel"],
         },
         "geometry": {"kind": "nikon", "path": str(path)},
     }

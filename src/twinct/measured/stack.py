@@ -19,7 +19,7 @@ from twinct.core.files.metaimage import metaimage_header, read_metaimage
 from twinct.core.files.packed import require_growth
 from twinct.core.foreign_text import quoted, whole_number
 from twinct.measured.description import Files
-from twinct.measured.dicom_images import dicom_files
+from twinct.measured.dicom_images import MOST_LISTED, dicom_files, is_dicom
 from twinct.measured.hdf5_images import open_hdf5
 from twinct.measured.numbers import MOST_BYTES, array_name
 from twinct.measured.zarr_images import open_zarr
@@ -31,9 +31,18 @@ _PICTURES = (".png", ".bmp", ".pgm", ".jpg", ".jpeg")
 _DICOM = (".dcm", ".ima", "")
 _RAW = (".raw", ".bin", ".img", ".dat", ".vol")
 _HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
+_IMAGES = {*_TIFF, *_PICTURES, *_DICOM, *_RAW, *_HDF5, ".npy", ".npz", ".mha", ".mhd"}
 
-IMAGE_FACTOR = 32
-"""Bytes in memory per pixel while an image is corrected: four images in double precision."""
+ZEISS = (".txrm", ".xrm", ".txm")
+NO_ZEISS = (
+    "files of Zeiss are not read: convert the projections to TIFF, such as with txrm2tiff, and "
+    "state distances, pitch and angles as kind: circle in a YAML file (docs/measured_files.md)"
+)
+"""Reason: no real file is public with which a reader, and its sense of rotation, can be tested."""
+
+IMAGE_FACTOR = 160
+"""Bytes in memory per pixel while an image is corrected, between its neighbours: 20 images in
+double precision."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +58,7 @@ class Stack:
         spacing: pitch along (columns, rows) that the file states, mm, or None.
         first_pixel: place of pixel (0, 0) on the panel that the file states, mm, or None.
         exchangeable: True for an array, whose axes may be named in another order.
+        notes: sentences on files that are no images of this stack.
     """
 
     where: str
@@ -59,6 +69,7 @@ class Stack:
     spacing: tuple[float, float] | None = None
     first_pixel: tuple[float, float] | None = None
     exchangeable: bool = False
+    notes: tuple[str, ...] = ()
 
 
 def open_stack(section: Files, key: str) -> Stack:
@@ -79,8 +90,9 @@ def open_stack(section: Files, key: str) -> Stack:
             files = [file for file in path.rglob("*") if file.is_file()]
             stack = _of_array(open_zarr(path, section.array, key), section, f"{path}")
         else:
-            files = _files(path, key)
+            files, notes = _images_of(path, _files(path, key))
             stack = _stack_of(path, files, section, key)
+            stack = replace(stack, notes=(*notes, *stack.notes))
         return _bounded(stack, sum(file.stat().st_size for file in files))
 
 
@@ -99,11 +111,15 @@ def _bounded(stack: Stack, packed: int) -> Stack:
 
 def _stack_of(path: Path, files: Sequence[Path], section: Files, key: str) -> Stack:
     suffix = files[0].suffix.lower()
-    if others := sorted({f.suffix.lower() for f in files} - {suffix}):
+    alike = _DICOM if suffix in _DICOM else (suffix,)
+    if others := sorted({f.suffix.lower() for f in files}.difference(alike)):
         raise InputError(
-            f"{key}.path: {path} holds files of several kinds ({suffix}, {', '.join(others)}): "
-            "name a pattern such as *.tif"
+            f"{key}.path: {path} holds files of several kinds ({suffix or 'without ending'}, "
+            f"{', '.join(other or 'without ending' for other in others)}): name a pattern such as "
+            f"*{suffix or others[0]}"
         )
+    if section.series is not None and suffix not in _DICOM:
+        raise InputError(f"{key}.series: only for DICOM files, not for {files[0].name}")
     if len(files) == 1 and suffix in (".npy", ".npz", ".mha", ".mhd", *_HDF5):
         readers = {".npy": _npy, ".npz": _npz, ".mha": _metaimage, ".mhd": _metaimage}
         return readers.get(suffix, _hdf5)(files[0], section, key)
@@ -112,11 +128,13 @@ def _stack_of(path: Path, files: Sequence[Path], section: Files, key: str) -> St
     if suffix in _TIFF:
         return _joined(files, [_tiff(file) for file in files])
     if suffix in _DICOM:
-        return _dicom(files)
+        return _dicom(files, section, key)
     if suffix == ".npy":
         return _joined(files, [_npy(file, section, key, image=True) for file in files])
     if suffix in _PICTURES:
         return _joined(files, [_picture(file) for file in files])
+    if suffix in ZEISS:
+        raise InputError(f"{key}.path: {files[0]}: {NO_ZEISS}")
     raise InputError(
         f"{key}.path: {files[0]}: images with the ending {quoted(suffix)} are not read"
     )
@@ -136,6 +154,24 @@ def _files(path: Path, key: str) -> list[Path]:
     return sorted(files, key=_natural)
 
 
+def _images_of(path: Path, files: list[Path]) -> tuple[list[Path], tuple[str, ...]]:
+    """Return the files of a folder that may be images, and a note on the others, such as reports.
+
+    A file without ending may be a DICOM image. If there are other images, it must begin as one.
+    """
+    if not path.is_dir():
+        return files, ()
+    images = [f for f in files if f.suffix.lower() in _IMAGES]
+    if any(f.suffix for f in images):
+        images = [f for f in images if f.suffix or is_dicom(f)]
+    if not images or len(images) == len(files):
+        return files, ()
+    names = [f.name for f in files if f not in set(images)]
+    more = f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    listed = ", ".join(names[:MOST_LISTED])
+    return images, (f"{path}: skipped files that are no images: {listed}{more}",)
+
+
 def _natural(path: Path) -> list[tuple[int, str]]:
     """Return a key that sorts 2 before 10."""
     parts = ((whole_number(part), part) for part in re.split(r"([0-9]{1,18})", path.name))
@@ -144,11 +180,15 @@ def _natural(path: Path) -> list[tuple[int, str]]:
 
 def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:
     """Return the images of several stacks, one after the other."""
-    first = stacks[0]
+    first, view = stacks[0], 0
     for file, stack in zip(files, stacks, strict=True):
         if (stack.shape, stack.dtype) != (first.shape, first.dtype):
             sizes = (f"{s.shape[0]} x {s.shape[1]} of {s.dtype}" for s in (stack, first))
-            raise InputError(f"{file}: images of {next(sizes)}, but {files[0]} has {next(sizes)}")
+            raise InputError(
+                f"{file}: images of {next(sizes)}, but {files[0]} has {next(sizes)}: image {view} "
+                "must have the size and type of the others"
+            )
+        view += stack.count
     places = [(stack, index) for stack in stacks for index in range(stack.count)]
     where = str(files[0]) if len(files) == 1 else f"{files[0].parent} ({len(files)} files)"
 
@@ -246,35 +286,36 @@ def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
 def _tiff(path: Path) -> Stack:
     import tifffile
 
-    from twinct.core.files.tiff import require_page
+    from twinct.core.files.tiff import page_array
 
     where = f"{path}"
     file_bytes(path, where)
     with library_errors(where), tifffile.TiffFile(path) as file:
         pages = file.pages
-        shapes = {tuple(page.shape) for page in pages}
-        dtype, count = np.dtype(pages.first.dtype), len(pages)
-    if len(shapes) != 1 or len(shape := next(iter(shapes))) != 2:
-        raise InputError(f"{where}: expected grey images of one size; there are {sorted(shapes)}")
+        shape, dtype, count = tuple(pages.first.shape), np.dtype(pages.first.dtype), len(pages)
+        for index, page in enumerate(pages):
+            if len(page.shape) != 2 or (tuple(page.shape), page.dtype) != (shape, dtype):
+                raise InputError(
+                    f"{where}: expected grey images of one size and type, but image {index} has "
+                    f"shape {tuple(page.shape)} of {page.dtype}, image 0 {shape} of {dtype}"
+                )
 
     def image(index: int) -> Image:
         with library_errors(where), tifffile.TiffFile(path) as file:
-            return require_page(file, index, path, where).asarray()
+            return page_array(file, index, path, where)
 
     return Stack(where, count, (shape[0], shape[1]), dtype, image)
 
 
 def _picture(path: Path) -> Stack:
-    from twinct.core.files.images import read_image
+    from twinct.core.files.images import read_image, stated_shape
 
-    shape = read_image(path, "a projection").shape
-    return Stack(
-        str(path), 1, (shape[0], shape[1]), np.dtype(float), lambda index: read_image(path, "view")
-    )
+    shape = stated_shape(path, str(path))
+    return Stack(str(path), 1, shape, np.dtype(float), lambda index: read_image(path, "view"))
 
 
-def _dicom(files: Sequence[Path]) -> Stack:
+def _dicom(files: Sequence[Path], section: Files, key: str) -> Stack:
     """Return the images of DICOM files: one or several frames each, by their instance numbers."""
-    headers = dicom_files(files)
+    headers, notes = dicom_files(files, section.series, key)
     stacks = [Stack(str(h.path), h.frames, h.shape, h.dtype, h.image) for h in headers]
-    return _joined([header.path for header in headers], stacks)
+    return replace(_joined([header.path for header in headers], stacks), notes=notes)

@@ -20,12 +20,14 @@ class StatedViews:
         flip_rows: True if the rows of the images run against v.
         flip_columns: True if the columns of the images run against u.
         notes: sentences on what was read, with units.
+        doubts: sentences on statements that contradict each other.
     """
 
     geometry: ScanGeometry
     flip_rows: bool = False
     flip_columns: bool = False
     notes: tuple[str, ...] = field(default=())
+    doubts: tuple[str, ...] = field(default=())
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,9 @@ from twinct.recon.shifted_panel import CENTRED
 MOST_VOXELS = 512
 """Largest number of voxels along an axis of a grid that nobody stated."""
 
+SINGLE = 3
+"""Number where one would do: a grid needs two, and the plane of a single row a middle."""
+
 
 def grid_of(geometry: ScanGeometry) -> dict[str, Any]:
     """Return the keys of a grid along the world's axes, for a scan without a stated one.
@@ -35,7 +38,7 @@ def grid_of(geometry: ScanGeometry) -> dict[str, Any]:
         voxel *= most / MOST_VOXELS
         voxels = np.ceil(voxels * MOST_VOXELS / most - 1e-6)
     return {
-        "voxels": [max(2, int(n)) for n in voxels],
+        "voxels": [int(n) if n > 1 else SINGLE for n in voxels],
         "voxel_mm": float(f"{voxel:.6g}"),
         "centre_mm": [float(f"{x:.6g}") + 0.0 for x in centre],
     }

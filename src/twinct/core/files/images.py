@@ -17,7 +17,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npy
 from twinct.core.files.boundary import file_bytes, read_bytes, require_memory
 from twinct.core.files.packed import require_growth
-from twinct.core.files.tiff import require_page
+from twinct.core.files.tiff import page_array, require_page
 from twinct.core.files.writing import complete
 
 PICTURES = ("PNG", "JPEG", "BMP", "GIF", "PPM", "TIFF")
@@ -92,7 +92,8 @@ def _picture(path: Path, what: str, shape: tuple[int, int] | None) -> NDArray[np
             require_growth(path.stat().st_size, math.prod(stated), where)
             require_memory(where, 40.0 * math.prod(stated))
             with _quiet():
-                image = io.imread(path, as_gray=True)
+                page = _grey_page(path)
+                image = io.imread(path, as_gray=True) if page is None else page
         if image.dtype.kind not in "biuf":
             raise ValueError
         return np.asarray(image, dtype=float)
@@ -104,6 +105,16 @@ def _picture(path: Path, what: str, shape: tuple[int, int] | None) -> NDArray[np
         )
         cause = getattr(error, "strerror", None) or f"it does not hold {kind}"
         raise InputError(f"{path}: cannot be read as the image of {what}: {cause}") from None
+
+
+def _grey_page(path: Path) -> NDArray[np.generic] | None:
+    """Return the image of a grey TIFF file, packed or not; None for any other picture."""
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        return None
+    import tifffile
+
+    with tifffile.TiffFile(path) as file:
+        return page_array(file, 0, path, f"{path}") if file.pages.first.ndim == 2 else None
 
 
 def stated_shape(path: Path, where: str) -> tuple[int, int]:
