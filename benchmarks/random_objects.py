@@ -80,7 +80,9 @@ class RandomObject:
             i, j, k = (np.arange(a, b, dtype=np.float32) for a, b in zip(low, high, strict=True))
             i, j, k = i[None, None, :], j[None, :, None], k[:, None, None]
             start = (origin - solid.centre).astype(np.float32)
-            x, y, z = (start[n] + axes[n, 0] * i + axes[n, 1] * j + axes[n, 2] * k for n in range(3))
+            x, y, z = (
+                start[n] + axes[n, 0] * i + axes[n, 1] * j + axes[n, 2] * k for n in range(3)
+            )
             inside = (x * x + y * y + z * z <= solid.radius**2) & (solid.rule(x, y, z) < 0)
             if solid.only_within:
                 inside &= out[box] > 0
@@ -301,7 +303,9 @@ def soft_tissue(rng) -> list[Solid]:
     for _ in range(int(rng.integers(5, 20))):
         value = 0.95 + rng.choice([-1, 1]) * rng.uniform(0.02, 0.15)
         size = rng.uniform(0.03, 0.1)
-        solids.append(ellipsoid(_in_ball(rng, 0.8) * body, [size] * 3, None, value, only_within=True))
+        solids.append(
+            ellipsoid(_in_ball(rng, 0.8) * body, [size] * 3, None, value, only_within=True)
+        )
     if rng.uniform() < 0.5:  # a spine
         solids.append(cylinder([0.0, -0.5, -0.8], [0.0, -0.5, 0.8], 0.12, 1.9, only_within=True))
     return solids
