@@ -18,6 +18,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from denoised import lowered
 
 from twinct.evaluation import edge_width, image_figures, region_of_interest
 from twinct.recon import (
@@ -31,7 +32,6 @@ from twinct.recon import (
     sirt,
     without_surroundings,
 )
-from twinct.recon.denoise import lower_variation
 from twinct.recon.resolution import binned
 from twinct.recon.volume import Volume
 from twinct.runs.reconstruction import load_scan
@@ -94,10 +94,8 @@ def clipped(case, volume):
 def denoised(case, volume):
     """Yield a volume without negative voxels and with less total variation, for each strength."""
     for strength in STRENGTHS:
-        less = np.maximum(volume, 0)
         size = strength * case.mu * float(case.grid.voxel.mean()) ** 2
-        lower_variation(less, case.grid, case.A.kernels, size, 0.0)
-        yield less
+        yield lowered(case.A, np.maximum(volume, 0), size)
 
 
 def passes_of(case, solve, options, seconds=0.0, finish=as_it_is):

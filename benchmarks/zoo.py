@@ -8,7 +8,7 @@ Errors are RMSE within 3 mm of the object, without metal, in % of the mu of the 
 that is no metal (``zoo_scans``). "Best pass" is chosen by the truth, which no user has: the least
 error of 20 passes with relaxations of 0.1, 0.3 and 1. A relaxation ends early once its error is
 10 % above its least. Baselines are non-negative, and have the surroundings removed where the object
-reaches beyond the grid. "Denoised" has the same total variation as ``fast``, with the best of five
+reaches beyond the grid. "Denoised" has its total variation lowered, with the best of five
 strengths, again chosen by the truth. ``auto`` is ``sart`` with relaxation 0.3 and ``stop: auto``.
 ``doubts`` says where a run warns that the volume of ``fast`` does not explain its projections.
 
@@ -23,15 +23,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from denoised import lowered
 from zoo_scans import HELD_OUT, NEAR_MM, SPAN_MM, THIN, TUNING, Made
 
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import cgls, fast, sart, without_surroundings
-from twinct.recon.denoise import lower_variation
 from twinct.recon.signs_beyond import signs_beyond
-from twinct.recon.thin_parts import SPARSE, mean_thickness
 from twinct.recon.unexplained import compared_views, unexplained
-from twinct.runs.model_doubts import MUCH_BESIDE, TOO_THIN, UNEQUAL, leaves_much
+from twinct.runs.model_doubts import MUCH_BESIDE, UNEQUAL, leaves_much
 
 PASSES, RELAXATIONS = 20, (0.1, 0.3, 1.0)
 DENOISED = (1, 2, 3, 4, 6, 8, 12, 16, 20)
@@ -75,10 +74,8 @@ def baselines(made):
     def denoised(number, x, of="sart"):
         if number in DENOISED:
             for strength in STRENGTHS:
-                less = x.copy()
                 size = strength * made.mu * float(made.grid.voxel.mean()) ** 2
-                lower_variation(less, made.grid, made.A.kernels, size, 0.0)
-                least[of] = min(least[of], made.error(less))
+                least[of] = min(least[of], made.error(lowered(made.A, x, size)))
 
     for relaxation in RELAXATIONS:
         errors, spent = passes_of(made, p, relaxation, nonnegative=True, watch=denoised)
@@ -120,9 +117,7 @@ def of_fast(made):
     volume = fast(made.A, p, **keys)
     seconds = time.process_time() - start
     found = {"error": made.error(volume.array), "seconds": seconds, "warned": bool(warned)}
-    thickness, share = mean_thickness(volume.array)
-    thin = bool(thickness < TOO_THIN and share < SPARSE)
-    return {"fast": found | {"denoising": volume.extras["denoising"], "thin": thin}}
+    return {"fast": found | volume.extras["regularisation"]}
 
 
 def of_doubts(made):
@@ -196,7 +191,7 @@ def table(cases, size, lines):
     print(f"RMSE within {NEAR_MM:g} mm of the object, % of mu; grids of {SPAN_MM:g} mm")
     print(f"| scan | {' | '.join(COLUMNS)} |\n|---|{'---|' * len(COLUMNS)}")
     ratios, over = {"sart": [], "sart, denoised": [], "seconds": []}, []
-    doubts, thin = [], {True: [], False: []}
+    doubts = []
     for case in cases:
         seeds = {}
         for (name, voxels, seed, _), found in lines.found.items():
@@ -214,8 +209,6 @@ def table(cases, size, lines):
                 for one in ("sart", "sart, denoised"):
                     ratios[one].append(f["fast"]["error"] / f[one]["error"])
                 ratios["seconds"].append(f["fast"]["seconds"] / f["sart"]["seconds"])
-                if "thin" in f["fast"]:
-                    thin[f["fast"]["thin"]].append(ratios["sart"][-1])
             if "doubts" in f:
                 error = f["doubts"]["error"] / f["sart"]["error"] if "sart" in f else np.nan
                 doubts.append((f["doubts"]["warned"], case.name, error))
@@ -227,10 +220,6 @@ def table(cases, size, lines):
             of = "sart" if one == "seconds" else one
             low, middle, high = np.quantile(values, (0, 0.5, 1))
             print(f"fast, {told} relative to {of}: {low:.2f} to {high:.2f}, median {middle:.2f}")
-    for warned, values in thin.items():
-        if values:
-            told = "with a" if warned else "without"
-            print(f"{len(values)} scans {told} warning of thin parts: at most {max(values):.2f}")
     if doubts:
         named = [f"{name} ({error:.2f} x)" for warned, name, error in doubts if warned]
         print(f"warnings: {len(named)} of {len(doubts)} scans, error to sart: {', '.join(named)}")

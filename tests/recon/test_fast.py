@@ -9,9 +9,8 @@ from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
 from twinct.recon.algorithms import BUILT_IN
-from twinct.recon.denoise import lower_variation
-from twinct.recon.engine import kernels
 from twinct.recon.fast import Fast
+from twinct.recon.fista import Variation
 from twinct.recon.levels import QUIET_SHARE
 
 AROUND_LEFT = 0.1
@@ -135,34 +134,14 @@ def ball():
     return even, (even + np.random.default_rng(3).normal(0, 0.1, even.shape)).astype(np.float32)
 
 
-def test_variation_is_lowered_as_by_another_solver(ball):
+def test_variation_is_lowered_as_by_another_solver(ball, circle):
     _, noisy = ball
-    own, grid = noisy.copy(), VolumeGrid(noisy.shape, 1.0)
-    lower_variation(own, grid, kernels(), 0.1, -10.0)
+    A = Projector(circle(4, Panel(8, 8, 9.0, 9.0)), VolumeGrid(noisy.shape, 1.0))
+    own = np.empty_like(noisy)
+    Variation(A, 0.1, 15, np.float32(-10)).lower(noisy.copy(), np.ones_like(noisy), own)
     other = denoise_tv_chambolle(noisy.astype(float), weight=0.1, eps=1e-9, max_num_iter=500)
     least = objective(other, noisy, 0.1)
     assert objective(own, noisy, 0.1) < least + 0.02 * (objective(noisy, noisy, 0.1) - least)
-
-
-def test_slabs_are_the_whole(ball, monkeypatch):
-    _, noisy = ball
-    whole, slabs, grid = noisy.copy(), noisy.copy(), VolumeGrid(noisy.shape, 1.0)
-    lower_variation(whole, grid, kernels("plain"), 0.1, 0.0)
-    monkeypatch.setattr("twinct.recon.slabs.FEWEST_PLANES", 4)
-    lower_variation(slabs, grid, kernels("plain"), 0.1, 0.0)
-    np.testing.assert_array_equal(slabs, whole)
-    assert whole.min() == 0
-
-
-@pytest.mark.parametrize("shape", [(3, 150, 9), (40, 64, 2), (2, 65, 33)])
-def test_one_walk_lowers_variation_as_step_after_step(shape):
-    """With strips of rows side by side, ends of slabs, and lines shorter than a vector."""
-    noisy = np.random.default_rng(4).normal(0.1, 0.3, shape).astype(np.float32)
-    results = []
-    for name in ("vector", "plain"):
-        results.append(noisy.copy())
-        lower_variation(results[-1], VolumeGrid(shape, (1.0, 1.5, 0.7)), kernels(name), 0.1, 0.0)
-    np.testing.assert_allclose(*results, atol=1e-5)
 
 
 @pytest.fixture

@@ -8,14 +8,11 @@ operations are described in ``engine``; the forward model is Joseph's, see ``pro
 # pyright: basic
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 from numba import njit, prange
 
 from twinct.rays.joseph import OPTIONS, ray_of
 from twinct.recon.blocks import EDGE, EVERYWHERE
-from twinct.recon.slabs import lower_in_slabs
 
 OTHERS = ((1, 2), (0, 2), (0, 1))
 """The two other axes for each of x, y, z."""
@@ -39,11 +36,6 @@ def bring(held, out):
     """Copy what is held to ``out``, if it is not ``out`` itself."""
     if held is not out:
         out[:] = held
-
-
-def lower(x, inverse, radius, step, floor, steps):
-    """Lower the total variation of ``x``, see ``engine``."""
-    lower_in_slabs(sys.modules[__name__], x, inverse, radius, step, floor, steps)
 
 
 def leave_out(length, mask):

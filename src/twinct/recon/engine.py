@@ -168,20 +168,6 @@ class Kernels(Protocol):
         on the inverse of the dual Hessian's largest row sum.
         """
 
-    def lower(
-        self,
-        x: Singles,
-        inverse: Floats,
-        radius: float,
-        step: float,
-        floor: np.float32,
-        steps: int,
-    ) -> None:
-        """Replace ``x``, in memory, by the primal after so many dual steps (``ascend``) from zero.
-
-        All voxels have the weight 1.
-        """
-
 
 def kernels(name: str | None = None) -> Kernels:
     """Return the kernels of an engine named here or by the environment; compile them if needed.

@@ -118,7 +118,7 @@ def fast(
 ) -> Volume:
     """Reconstruct a volume from line integrals, first in larger voxels and pixels.
 
-    Peak memory: 10 volumes and half of the projections, besides the projections.
+    Peak memory: 8 volumes and half of the projections, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
@@ -296,7 +296,7 @@ def _solve(problem: Problem, settings: Fast) -> Volume:
 FAST = Algorithm(
     Fast,
     _solve,
-    volumes=10,
+    volumes=8,
     projections=0.5,
     check=_check,
     # About: the number of passes at full resolution depends on the volume.

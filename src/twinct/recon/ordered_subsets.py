@@ -25,7 +25,9 @@ from twinct.recon.engine import Singles
 from twinct.recon.fista import LEAST_WEIGHT, Variation
 from twinct.recon.levels import Level
 from twinct.recon.order import subsets_of
+from twinct.recon.projector import Projector
 from twinct.recon.ray_weights import RayWeights
+from twinct.recon.resolution import interpolated
 from twinct.recon.steps import sum_of_squares
 
 SUBSETS = 10
@@ -33,6 +35,9 @@ SUBSETS = 10
 
 DUAL_STEPS = 3
 """Steps of the dual iteration in each update; 5 give the volume of 3 to a hundredth."""
+
+EACH = 4
+"""The change of the volume is measured in each plane of so many, which saves a copy of the rest."""
 
 Notify = Callable[[float, int, Singles], bool]
 """Function of the sum of squared residuals before an update, the number of rays, and the volume."""
@@ -56,11 +61,8 @@ class Minimiser:
         self.level, self.weights, self.x = level, weights, x
         self.change, self.strength = math.inf, 0.0
         self._views = subsets_of(A.geometry, min(SUBSETS, len(A)))
-        self._sum, self._before = np.zeros_like(x), np.empty_like(x)
-        curvature = np.zeros_like(x)
-        for views in self._views:
-            np.maximum(curvature, self._path_lengths(views), out=curvature)
-        curvature *= np.float32(len(self._views))
+        self._sum = np.zeros_like(x)
+        curvature = self._curvature_of(A.on(A.grid.with_voxels(2 * A.grid.voxel)))
         seen = curvature[curvature > 0]
         self.mean = float(seen.mean(dtype=np.float64)) if seen.size else 1.0
         del seen
@@ -75,13 +77,13 @@ class Minimiser:
 
     def one_pass(self, notify: Notify | None = None) -> bool:
         """Update the volume with each subset; return True if ``notify`` ends it."""
-        begun = self.x.copy()
+        begun = self.x[::EACH].copy()
         for views in self._views:
             square, rays = self._update(views)
             if notify is not None and notify(square, rays, self.x):
                 return True
-        begun -= self.x
-        size = sum_of_squares(self.x)
+        begun -= self.x[::EACH]
+        size = sum_of_squares(self.x[::EACH])
         self.change = math.sqrt(sum_of_squares(begun) / size) if size else 0.0
         return False
 
@@ -91,13 +93,13 @@ class Minimiser:
         step *= np.float32(len(self._views) / self.mean)
         step /= self._curvature
         z += step
-        self._before, self.x = self.x, self._before
+        self.x, self._sum = step, self.x  # the volume before lies there until the next update
         self._variation.strength = self.strength
         self._variation.lower(z, self._curvature, self.x)
         self.level.A.blocks.clear(self.x)
         self._momentum, last = (1 + math.sqrt(1 + 4 * self._momentum**2)) / 2, self._momentum
         share = np.float32((last - 1) / self._momentum)
-        for plane, new, old in zip(z, self.x, self._before, strict=True):
+        for plane, new, old in zip(z, self.x, self._sum, strict=True):
             np.subtract(new, old, out=plane)
             plane *= share
             plane += new
@@ -116,16 +118,22 @@ class Minimiser:
         A.kernels.bring(total, self._sum)
         return square, rays
 
-    def _path_lengths(self, views: list[int]) -> Singles:
-        """Back project the weighted path lengths of some views."""
-        A = self.level.A
-        self._sum[:] = 0.0
-        total = A.kernels.hold(self._sum)
-        for view in views:
-            image = self.weights.of_level(self.level, view) * A.chords_of(view)
-            A.add_image(image, view, total)
-        A.kernels.bring(total, self._sum)
-        return self._sum
+    def _curvature_of(self, larger: Projector) -> Singles:
+        """Return B W L, the largest over the subsets times their number, (z, y, x).
+
+        It is as smooth as the rays' path lengths, so larger voxels suffice.
+        """
+        most = np.zeros(larger.domain_shape, np.float32)
+        for views in self._views:
+            total = np.zeros_like(most)
+            held = larger.kernels.hold(total)
+            for view in views:
+                image = self.weights.of_level(self.level, view) * self.level.A.chords_of(view)
+                larger.add_image(image, view, held)
+            larger.kernels.bring(held, total)
+            np.maximum(most, total, out=most)
+        most *= np.float32(len(self._views))
+        return interpolated(most, larger.grid, self.level.A.grid)
 
 
 def residual(level: Level, weights: RayWeights, x: Any, view: int) -> tuple[Singles, Singles]:

@@ -18,7 +18,6 @@ with kernels_from_disk():
     from twinct.recon._plain import bring, hold, leave_out, require, room
     from twinct.recon._vector import adjoint as _adjoint
     from twinct.recon._vector.forward import forward as _forward
-    from twinct.recon._vector.lowering import lower
     from twinct.recon._vector.options import CUBE, IMAGE, MATRICES, STACK, kernel
     from twinct.recon._vector.rays import chords
     from twinct.recon._vector.update import update as _update
@@ -42,7 +41,6 @@ __all__ = [
     "forward",
     "hold",
     "leave_out",
-    "lower",
     "primal",
     "ratio",
     "require",

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from twinct.core import card
 from twinct.geometry import Floats
 from twinct.recon.blocks import EVERYWHERE, Blocks
-from twinct.recon.slabs import lower_in_slabs
 
 Held = Any
 """An array on the card, or one of numpy."""
@@ -157,18 +156,6 @@ class WarpKernels:
         given = self._on_card(x), self._on_card(q), steps, float(radius), scale
         self._launch(self._voxels.ascend, x.shape, *given, there)
         self._finish(there, dual)
-
-    def lower(
-        self,
-        x: NDArray[np.float32],
-        inverse: Floats,
-        radius: float,
-        step: float,
-        floor: np.float32,
-        steps: int,
-    ) -> None:
-        """See ``Kernels``."""
-        lower_in_slabs(self, x, inverse, radius, step, floor, steps)
 
     def _launch(self, kernel: Any, threads: tuple[int, ...], *arguments: Any) -> None:
         self._warp.launch(
