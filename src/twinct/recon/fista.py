@@ -181,6 +181,42 @@ class Variation:
                 others[:, known.seams] = 0.0
 
 
+class Descent:
+    """Volume on its way to the minimum of a data term and a variation: FISTA's updates.
+
+    Attributes:
+        x: the volume, (z, y, x).
+        z: the volume with momentum, at which the data term's gradient is taken.
+    """
+
+    def __init__(self, x: Singles, curvature: Singles, variation: Variation) -> None:
+        """Start from a volume, which is overwritten."""
+        self.x, self.z, self.variation = x, x.copy(), variation
+        self._curvature, self._momentum = curvature, 1.0
+
+    def restart(self) -> None:
+        """Forget the momentum."""
+        self.z[:], self._momentum = self.x, 1.0
+
+    def update(self, step: Singles) -> Singles:
+        """Move by a step, the negative gradient; return room for the next step.
+
+        The step's room takes the new volume.
+        """
+        step /= self._curvature
+        self.z += step
+        before, self.x = self.x, step
+        self.variation.lower(self.z, self._curvature, self.x)
+        self.variation.A.blocks.clear(self.x)
+        self._momentum, last = (1 + math.sqrt(1 + 4 * self._momentum**2)) / 2, self._momentum
+        share = np.float32((last - 1) / self._momentum)
+        for plane, new, old in zip(self.z, self.x, before, strict=True):
+            np.subtract(new, old, out=plane)
+            plane *= share
+            plane += new
+        return before
+
+
 def minimised(
     A: Projector,
     p: NDArray[Any],
@@ -199,22 +235,22 @@ def minimised(
     parts = [(A[views], views) for views in subsets_of(A.geometry, subsets)]
     trust = _trust(A, weights, mask)
     curvature, mean = _curvature(parts, trust)
-    before, z = x.copy(), x.copy()
-    momentum = 1.0
+    descent = Descent(x, curvature, variation)
+    del x
     listener = Listener(callback, subsets)
     turns = {turn * iterations // rounds for turn in range(1, rounds)}
     measured, p = p, p.copy() if turns else p
     for iteration in range(iterations):
         if iteration in turns:
             for part, views in parts:
-                rest = remainder(part, x, measured, views, mask)
+                rest = remainder(part, descent.x, measured, views, mask)
                 for here, view in enumerate(views):
                     p[view] += rest[here]
                 del rest
-            z[:], momentum = x, 1.0
+            descent.restart()
         early = iteration < iterations // 2
         for update, (part, views) in enumerate(parts):
-            rest = remainder(part, z, p, views, mask)
+            rest = remainder(part, descent.z, p, views, mask)
             square, rays = _total(rest, trust, views) if listener.wanted else (0.0, 0)
             for here, view in enumerate(views):
                 if huber is not None:
@@ -224,20 +260,11 @@ def minimised(
             step = part.T(rest)
             del rest
             step *= np.float32(subsets / mean)
-            step /= curvature
-            z += step
+            descent.update(step)
             del step
-            x, before = before, x
-            variation.lower(z, curvature, x)
-            momentum, last = (1 + math.sqrt(1 + 4 * momentum**2)) / 2, momentum
-            share = np.float32((last - 1) / momentum)
-            for plane, new, old in zip(z, x, before, strict=True):
-                np.subtract(new, old, out=plane)
-                plane *= share
-                plane += new
-            if listener(iteration, update, square, rays, x):
-                return Volume(x, A.grid)
-    return Volume(x, A.grid)
+            if listener(iteration, update, square, rays, descent.x):
+                return Volume(descent.x, A.grid)
+    return Volume(descent.x, A.grid)
 
 
 def _total(rest: Singles, trust: Singles, views: list[int]) -> tuple[float, int]:

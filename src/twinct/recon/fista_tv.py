@@ -67,7 +67,7 @@ def fista_tv(
     n iterations, then m from their result, are not n + m iterations: momentum and dual start
     afresh.
 
-    Peak memory: 8 volumes and twice the projections (hardly more than once with many subsets; once
+    Peak memory: 7 volumes and twice the projections (hardly more than once with many subsets; once
     more with several rounds), besides the projections and weights.
 
     Args:
@@ -125,5 +125,5 @@ def _solve(problem: Problem, settings: FistaTv) -> Volume:
 
 
 FISTA_TV = Algorithm(
-    FistaTv, _solve, volumes=8, projections=3, updates=lambda own, n: subset_number(own.subsets, n)
+    FistaTv, _solve, volumes=7, projections=3, updates=lambda own, n: subset_number(own.subsets, n)
 )

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from twinct.recon.engine import Singles
-from twinct.recon.fista import LEAST_WEIGHT, Variation
+from twinct.recon.fista import LEAST_WEIGHT, Descent, Variation
 from twinct.recon.levels import Level
 from twinct.recon.order import subsets_of
 from twinct.recon.projector import Projector
@@ -49,8 +49,6 @@ class Minimiser:
     Attributes:
         level: the scan.
         weights: weights of the rays.
-        x: the volume, (z, y, x).
-        strength: strength of the total variation.
         mean: d, the mean curvature of the data term, in the unit of the weights times mm.
         change: root mean square of the change in the last pass, relative to the volume.
     """
@@ -58,22 +56,34 @@ class Minimiser:
     def __init__(self, level: Level, x: Singles, weights: RayWeights, floor: float) -> None:
         """Take a volume to start from, which is overwritten."""
         A = level.A
-        self.level, self.weights, self.x = level, weights, x
-        self.change, self.strength = math.inf, 0.0
+        self.level, self.weights, self.change = level, weights, math.inf
         self._views = subsets_of(A.geometry, min(SUBSETS, len(A)))
-        self._sum = np.zeros_like(x)
         curvature = self._curvature_of(A.on(A.grid.with_voxels(2 * A.grid.voxel)))
         seen = curvature[curvature > 0]
         self.mean = float(seen.mean(dtype=np.float64)) if seen.size else 1.0
         del seen
         curvature /= np.float32(self.mean)
-        self._curvature = np.maximum(curvature, np.float32(LEAST_WEIGHT), out=curvature)
-        self._variation = Variation(A, 0.0, DUAL_STEPS, np.float32(floor))
-        self.start()
+        np.maximum(curvature, np.float32(LEAST_WEIGHT), out=curvature)
+        self._descent = Descent(x, curvature, Variation(A, 0.0, DUAL_STEPS, np.float32(floor)))
+        self._room = np.zeros_like(x)
 
-    def start(self) -> None:
+    @property
+    def x(self) -> Singles:
+        """The volume, (z, y, x)."""
+        return self._descent.x
+
+    @property
+    def strength(self) -> float:
+        """Strength of the total variation."""
+        return self._descent.variation.strength
+
+    @strength.setter
+    def strength(self, value: float) -> None:
+        self._descent.variation.strength = value
+
+    def restart(self) -> None:
         """Forget the momentum."""
-        self._z, self._momentum = self.x.copy(), 1.0
+        self._descent.restart()
 
     def one_pass(self, notify: Notify | None = None) -> bool:
         """Update the volume with each subset; return True if ``notify`` ends it."""
@@ -88,34 +98,23 @@ class Minimiser:
         return False
 
     def _update(self, views: list[int]) -> tuple[float, int]:
-        z, step = self._z, self._sum
-        square, rays = self._add_residuals(views)
+        step = self._room
+        square, rays = self._add_residuals(views, step)
         step *= np.float32(len(self._views) / self.mean)
-        step /= self._curvature
-        z += step
-        self.x, self._sum = step, self.x  # the volume before lies there until the next update
-        self._variation.strength = self.strength
-        self._variation.lower(z, self._curvature, self.x)
-        self.level.A.blocks.clear(self.x)
-        self._momentum, last = (1 + math.sqrt(1 + 4 * self._momentum**2)) / 2, self._momentum
-        share = np.float32((last - 1) / self._momentum)
-        for plane, new, old in zip(z, self.x, self._sum, strict=True):
-            np.subtract(new, old, out=plane)
-            plane *= share
-            plane += new
+        self._room = self._descent.update(step)
         return square, rays
 
-    def _add_residuals(self, views: list[int]) -> tuple[float, int]:
+    def _add_residuals(self, views: list[int], out: Singles) -> tuple[float, int]:
         """Back project the weighted residuals of some views; return their squares, and the rays."""
         A, square, rays = self.level.A, 0.0, 0
-        self._sum[:] = 0.0
-        x, total = A.kernels.hold(self._z), A.kernels.hold(self._sum)
+        out[:] = 0.0
+        x, total = A.kernels.hold(self._descent.z), A.kernels.hold(out)
         for view in views:
             rest, weights = residual(self.level, self.weights, x, view)
             square += sum_of_squares((rest * (weights > 0))[None])
             rays += int(np.count_nonzero(weights))
             A.add_image(rest * weights, view, total)
-        A.kernels.bring(total, self._sum)
+        A.kernels.bring(total, out)
         return square, rays
 
     def _curvature_of(self, larger: Projector) -> Singles:

@@ -119,7 +119,7 @@ def tried(level: Level, x: Singles, weights: RayWeights, floor: float) -> Trial 
 
     def misfit(power: int) -> tuple[float, float]:
         minimiser.strength = forces.strength(2.0**power)
-        minimiser.start()
+        minimiser.restart()
         minimiser.one_pass()
         return _misfit(judges, own, minimiser.x)
 
