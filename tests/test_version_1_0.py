@@ -13,9 +13,11 @@ import zarr
 
 from twinct import load_scan, reconstruct, run
 from twinct.cli import run_command
+from twinct.recon.fast import PASSES, Fast
 from twinct.recon.volume import Volume
 from twinct.runs import reconstruct_run, rewrite_report
 from twinct.runs.folder import read_metrics
+from twinct.scenario.version_0_1 import upgraded
 from twinct.study import load_results
 
 KEPT = Path(__file__).parent / "version_1_0"
@@ -94,3 +96,13 @@ def test_a_study_is_read(tmp_path: Path) -> None:
     table = load_results(kept("study", tmp_path))
     assert len(table) == 4 and table["image.rmse_near_rel"].between(0, 1).all()
     assert not [name for name in table.columns if "bone" in name]
+
+
+@pytest.mark.parametrize("passes", [None, 3])
+def test_keys_that_fast_no_longer_has_are_left_out_of_a_stored_scenario(passes):
+    gone = {"coarse_passes": None, "first_relaxation": 1.5, "denoising": None, "stop": None}
+    kept = {"algorithm": "fast", "passes": passes, "levels": 2, "margin": 0.1}
+    found = upgraded({"reconstruction": gone | kept})["reconstruction"]
+    assert Fast.model_validate(found) == Fast(levels=2, margin=0.1, passes=passes or PASSES)
+    by_hand = {"reconstruction": kept | {"denoising": 0}}
+    assert upgraded(by_hand) is by_hand

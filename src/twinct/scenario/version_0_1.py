@@ -32,11 +32,16 @@ _ORDER = (
 """Order of the keys, nested ones included, in the hashed text; stored keys are alphabetical."""
 
 
+_FORMER_FAST = {"coarse_passes", "first_relaxation", "denoising", "stop"}
+"""Keys that ``fast`` had while rules chose its passes; a result holds them all, with defaults."""
+
+
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     """Return a scenario of an earlier version in today's keys, and any other scenario unchanged.
 
     Version 1.0 said of each specimen that it is not unknown. For version 0.1, leave out settings
     that the algorithm did not use, and turn the engine ``rtk`` into the algorithm ``rtk_sart``.
+    Leave out keys that ``fast`` no longer has.
     Without ``nonnegative``, the algorithm's own default holds, as in version 0.1.
     """
     stated = data.get("specimen")
@@ -45,9 +50,15 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
         if specimen.get("unknown") is False:
             data = data | {"specimen": {k: v for k, v in specimen.items() if k != "unknown"}}
     section = data.get("reconstruction")
-    if not isinstance(section, dict) or not section.keys() >= _ALL:
+    if not isinstance(section, dict):
         return data
     flat = cast("dict[str, Any]", section)
+    if flat.get("algorithm") == "fast" and flat.keys() >= _FORMER_FAST:
+        log.info("reconstruction by an earlier fast: left out %s", ", ".join(sorted(_FORMER_FAST)))
+        gone = _FORMER_FAST | ({"passes"} if flat.get("passes") is None else set())
+        return data | {"reconstruction": {k: v for k, v in flat.items() if k not in gone}}
+    if not flat.keys() >= _ALL:
+        return data
     name = "rtk_sart" if flat["engine"] == "rtk" else str(flat["algorithm"])
     known = SECTIONS[name].model_fields if name in SECTIONS else flat
     gone = {key for key in _ALL if key not in known} | {"engine"}
