@@ -18,6 +18,7 @@ from random_scans import random_scan
 
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import fast
+from twinct.recon.fast import TOLERANCE
 
 SWEEPS = {
     "OF_COARSER": ("ray_weights.OF_COARSER", (0.25, 0.35, 0.7, 1.0)),
@@ -43,8 +44,10 @@ def main() -> None:
     let_idle_threads_sleep()
     scans = [random_scan(seed, given.voxels, given.out / "scans") for seed in range(given.scans)]
 
-    def errors(**keys: float) -> tuple[np.ndarray, float]:
-        volumes = [fast(scan.A, scan.p, photons=scan.photons, **keys) for scan in scans]
+    def errors(tolerance: float = TOLERANCE) -> tuple[np.ndarray, float]:
+        volumes = [
+            fast(scan.A, scan.p, photons=scan.photons, tolerance=tolerance) for scan in scans
+        ]
         found = [scan.error(volume.array) for scan, volume in zip(scans, volumes, strict=True)]
         return np.array(found), float(np.mean([volume.extras["passes"] for volume in volumes]))
 

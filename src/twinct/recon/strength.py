@@ -116,6 +116,7 @@ def tried(level: Level, x: Singles, weights: RayWeights, floor: float) -> Trial 
     minimiser = Minimiser(level.of_views(used), x.copy(), weights.of_views(used), floor)
     forces, begun = Forces.of(minimiser), x
     found: dict[int, float] = {}
+    allowed = 0.0
 
     def misfit(power: int) -> tuple[float, float]:
         minimiser.strength = forces.strength(2.0**power)

@@ -55,8 +55,10 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     flat = cast("dict[str, Any]", section)
     if flat.get("algorithm") == "fast" and flat.keys() >= _FORMER_FAST:
         log.info("reconstruction by an earlier fast: left out %s", ", ".join(sorted(_FORMER_FAST)))
-        gone = _FORMER_FAST | ({"passes"} if flat.get("passes") is None else set())
-        return data | {"reconstruction": {k: v for k, v in flat.items() if k not in gone}}
+        former = {*_FORMER_FAST}
+        if flat.get("passes") is None:
+            former.add("passes")
+        return data | {"reconstruction": {k: v for k, v in flat.items() if k not in former}}
     if not flat.keys() >= _ALL:
         return data
     name = "rtk_sart" if flat["engine"] == "rtk" else str(flat["algorithm"])
