@@ -5,6 +5,7 @@ python benchmarks/bench_doubtful_pixels.py hits       bright and dark hits of th
 python benchmarks/bench_doubtful_pixels.py starved    few photons, and other values of CLEAR
 python benchmarks/bench_doubtful_pixels.py constants  other values of OUT, ALONE, MOST_TOGETHER
 python benchmarks/bench_doubtful_pixels.py air        flats of another exposure, and air: auto
+python benchmarks/bench_doubtful_pixels.py falls      flats without the beam's fall-off
 
 Objects are drawn from ellipsoids by the seed: wires, foam, screws, balls and large parts. Their
 transmissions are exact, but for 3 x 3 samples a pixel. Errors are RMS, relative to the object.
@@ -28,6 +29,7 @@ from twinct.measured.importing import ImportedScan
 from twinct.measured.views import ImageFacts
 from twinct.runs import load_scan
 from twinct.scan import Scan
+from twinct.xray.beam import fall_off
 
 VIEWS, PIXELS, SAMPLES = 90, 80, 3
 GEOMETRY = {
@@ -338,9 +340,36 @@ def air(seeds: range, folder: Path) -> None:
             print(f"| {name} | {level} | {told_of(read)} | {warned} | {told_of(off)} |", flush=True)
 
 
+def falls(seeds: range, folder: Path) -> None:
+    """Flats with and without the fall-off: who is warned, and what ``air: auto`` makes of it."""
+    circle = Circle.model_validate(GEOMETRY).views(ImageFacts(VIEWS, PIXELS, PIXELS))
+    beam = fall_off(circle.geometry[[0]])
+    beam = beam / beam.max()
+    print("| object | photons | level | right: warned | lacking: warned | auto off by at most, % |")
+    print("|" + "---|" * 6)
+    for name, make in OBJECTS.items():
+        for photons, level in ((None, 1.0), (20000.0, 1.0), (1000.0, 1.0), (20000.0, 1.5)):
+            warned, off = [0, 0], []
+            for seed in seeds:
+                rng = np.random.default_rng([61, seed])
+                counts = counts_of(transmissions(make(rng)) * beam, rng, photons)
+                np.save(folder / "right.npy", FREE * beam[None])
+                keys = {"values": "intensities", "white": FREE / level}
+                flats = [{"path": str(folder / "right.npy")}]
+                right, fine = imported(counts, folder, values="intensities", flats=flats)
+                _, told = imported(counts, folder, **keys)
+                auto, _ = imported(counts, folder, **keys, air="auto")
+                for index, one in enumerate((fine, told)):
+                    warned[index] += any("fall" in doubt for doubt in one.doubts)
+                ratio = auto.transmission / np.maximum(right.transmission, 1e-9)
+                off.append(100 * float(np.abs(np.median(ratio, axis=0) - 1).max()))
+            cells = f"{photons or 'all'} | {level} | {warned[0]} | {warned[1]} | {told_of(off)}"
+            print(f"| {name} | {cells} |", flush=True)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=("clean", "hits", "starved", "constants", "air"))
+    parser.add_argument("what", choices=("clean", "hits", "starved", "constants", "air", "falls"))
     parser.add_argument("--seeds", type=int, default=5)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.measured.air import level_of
 from twinct.measured.corrections import Corrected, Corrections
 
 Floats = NDArray[np.float64]
@@ -16,6 +18,29 @@ BINS = 60
 
 AROUND_AIR = 0.3
 """Range of the histogram to each side of the first view's air, relative to it."""
+
+LEAST_DRIFT = 0.01
+"""Smallest change of air over the views that is named: 0.01 of a line integral."""
+
+BEYOND_NOISE = 9.0
+"""Standard errors of a view's air by which views differ: the range of 1e5 by noise alone is 8.8."""
+
+
+class Drift(NamedTuple):
+    """Change of air over the views: darkest and brightest view, (number, level) each.
+
+    Attributes:
+        least: the darkest.
+        most: the brightest.
+        error: standard error of a view's air.
+        slow: True if neighbouring views are alike.
+    """
+
+    least: tuple[int, float]
+    most: tuple[int, float]
+    error: float
+    slow: bool
+
 
 _WHAT = {
     "starved": ("starved pixels", "at or below the dark noise, which is the least that counts"),
@@ -53,6 +78,7 @@ class Looks:
     edges: Floats = field(init=False)
     _views: list[int] = field(default_factory=list)
     _air: list[float] = field(default_factory=list)
+    _errors: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Start without views."""
@@ -76,7 +102,9 @@ class Looks:
         if self.images.air is None:
             return
         air = image[self.images.air & ~self.images.bad]
-        self._air.append(float(air.mean()) if air.size else np.nan)
+        level, error = level_of(air) if air.size else (np.nan, 0.0)
+        self._air.append(level)
+        self._errors.append(error)
         if len(self._air) == 1:
             middle = self._air[0]
             self.edges = middle + AROUND_AIR * abs(middle) * np.linspace(-1, 1, BINS + 1)
@@ -86,6 +114,22 @@ class Looks:
     def air(self) -> float | None:
         """Median over the views of the mean transmission of air; None: no air is known."""
         return float(np.median(self._air)) if self._air else None
+
+    @property
+    def drift(self) -> Drift | None:
+        """Change of air from view to view beyond its noise; None: there is none, or no air."""
+        air = np.array(self._air)
+        if len(air) < 2 or not np.isfinite(air).all():
+            return None
+        least, most = int(air.argmin()), int(air.argmax())
+        error = float(np.median(self._errors))
+        change = float(air[most] - air[least])
+        if change <= max(LEAST_DRIFT * float(np.median(air)), BEYOND_NOISE * error):
+            return None
+        # Independent values have 2 here, a slow change 0 (von Neumann 1941).
+        ratio = float(np.sum(np.diff(air) ** 2) / np.sum((air - air.mean()) ** 2))
+        ends = (self._views[least], float(air[least])), (self._views[most], float(air[most]))
+        return Drift(*ends, error, slow=ratio < 1)
 
     def share(self, kind: str) -> float:
         """Return the share of the pixels of all views that are of a kind."""

@@ -40,6 +40,9 @@ NO_ZEISS = (
 )
 """Reason: no real file is public with which a reader, and its sense of rotation, can be tested."""
 
+MOST_GAP = 1000
+"""Largest number of missing files in a row that are listed."""
+
 IMAGE_FACTOR = 160
 """Bytes in memory per pixel while an image is corrected, between its neighbours: 20 images in
 double precision."""
@@ -59,6 +62,7 @@ class Stack:
         first_pixel: place of pixel (0, 0) on the panel that the file states, mm, or None.
         exchangeable: True for an array, whose axes may be named in another order.
         notes: sentences on files that are no images of this stack.
+        missing: numbers that are missing among those of the files' names.
     """
 
     where: str
@@ -70,6 +74,7 @@ class Stack:
     first_pixel: tuple[float, float] | None = None
     exchangeable: bool = False
     notes: tuple[str, ...] = ()
+    missing: tuple[int, ...] = ()
 
 
 def open_stack(section: Files, key: str) -> Stack:
@@ -92,7 +97,7 @@ def open_stack(section: Files, key: str) -> Stack:
         else:
             files, notes = _images_of(path, _files(path, key))
             stack = _stack_of(path, files, section, key)
-            stack = replace(stack, notes=(*notes, *stack.notes))
+            stack = replace(stack, notes=(*notes, *stack.notes), missing=_missing(files))
         return _bounded(stack, sum(file.stat().st_size for file in files))
 
 
@@ -176,6 +181,22 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     """Return a key that sorts 2 before 10."""
     parts = ((whole_number(part), part) for part in re.split(r"([0-9]{1,18})", path.name))
     return [(-1, text) if number is None else (number, "") for number, text in parts]
+
+
+def _missing(files: Sequence[Path]) -> tuple[int, ...]:
+    """Return the numbers that are missing among those at the end of the names of files."""
+    found = [re.findall(r"[0-9]{1,15}", file.stem) for file in files]
+    if len(files) < 3 or not all(found):
+        return ()
+    numbers = [int(one[-1]) for one in found]
+    steps = [b - a for a, b in zip(numbers, numbers[1:], strict=False)]
+    usual = sorted(steps)[len(steps) // 2]
+    # Numbers that are no counts, such as fractions of degrees, have other steps.
+    if min(steps) < 1 or any(step % usual for step in steps):
+        return ()
+    gaps = zip(numbers, steps, strict=False)
+    few = [at + usual * i for at, step in gaps for i in range(1, min(step // usual, MOST_GAP))]
+    return tuple(few)
 
 
 def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:
