@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating]
 Bools = NDArray[np.bool_]
 
 ALIKE = 0.02
@@ -54,11 +54,15 @@ class FoundAir(NamedTuple):
         pixels: those that show air in all views, (rows, columns); None: there are none.
         falls: True if air falls off as the beam does.
         brighter: what is brighter than air; None: nothing is, or no air near 1 is known.
+        mean: mean of the views, scaled to each other and smooth over 3 x 3 pixels.
+        steady: pixels that do not change from view to view, air or not.
     """
 
     pixels: Bools | None
     falls: bool
     brighter: Brighter | None = None
+    mean: Floats = np.zeros((0, 0))
+    steady: Bools = np.zeros((0, 0), np.bool_)
 
 
 class Brighter(NamedTuple):
@@ -95,15 +99,15 @@ def found_air(
     even = [view / beam for view, beam in zip(smooth, beams, strict=True)]
     if falls is None and min(float(beam.min()) for beam in beams) > 1 - LEAST_FALL:
         falls = False
-    if falls is not None:
-        right = even if falls else smooth
-        return FoundAir(_air_of(right), falls, _brighter(right))
-    as_is, divided = _air_of(smooth), _air_of(even)
-    sizes = [0 if pixels is None else int(pixels.sum()) for pixels in (as_is, divided)]
-    most = divided if sizes[1] > sizes[0] else as_is
-    if most is None or not _follows(smooth, beams, most):
-        return FoundAir(as_is, falls=False, brighter=_brighter(smooth))
-    return FoundAir(divided, falls=True, brighter=_brighter(even))
+    if falls is None:
+        as_is, divided = _air_of(smooth), _air_of(even)
+        sizes = [0 if pixels is None else int(pixels.sum()) for pixels in (as_is, divided)]
+        most = divided if sizes[1] > sizes[0] else as_is
+        falls = most is not None and _follows(smooth, beams, most)
+        pixels = divided if falls else as_is
+    else:
+        pixels = _air_of(even if falls else smooth)
+    return FoundAir(pixels, falls, *_steady(even if falls else smooth))
 
 
 def level_of(air: Floats) -> tuple[float, float]:
@@ -115,25 +119,24 @@ def level_of(air: Floats) -> tuple[float, float]:
     return float(clear.mean()), 3 * float(clear.std()) / np.sqrt(clear.size)
 
 
-def _brighter(views: Sequence[Floats]) -> Brighter | None:
-    """Return the pixels brighter than air, which is steady and near 1.
+def _steady(views: Sequence[Floats]) -> tuple[Brighter | None, Floats, Bools]:
+    """Return what is brighter than air near 1, the mean of the views, and the steady pixels.
 
     The views are divided by their median ratio to the mean view: half of the panel may change.
     """
     mean = np.mean(views, axis=0)
     lit = mean > ALIKE
     if lit.mean() < LEAST:
-        return None
+        return None, mean, np.zeros(mean.shape, np.bool_)
     even = [view / max(float(np.median(view[lit] / mean[lit])), ALIKE) for view in views]
-    near = lit & (np.abs(mean - 1) < NEAR_ONE)
-    rough = _rough(even[0], near)
-    air = near & (np.std(even, axis=0) < max(STEADY, AS_NOISE * rough))
-    if air.mean() < LEAST:
-        return None
+    rough = _rough(even[0], lit & (mean > 0.5 * np.percentile(mean, 99.5)))
+    steady = lit & (np.std(even, axis=0) < np.maximum(STEADY * mean, AS_NOISE * rough))
     limit = 1 + max(BRIGHTER, BEYOND * rough)
     shares = [float((one > limit).mean()) for one in even]
     most = int(np.argmax(shares))
-    return Brighter(shares[most], most) if shares[most] > LEAST else None
+    known = (steady & (np.abs(mean - 1) < NEAR_ONE)).mean() >= LEAST
+    brighter = Brighter(shares[most], most) if known and shares[most] > LEAST else None
+    return brighter, mean, steady
 
 
 def _rough(view: Floats, where: Bools) -> float:

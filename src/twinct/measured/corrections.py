@@ -17,6 +17,7 @@ from twinct.core.files.images import read_image
 from twinct.measured.air import Brighter, found_air, level_of
 from twinct.measured.beam import FreeBeam
 from twinct.measured.description import Air, FieldImages, Images, Rings
+from twinct.measured.lines import AirOfLines, seams
 from twinct.measured.pixels import (
     Doubtful,
     Levels,
@@ -128,6 +129,7 @@ class Corrections:
         falls: True if images are divided by the free beam.
         lacks_fall: True if air falls off with the free beam although it should not.
         brighter: pixels brighter than air, in some view; None: there are none.
+        seams: rows and columns at which tiles of the panel begin, and the steps there.
         air: pixels that show air in all views, (rows, columns); None: unknown.
         noise: noise of the dark image.
         levels: noise by brightness; None: single pixels are left as they are.
@@ -144,10 +146,12 @@ class Corrections:
     falls: bool = False
     lacks_fall: bool = False
     brighter: Brighter | None = None
+    seams: dict[str, tuple[tuple[int, float], ...]] = field(default_factory=dict)
     air: Bools | None = None
     noise: DarkNoise = DarkNoise(0.0, "unknown")
     levels: Levels | None = None
     gains: Floats | None = None
+    _lines: dict[str, AirOfLines] = field(default_factory=dict)
     _near: dict[int, tuple[Floats, NDArray[Any]]] = field(default_factory=dict)
 
     def transmission(self, view: int) -> Corrected:
@@ -167,10 +171,19 @@ class Corrections:
         if self.scaled:
             scale = self._air(image, left_out, view)
             image = image / scale
+        if self.section.lines is not None:
+            image = self.lines(self.section.lines.along).evened(image, self.section.lines.kind)
         image = image if self.gains is None else image / self.gains
         return Corrected(
             image, scale, Doubtful(bright, dark, low, means), stored == self.largest, stored
         )
+
+    def lines(self, along: str) -> AirOfLines:
+        """Return the air of rows or columns; it must be known."""
+        assert self.air is not None
+        if along not in self._lines:
+            self._lines[along] = AirOfLines(self.air & ~self.bad, along)
+        return self._lines[along]
 
     @property
     def scaled(self) -> bool:
@@ -304,15 +317,17 @@ def _with_levels(corrected: Corrections) -> Corrections:
     many = _some(count, MOST_FOR_MEAN)
     views = [filled(corrected._read(view)[0], corrected.bad) for view in many]
     beams = [corrected.beam.image(view) for view in many]
-    air, shows_fall, brighter = found_air(views, beams, True if section.air == "fall_off" else None)
+    found = found_air(views, beams, True if section.air == "fall_off" else None)
+    air, shows_fall, brighter = found.pixels, found.falls, found.brighter
     falls = section.air == "fall_off" or (section.air == "auto" and shows_fall)
     if isinstance(section.air, Air):
         falls = section.air.fall_off
         air = np.zeros(corrected.stack.shape, np.bool_)
         air[slice(*section.air.rows), slice(*section.air.columns)] = True
-    elif air is None and section.air == "auto":
+    elif air is None and (section.air == "auto" or section.lines is not None):
+        key = "air: auto" if section.air == "auto" else "lines"
         raise InputError(
-            f"{corrected.stack.where}: images.air: auto, but no part of the panel is bright "
+            f"{corrected.stack.where}: images.{key}, but no part of the panel is bright "
             "and steady in all views: state its rows and columns, or flats of these views"
         )
     return replace(
@@ -320,6 +335,7 @@ def _with_levels(corrected: Corrections) -> Corrections:
         falls=falls,
         lacks_fall=shows_fall and not falls,
         brighter=brighter and brighter._replace(view=many[brighter.view]),
+        seams={name: seams(found.mean, found.steady, name) for name in ("rows", "columns")},
         air=air,
         noise=noise,
         levels=levels if section.single_pixels else None,

@@ -84,6 +84,15 @@ class Rings(Section):
         return self
 
 
+class Lines(Section):
+    """Evening of rows or columns, each by its own air in each view."""
+
+    along: Literal["rows", "columns"] = Field(description="Lines that differ.")
+    kind: Literal["gain", "offset"] = setting(
+        "gain", "Whether a line is too bright by a factor, or by a number added to all its pixels."
+    )
+
+
 class Crop(Section):
     """Pixels cut off the turned image at each side."""
 
@@ -114,6 +123,9 @@ class Images(Files):
     bad_pixels: BadPixels = setting(BadPixels(), "Bad pixels.")
     single_pixels: bool = setting(
         True, "Repair pixels that differ from all neighbours in row, column and view."
+    )
+    lines: Lines | None = setting(
+        None, "Even rows or columns of the stored image, by their air in each view."
     )
     rings: Rings | None = setting(None, "Remove rings; the views must cover a turn.")
     transpose: bool = setting(False, "Exchange rows and columns first.")

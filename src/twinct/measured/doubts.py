@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -145,6 +146,8 @@ class Doubts:
                 f"{drift.error:.1g}: the tube is not steady: images.air: auto scales each view to "
                 "1 in air"
             )
+        for name in self.looks.lines:
+            result += [f"{where}: {told}" for told in self._doubts_of_lines(name)]
         if self.images.flat is not None and (brighter := self.images.brighter):
             result.append(
                 f"{where}: {brighter.share:.1%} of the pixels of image {brighter.view} are "
@@ -158,6 +161,29 @@ class Doubts:
                 "large; repeat the scan with less exposure"
             )
         return result
+
+    def _doubts_of_lines(self, name: str) -> Iterator[str]:
+        odd = self.looks.lines[name].odd
+        cure = f"images.lines: {{along: {name}}} evens them by their air"
+        if odd.always:
+            told = listed([f"{line} by {off:+.1%}" for line, off in odd.always])
+            yield (
+                f"air of {name} differs from that of their neighbours in all views, {told}: do the "
+                f"flats lack them? {cure}, images.rings in the mean of a turn"
+            )
+        if odd.flickers:
+            view, line, off = odd.worst
+            yield (
+                f"air of {name} of single views ({odd.flickers}) differs from that of their "
+                f"neighbours, the most in image {view}, {name[:-1]} {line}, by {off:+.1%}: {cure}, "
+                "with kind: offset if the readout adds a number to them"
+            )
+        if seams := self.images.seams.get(name):
+            told = listed([f"{line} by {step:+.1%}" for line, step in seams])
+            yield (
+                f"brightness steps at {name} {told}, in pixels that no view changes: are there "
+                "tiles of other gains? Take flats of these views"
+            )
 
     def _other_axes(self) -> list[tuple[str, NDArray[np.float64]]]:
         """Return the sums along each axis that may be that of the views, by their counts."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from twinct.measured.air import level_of
 from twinct.measured.corrections import Corrected, Corrections
+from twinct.measured.lines import LineLooks
 
 Floats = NDArray[np.float64]
 
@@ -63,6 +64,7 @@ class Looks:
         least: smallest transmission of each pixel.
         most: largest transmission.
         repaired: number of views in which each pixel was repaired.
+        lines: brightness of rows and of columns.
         histogram: number of pixels of air in each of ``BINS`` bins.
         edges: edges of the bins.
     """
@@ -74,6 +76,7 @@ class Looks:
     least: Floats = field(init=False)
     most: Floats = field(init=False)
     repaired: NDArray[np.int64] = field(init=False)
+    lines: dict[str, LineLooks] = field(default_factory=dict)
     histogram: NDArray[np.int64] = field(init=False)
     edges: Floats = field(init=False)
     _views: list[int] = field(default_factory=list)
@@ -85,6 +88,10 @@ class Looks:
         shape = self.images.stack.shape
         self.mean, self.repaired = np.zeros(shape), np.zeros(shape, np.int64)
         self.least, self.most = np.full(shape, np.inf), np.full(shape, -np.inf)
+        if self.images.air is not None:
+            views = self.images.stack.count
+            for name in ("rows", "columns"):
+                self.lines[name] = LineLooks(self.images.lines(name), views)
         self.histogram, self.edges = np.zeros(BINS, np.int64), np.zeros(BINS + 1)
 
     def add(self, view: int, corrected: Corrected) -> None:
@@ -101,6 +108,8 @@ class Looks:
         np.maximum(self.most, image, out=self.most)
         if self.images.air is None:
             return
+        for looks in self.lines.values():
+            looks.add(view, image)
         air = image[self.images.air & ~self.images.bad]
         level, error = level_of(air) if air.size else (np.nan, 0.0)
         self._air.append(level)

@@ -55,7 +55,7 @@ class ViewOrder:
     ) -> None:
         """Count one more view: its number, its image as stored, and as transmission."""
         self.views.append(view)
-        self._digests.append(blake2b(np.ascontiguousarray(stored), digest_size=12).digest())
+        self._digests.append(blake2b(stored.tobytes(), digest_size=12).digest())
         self._small.append(_means(transmission))
 
     def sentences(self, geometry: ScanGeometry) -> list[str]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,9 @@ from twinct.measured.dicom_images import MOST_LISTED, dicom_files, is_dicom
 from twinct.measured.hdf5_images import open_hdf5
 from twinct.measured.numbers import MOST_BYTES, array_name
 from twinct.measured.zarr_images import open_zarr
+
+if TYPE_CHECKING:
+    from twinct.core.files.plain_tiff import PlainTiff
 
 Image = NDArray[Any]
 
@@ -131,7 +135,7 @@ def _stack_of(path: Path, files: Sequence[Path], section: Files, key: str) -> St
     if suffix in _RAW:
         return _raw(files, section, key)
     if suffix in _TIFF:
-        return _joined(files, [_tiff(file) for file in files])
+        return _joined(files, list(_tiffs(files)))
     if suffix in _DICOM:
         return _dicom(files, section, key)
     if suffix == ".npy":
@@ -302,6 +306,31 @@ def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
 
         stacks.append(Stack(str(file), octets // size, (rows, columns), dtype, image))
     return _joined(files, stacks)
+
+
+def _tiffs(files: Sequence[Path]) -> Iterator[Stack]:
+    """Yield the images of TIFF files; of many alike, only the first is read tag by tag."""
+    import tifffile
+
+    from twinct.core.files.plain_tiff import plain_tiff
+
+    first = _tiff(files[0])
+    yield first
+    layout = None
+    if len(files) > 1:
+        with library_errors(f"{files[0]}"), tifffile.TiffFile(files[0]) as file:
+            layout = plain_tiff(file, files[0])
+    for path in files[1:]:
+        if layout is not None and layout.fits(path):
+            image = partial(_plain_image, layout, path)
+            yield Stack(str(path), 1, first.shape, first.dtype, image)
+        else:
+            yield _tiff(path)
+
+
+def _plain_image(layout: PlainTiff, path: Path, index: int) -> Image:
+    with library_errors(f"{path}"):
+        return layout.image(path)
 
 
 def _tiff(path: Path) -> Stack:
