@@ -92,8 +92,14 @@ class Doubts:
                 f"{where}: the numbers of the files leave out {listed([str(n) for n in missing])}: "
                 "are views missing? Then the angles must leave them out, too"
             )
+        # Images that are read wrongly show all other faults, too.
+        if misread := self._doubts_of_reading():
+            return (*result, *misread)
         result += [f"{where}: {told}" for told in self._order.sentences(self.geometry)]
-        result += self._doubts_of_pixels()
+        return (*result, *self._doubts_of_pixels())
+
+    def _doubts_of_reading(self) -> list[str]:
+        result, count = [], len(self._views)
         if (
             self.description.images.values == "line_integrals"
             and self._like_transmissions > count / 2
@@ -115,7 +121,7 @@ class Doubts:
                     else "Are the files sinograms?"
                 )
             )
-        return tuple(result)
+        return result
 
     def _doubts_of_pixels(self) -> list[str]:
         result, air, where = [], self.looks.air, self.images.stack.where

@@ -24,8 +24,15 @@ FEWEST = 8
 MOST = 64
 """Largest number of pixels in a line that are read, spread over its air."""
 
-INNER = 4
-"""The lowest and the highest of 4 parts of a line's pixels do not count: objects shade some."""
+BESIDE = 3
+"""Pixels beside the object that do not count as air of a line."""
+
+PARTS = 4
+"""Parts of a line, one after the other: a line differs in all, an object that shades it in some."""
+
+ALIKE = 0.25
+"""Smallest difference in a part, relative to that of the line, that shows the line to differ: at 4
+standard errors noise leaves half."""
 
 SPREAD = 1.1
 """Standard error of the mean of the inner half of normal values, relative to that of all."""
@@ -39,8 +46,14 @@ EVENED = 4.0
 FINE = 0.001
 """Smallest difference that is evened: images without noise have no error to compare it with."""
 
+APART = 3
+"""Distance of lines that are compared at a seam: means of 3 lines on either side do not overlap."""
+
 SEAM = 0.1
 """Smallest share of the pixels along a seam that must be steady."""
+
+WHOLE = 0.7
+"""Smallest share of all lit pixels along a seam that step alike: edges of objects end somewhere."""
 
 LEAST = 0.01
 """Smallest difference of a line that is named: 0.01 of a line integral."""
@@ -74,7 +87,8 @@ class AirOfLines:
         """Places of some air in each line, and their number; 0 where there are too few."""
         air = self.air if self.along == "rows" else self.air.T
         near = scipy.ndimage.uniform_filter1d(air.astype(np.float32), WIDTH, axis=0)
-        air = near > 0.5
+        # The edge of the object may shade the pixels next to it in some views.
+        air = scipy.ndimage.minimum_filter(near > 0.5, 2 * BESIDE + 1, mode="nearest")
         counts = air.sum(axis=1)
         counts[counts < FEWEST] = 0
         share = (np.arange(MOST) + 0.5) / MOST
@@ -86,21 +100,26 @@ class AirOfLines:
     def brightness(self, image: Floats) -> tuple[Floats, Floats]:
         """Return the air of each line of a view relative to all, and its standard error.
 
-        Where too little air is known, they are 1 and infinite.
+        Where too little air is known, they are 1 and infinite; where parts of a line contradict
+        each other, it is 1.
         """
         places, counts = self._pixels
         lines = image if self.along == "rows" else image.T
-        values = np.sort(np.take_along_axis(lines, places, axis=1), axis=1)
-        inner = values[:, MOST // INNER : -MOST // INNER]
+        values = np.take_along_axis(lines, places, axis=1)
+        off = np.abs(np.diff(values, axis=1))[np.diff(places, axis=1) > 0]
+        values = values.reshape(len(lines), PARTS, -1)
+        quarter = MOST // PARTS // 4
+        inner = np.sort(values, axis=2)[:, :, quarter:-quarter]
         known = counts > 0
         if not known.any():
             return np.ones(len(counts)), np.full(len(counts), np.inf)
-        means = inner.mean(axis=1)
+        means = inner.mean(axis=2)
         level = float(np.median(means[known]))
-        # Half of normal values lie within 0.6745 standard deviations.
-        noise = float(np.median((inner[:, -1] - inner[:, 0])[known])) / (2 * 0.6745)
+        noise = 1.4826 * float(np.median(off)) / np.sqrt(2)
         error = SPREAD * noise / level / np.sqrt(np.maximum(counts, 1))
-        return np.where(known, means / level, 1.0), np.where(known, error, np.inf)
+        air, parts = means.mean(axis=1) / level, means / level - 1
+        all_alike = ((air - 1)[:, None] * parts > ALIKE * (air - 1)[:, None] ** 2).all(axis=1)
+        return np.where(known & all_alike, air, 1.0), np.where(known, error, np.inf)
 
     def evened(self, image: NDArray[np.float64], kind: str) -> NDArray[np.float64]:
         """Return a view whose lines are as bright as the others, where they clearly differ.
@@ -198,12 +217,11 @@ def seams(mean: Floats, steady: Bools, along: str) -> tuple[tuple[int, float], .
     """
     if along == "columns":
         mean, steady = mean.T, steady.T
-    if len(mean) <= 2:
+    if len(mean) <= APART:
         return ()
-    # Two lines apart, because the smooth image mixes the lines beside a seam.
-    both = steady[2:] & steady[:-2] & (mean[2:] > 0) & (mean[:-2] > 0)
+    both = steady[APART:] & steady[:-APART] & (mean[APART:] > 0) & (mean[:-APART] > 0)
     ratio = np.full(both.shape, np.nan)
-    ratio[both] = mean[2:][both] / mean[:-2][both] - 1
+    ratio[both] = mean[APART:][both] / mean[:-APART][both] - 1
     enough = both.sum(axis=1) >= max(FEWEST, SEAM * both.shape[1])
     steps = np.zeros(len(both))
     for line in enough.nonzero()[0]:
@@ -214,6 +232,17 @@ def seams(mean: Floats, steady: Bools, along: str) -> tuple[tuple[int, float], .
     found = []
     for label in range(1, count + 1):
         at = (labels == label).nonzero()[0]
-        if len(at) <= 3 and np.sign(steps[at]).sum() in (len(at), -len(at)):
-            found.append((int(at.mean().round()) + 1, float(steps[at].mean())))
+        largest = int(at[np.abs(steps[at]).argmax()])
+        if len(at) <= APART + 1 and _whole(mean, largest, float(steps[largest])):
+            found.append((largest + APART // 2 + 1, float(steps[largest])))
     return tuple(found)
+
+
+def _whole(mean: Floats, line: int, step: float) -> bool:
+    """Return True if a step is along all of a line."""
+    p = np.log(np.maximum(mean, 1e-6))
+    change = p[APART:] - p[:-APART]
+    around = [change[at] for at in (line - WIDTH // 2, line + WIDTH // 2) if 0 <= at < len(change)]
+    own = change[line] - (np.mean(around, axis=0) if around else 0.0)
+    own = scipy.ndimage.median_filter(own, WIDTH, mode="nearest")
+    return bool((np.abs(own - np.log1p(step)) < abs(step) / 2).mean() >= WHOLE)

@@ -28,6 +28,9 @@ exchanged have 0.5, noise has 1, and a steady turn 2."""
 ONWARD = 1.5
 """Motion past a view relative to the steps, above which the poses move on steadily."""
 
+FAR_OFF = 2.0
+"""Steps to and from a view, relative to the steps before and after, that set it apart."""
+
 ALIKE = 0.5
 """Difference of two views, relative to a step, below which both are in one place."""
 
@@ -60,23 +63,23 @@ class ViewOrder:
 
     def sentences(self, geometry: ScanGeometry) -> list[str]:
         """Return one sentence for each doubt about the order, for the views' stated poses."""
-        result = self._repeated()
+        poses = np.concatenate([geometry.source, geometry.detector], axis=1)
+        result = self._repeated(poses)
         if result or len(self.views) < FEWEST:
             return result
-        poses = np.concatenate([geometry.source, geometry.detector], axis=1)
         images = np.array([one.ravel() for one in self._small])
         return self._out_of_order(images, poses) + self._closed(images, poses)
 
-    def _repeated(self) -> list[str]:
+    def _repeated(self, poses: Floats) -> list[str]:
         first: dict[bytes, int] = {}
         pairs: list[tuple[int, int]] = []
-        for view, digest in zip(self.views, self._digests, strict=True):
-            if digest in first:
-                pairs.append((first[digest], view))
-            first.setdefault(digest, view)
+        for index, digest in enumerate(self._digests):
+            before = first.setdefault(digest, index)
+            if before != index and not np.allclose(poses[before], poses[index]):
+                pairs.append((before, index))
         if not pairs:
             return []
-        names = listed([f"{b} like {a}" for a, b in pairs])
+        names = listed([f"{self.views[b]} like {self.views[a]}" for a, b in pairs])
         return [
             f"images repeat earlier ones to the last bit: {names}: did the detector or a copy "
             "store them twice? Leave them out, with their angles"
@@ -91,7 +94,8 @@ class ViewOrder:
                 f"images {names} fit their neighbours better if they are exchanged: are the files "
                 "out of order? They are read in the order of the numbers in their names"
             ]
-        single = (_past_one(images) < SHORTER) & (_past_one(poses) > ONWARD)
+        # Views to each side of an object's plane of symmetry are alike, too, but no step is long.
+        single = (_past_one(images) < SHORTER) & (_past_one(poses) > ONWARD) & _far_off(images)
         if single.any():
             names = listed([str(self.views[v + 1]) for v in single.nonzero()[0]])
             return [
@@ -147,6 +151,14 @@ def _past_one(values: Floats) -> Floats:
     """Return the change past view 1, 2, ..., relative to the smaller change to it or from it."""
     one, two = _steps(values, 1), _steps(values, 2)
     return two / np.maximum(np.minimum(one[:-1], one[1:]), 1e-12)
+
+
+def _far_off(values: Floats) -> NDArray[np.bool_]:
+    """Return whether the steps to and from view 1, 2, ... are longer than those around them."""
+    one = _steps(values, 1)
+    before, after = np.append(one[:1], one[:-2]), np.append(one[2:], one[-1:])
+    before[0], after[-1] = after[0], before[-1]
+    return np.minimum(one[:-1], one[1:]) > FAR_OFF * np.maximum(before, after)
 
 
 def _means(image: NDArray[np.float64]) -> NDArray[np.float32]:
