@@ -76,7 +76,7 @@ def test_views_out_of_order_are_named(photons, told_of):
     order = np.arange(VIEWS)
     order[20] = 3
     _, doubts = told_of(CLEAN[order], photons)
-    assert "than these from each other: 20: are they damaged" in doubts
+    assert "but not from a view elsewhere: 20 (like 3): are they out of order" in doubts
 
 
 def test_a_turn_whose_ends_meet_is_named(told_of):
