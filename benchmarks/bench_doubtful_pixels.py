@@ -5,6 +5,8 @@ python benchmarks/bench_doubtful_pixels.py hits       bright and dark hits of th
 python benchmarks/bench_doubtful_pixels.py starved    few photons, and other values of CLEAR
 python benchmarks/bench_doubtful_pixels.py constants  other values of OUT, ALONE, MOST_TOGETHER
 python benchmarks/bench_doubtful_pixels.py air        flats of another exposure, and air: auto
+python benchmarks/bench_doubtful_pixels.py rings      gains that flats miss, and the key rings
+python benchmarks/bench_doubtful_pixels.py falls      flats without the beam's fall-off
 
 Objects are drawn from ellipsoids by the seed: wires, foam, screws, balls and large parts. Their
 transmissions are exact, but for 3 x 3 samples a pixel. Errors are RMS, relative to the object.
@@ -23,11 +25,19 @@ from scipy.spatial.transform import Rotation
 
 import twinct
 from twinct.measured import import_measured, pixels
+from twinct.measured.beam import FreeBeam
 from twinct.measured.circle import Circle
+from twinct.measured.corrections import corrections
+from twinct.measured.description import read_description
+from twinct.measured.doubts import Doubts
 from twinct.measured.importing import ImportedScan
+from twinct.measured.looks import Looks
+from twinct.measured.orientation import placed
+from twinct.measured.stack import open_stack
 from twinct.measured.views import ImageFacts
 from twinct.runs import load_scan
 from twinct.scan import Scan
+from twinct.xray.beam import fall_off
 
 VIEWS, PIXELS, SAMPLES = 90, 80, 3
 GEOMETRY = {
@@ -117,6 +127,45 @@ def parts(rng: np.random.Generator) -> Object:
         made.add(inside(rng, 6, 6), rng.uniform(1, 3, 3), rng.uniform(-0.02, 0.05), turn)
     return made
 
+
+def spring(rng: np.random.Generator) -> Object:
+    """A coil of wire 0.5 to 1.5 pixels thick, drawn by balls that overlap, and a pin in it."""
+    made, turn = Object(), Rotation.random(random_state=rng)
+    thick, radius, pitch = rng.uniform(0.1, 0.3), rng.uniform(2, 6), rng.uniform(0.8, 2.5)
+    for angle in np.arange(-10, 10, 1.5 * thick / radius):
+        at = [radius * np.cos(angle), radius * np.sin(angle), pitch * angle / (2 * np.pi)]
+        made.add(turn.apply(at), (thick,) * 3, 0.5)
+    made.add((0, 0, 0), (0.2, 0.2, 6), 1.0, turn)
+    return made
+
+
+def powder(rng: np.random.Generator) -> Object:
+    """Grains of 0.5 to 2 pixels, some of metal, loosely spread."""
+    made = Object()
+    for _ in range(150):
+        axes = rng.uniform(0.1, 0.4, 3)
+        mu = 2.0 if rng.random() < 0.1 else 0.3
+        made.add(inside(rng, 9, 7), axes, mu, Rotation.random(random_state=rng))
+    return made
+
+
+def shells(rng: np.random.Generator) -> Object:
+    """Hollow balls with walls a quarter to one pixel thick."""
+    made = Object()
+    for _ in range(40):
+        radius, wall = rng.uniform(0.8, 2.5), rng.uniform(0.1, 0.4)
+        centre = inside(rng, 8, 7)
+        made.add(centre, (radius,) * 3, 0.5)
+        made.add(centre, (radius - wall,) * 3, -0.5)
+    return made
+
+
+HELD_OUT: dict[str, Callable[[np.random.Generator], Object]] = {
+    "spring": spring,
+    "powder": powder,
+    "shells": shells,
+}
+"""Objects on which no constant was chosen."""
 
 OBJECTS: dict[str, Callable[[np.random.Generator], Object]] = {
     "wires": wires,
@@ -212,21 +261,45 @@ def told_of(values: list[float], digits: int = 3) -> str:
     return f"{np.mean(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
+def seen_in(counts: NDArray[Any], folder: Path) -> tuple[int, tuple[str, ...]]:
+    """Return the number of single pixels that an import would repair, and its warnings."""
+    np.save(folder / "images.npy", counts)
+    section = {"path": str(folder / "images.npy"), **INTENSITIES}
+    told = read_description({"images": section, "geometry": GEOMETRY})
+    stack = open_stack(told.images, "images")
+    placement = placed(told, stack)
+    images = corrections(told.images, stack, FreeBeam(placement))
+    looks = Looks(images)
+    doubts = Doubts(told, images, placement.geometry, looks)
+    for view in range(VIEWS):
+        corrected = images.transmission(view)
+        looks.add(view, corrected)
+        doubts.add(view, corrected)
+    return sum(looks.counts["bright"] + looks.counts["dark"]), doubts.sentences
+
+
 def clean(seeds: range, folder: Path) -> None:
-    print("| object | photons | pixels changed, % | error on / off |\n|---|---|---|---|")
-    for name, make in OBJECTS.items():
-        for photons in (None, 20000.0, 1000.0):
-            share, ratio = [], []
-            for seed in seeds:
-                rng = np.random.default_rng([61, seed])
-                made = make(rng)
-                counts = counts_of(transmissions(made), rng, photons)
-                on, _ = imported(counts, folder, **INTENSITIES)
-                off, _ = imported(counts, folder, **INTENSITIES, single_pixels=False)
-                share.append(100 * changed(on, off))
-                same = share[-1] == 0
-                ratio.append(1.0 if same else error(on, truth(made)) / error(off, truth(made)))
-            print(f"| {name} | {photons or 'all'} | {told_of(share, 4)} | {told_of(ratio, 4)} |")
+    print("| object | photons | pixels changed, % | error on / off | warnings |\n|" + "---|" * 5)
+    for name, make in {**HELD_OUT, **OBJECTS}.items():
+        rows: dict[float | None, tuple[list[float], list[float], list[str]]] = {
+            photons: ([], [], []) for photons in (None, 20000.0, 1000.0)
+        }
+        for seed in seeds:
+            made = make(np.random.default_rng([61, seed]))
+            exact = transmissions(made)
+            for photons, (share, ratio, doubts) in rows.items():
+                counts = counts_of(exact, np.random.default_rng([62, seed]), photons)
+                changes, sentences = seen_in(counts, folder)
+                doubts += sentences
+                share.append(100 * changes / counts.size)
+                ratio.append(1.0)
+                if changes:
+                    on, _ = imported(counts, folder, **INTENSITIES)
+                    off, _ = imported(counts, folder, **INTENSITIES, single_pixels=False)
+                    ratio[-1] = error(on, truth(made)) / error(off, truth(made))
+        for photons, (share, ratio, doubts) in rows.items():
+            cells = f"{photons or 'all'} | {told_of(share, 4)} | {told_of(ratio, 4)}"
+            print(f"| {name} | {cells} | {len(doubts)} |", *doubts, flush=True)
 
 
 def hit(counts: NDArray[Any], rng: np.random.Generator, share: float, kind: str) -> NDArray[Any]:
@@ -338,10 +411,59 @@ def air(seeds: range, folder: Path) -> None:
             print(f"| {name} | {level} | {told_of(read)} | {warned} | {told_of(off)} |", flush=True)
 
 
+def falls(seeds: range, folder: Path) -> None:
+    """Flats with and without the fall-off: who is warned, and what ``air: auto`` makes of it."""
+    circle = Circle.model_validate(GEOMETRY).views(ImageFacts(VIEWS, PIXELS, PIXELS))
+    beam = fall_off(circle.geometry[[0]])
+    beam = beam / beam.max()
+    print("| object | photons | level | right: warned | lacking: warned | auto off by at most, % |")
+    print("|" + "---|" * 6)
+    for name, make in OBJECTS.items():
+        for photons, level in ((None, 1.0), (20000.0, 1.0), (1000.0, 1.0), (20000.0, 1.5)):
+            warned, off = [0, 0], []
+            for seed in seeds:
+                rng = np.random.default_rng([61, seed])
+                counts = counts_of(transmissions(make(rng)) * beam, rng, photons)
+                np.save(folder / "right.npy", FREE * beam[None])
+                keys = {"values": "intensities", "white": FREE / level}
+                flats = [{"path": str(folder / "right.npy")}]
+                right, fine = imported(counts, folder, values="intensities", flats=flats)
+                _, told = imported(counts, folder, **keys)
+                auto, _ = imported(counts, folder, **keys, air="auto")
+                for index, one in enumerate((fine, told)):
+                    warned[index] += any("fall" in doubt for doubt in one.doubts)
+                ratio = auto.transmission / np.maximum(right.transmission, 1e-9)
+                off.append(100 * float(np.abs(np.median(ratio, axis=0) - 1).max()))
+            cells = f"{photons or 'all'} | {level} | {warned[0]} | {warned[1]} | {told_of(off)}"
+            print(f"| {name} | {cells} |", flush=True)
+
+
+def rings(seeds: range, folder: Path) -> None:
+    """Relative errors of ``fdk`` with gains of pixels that the flats miss, and of clean scans."""
+    print("| object | gains off by, % | left | width 5 | width 9 | width 21 |\n|" + "---|" * 6)
+    for name in ("parts", "balls", "screws"):
+        for off in (0.0, 0.01, 0.03):
+            rows: dict[int, list[float]] = {width: [] for width in (0, 5, 9, 21)}
+            for seed in seeds:
+                rng = np.random.default_rng([61, seed])
+                made = OBJECTS[name](rng)
+                gains = 1 + off * rng.standard_normal((PIXELS, PIXELS))
+                counts = counts_of(transmissions(made) * gains, rng, 20000.0)
+                for width, errors in rows.items():
+                    keys = {"rings": {"width": width}} if width else {}
+                    scan, _ = imported(counts, folder, **INTENSITIES, **keys)
+                    errors.append(error(scan, truth(made)))
+            cells = " | ".join(told_of(errors) for errors in rows.values())
+            print(f"| {name} | {100 * off:g} | {cells} |", flush=True)
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=("clean", "hits", "starved", "constants", "air"))
+    parser.add_argument(
+        "what", choices=("clean", "hits", "starved", "constants", "air", "falls", "rings")
+    )
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--first", type=int, default=1, help="the first seed")
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
-        globals()[chosen.what](range(1, chosen.seeds + 1), Path(place))
+        globals()[chosen.what](range(chosen.first, chosen.first + chosen.seeds), Path(place))

@@ -10,7 +10,10 @@ import tifffile
 from soft_balls import circle_of, images
 
 from twinct.core.errors import InputError
+from twinct.measured.circle import Circle
 from twinct.measured.pixels import ThreeViews, levels_of, singles
+from twinct.measured.views import ImageFacts
+from twinct.xray.beam import fall_off
 
 FREE = 30000.0
 CLEAN = np.exp(-images(circle_of()))
@@ -19,7 +22,8 @@ COUNTS = np.round(FREE * CLEAN).astype(np.uint16)
 
 @pytest.fixture
 def circle(circle):
-    return circle | {"angles": {"step": 360 / len(CLEAN)}, "pitch_mm": 2.4}
+    turn = {"angles": {"step": 360 / len(CLEAN)}, "pitch_mm": 2.4}
+    return circle | turn | {"sod_mm": 200.0, "sdd_mm": 400.0}
 
 
 @pytest.fixture
@@ -138,6 +142,62 @@ def test_air_beside_one_is_doubted_and_scaled(level, told_of):
     scan, _, doubts = told_of(counts, white=FREE / level, air="auto")
     assert not doubts
     np.testing.assert_allclose(scan.transmission, right.transmission, rtol=0.01)
+
+
+BEAM = fall_off(circle_of()[[0]]).astype(float)
+BEAM /= BEAM.max()
+REGION = {"rows": [0, 96], "columns": [0, 4]}
+
+
+@pytest.mark.parametrize(
+    ("level", "air"),
+    [(1.0, "auto"), (1.5, "auto"), (1.5, "fall_off"), (1.5, REGION | {"fall_off": True})],
+)
+def test_flats_without_the_fall_off_of_the_beam_are_doubted_and_repaired(
+    level, air, told_of, tmp_path
+):
+    """At the corners, the beam has 0.78 of its brightness in the middle."""
+    counts = np.random.default_rng(3).poisson(FREE * CLEAN * BEAM)
+    np.save(tmp_path / "right.npy", FREE * BEAM[None])
+    flats = {"white": None, "flats": [{"path": str(tmp_path / "right.npy")}]}
+    right, _, none = told_of(counts, **flats)
+    assert not none
+    _, _, doubts = told_of(counts, white=FREE / level)
+    assert f"air falls by {1 - BEAM.min():.1%} towards the darkest corner" in doubts
+    assert "images.air: auto" in doubts
+    scan, notes, doubts = told_of(counts, white=FREE / level, air=air)
+    assert f"the beam's fall-off, from 1 to {BEAM.min():.4g}" in notes
+    expected = right.transmission * (level if air == "fall_off" else 1.0)
+    np.testing.assert_allclose(scan.transmission, expected, rtol=0.01)
+    assert ("air must read 1" in doubts) == (air == "fall_off" and level != 1.0)
+
+
+def test_air_of_right_flats_is_left_as_even_as_it_is(told_of, tmp_path):
+    counts = np.random.default_rng(4).poisson(FREE * CLEAN * BEAM)
+    np.save(tmp_path / "right.npy", FREE * BEAM[None])
+    flats = {"white": None, "flats": [{"path": str(tmp_path / "right.npy")}]}
+    right, _, _ = told_of(counts, **flats)
+    scan, notes, doubts = told_of(counts, **flats, air="auto")
+    assert "fall-off" not in notes + doubts
+    np.testing.assert_allclose(scan.transmission, right.transmission, rtol=0.003)
+
+
+def test_the_fall_off_follows_the_turns_of_the_images(imported, stored, circle):
+    """A panel far to the right and up, whose images are stored on their side and mirrored."""
+    geometry = circle | {"panel_offset_mm": [80.0, 50.0], "columns": "left"}
+    facts = ImageFacts(24, 96, 104)
+    views = Circle.model_validate(geometry).views(facts)
+    beam = fall_off(views.geometry[[0]]).astype(float)
+    beam /= beam.max()
+    assert not np.allclose(beam, beam[::-1], rtol=0.1)
+    keys = {"transpose": True, "turn_deg": 90, "flip_rows": True}
+    as_turned = beam[:, ::-1]  # columns run to the left, rows up
+    as_stored = np.rot90(as_turned[::-1], -1).T
+    section = stored(
+        np.tile(FREE * as_stored, (24, 1, 1)), "intensities", white=FREE, air="fall_off", **keys
+    )
+    scan, _ = imported({"images": section, "geometry": geometry})
+    np.testing.assert_allclose(scan.transmission, 1, rtol=1e-4)
 
 
 def test_air_that_is_nowhere_is_not_scaled_to(told_of):

@@ -92,6 +92,42 @@ def load_ctsimu(path: str | Path) -> CtsimuScenario:
     return scenario
 
 
+def known_geometry(path: str | Path) -> ScanGeometry:
+    """Return the views of a scenario as they are known to the reconstruction, in the stage's frame.
+
+    The sections of tube, detector, samples and materials are not read, but for the panel: a scan
+    that was measured or rendered needs none of them, nor their files.
+
+    Raises:
+        ScenarioError: with one sentence for everything that is invalid or missing.
+    """
+    path = Path(path).expanduser()
+    data = _views_alone(read_json(path, skipped="simulation"))
+    numbers = read_acquisition(
+        JsonSection(data, "", Moment(0, 1), path.parent, {}).section("acquisition")
+    )
+    scenario = CtsimuScenario(**vars(numbers), path=path, data=data)
+    across, down = scenario.frame(0, believed=True).binning
+    return scenario.geometry(believed=True).binned(down, across)
+
+
+def _views_alone(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a scenario with the views of another, an ideal panel and one energy."""
+    kept: dict[str, Any] = {key: data[key] for key in ("file", "geometry") if key in data}
+    for name, unused in (
+        ("acquisition", ("scattering", "scan_mode", "scan_speed")),
+        ("detector", set(data.get("detector") or {}).difference(_PANEL)),
+    ):
+        section = data.get(name)
+        if isinstance(section, Mapping):
+            section = {key: value for key, value in section.items() if key not in unused}
+        kept[name] = section
+    return {**kept, "source": {"voltage": 100.0, "spectrum": {"monochromatic": True}}}
+
+
+_PANEL = "columns", "rows", "pixel_pitch"
+
+
 def _wrong_references(frame: Frame, seen: set[object]) -> list[str]:
     """Return one sentence per file with invalid content; add the files read to ``seen``."""
     response = frame.response

@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.pictures import show
 from twinct.geometry import ScanGeometry, VolumeGrid
+from twinct.measured.beam import FreeBeam
 from twinct.measured.circle import Circle
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured
-from twinct.measured.orientation import PanelPlacement, turned_shape
+from twinct.measured.orientation import PanelPlacement, placed, turned_shape
+from twinct.measured.stack import open_stack
 from twinct.measured.views import ImageFacts, StatedViews
 from twinct.observers import Observers, audience_of
 from twinct.recon import Projector, sart
@@ -37,6 +39,9 @@ MOST_VIEWS = 80
 
 MOST_PIXELS = 64
 """Largest number of coarse pixels along an axis."""
+
+FEWEST_VIEWS = 6
+"""Smallest number of views of which half can be predicted by the others."""
 
 PASSES = 3
 
@@ -196,14 +201,14 @@ def _orders(told: Measured) -> Iterator[_Order]:
     for exchange in (Candidate(), Candidate(views_rows=True), Candidate(views_columns=True)):
         try:
             section = changed(told, exchange).images
-            images = corrections(section)
-            order = _Order(images, tuple(_candidates(told, images.stack.shape, exchange)))
-            if len(order.views) < 6:
+            stack = open_stack(section, "images")
+            if stack.count < FEWEST_VIEWS:
                 raise InputError(
-                    f"--try: {len(order.views)} views are too few; at least 6 are needed"
+                    f"--try: {stack.count} views are too few; at least {FEWEST_VIEWS} are needed"
                 )
-            if any(exchange):
-                told.views(order.facts(turned_shape(section, images.stack.shape)))
+            beam = FreeBeam(placed(changed(told, exchange), stack))
+            images = corrections(section, stack, beam)
+            order = _Order(images, tuple(_candidates(told, images.stack.shape, exchange)))
         except InputError:
             if any(exchange):
                 continue  # no reading of these images

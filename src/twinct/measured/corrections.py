@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.images import read_image
-from twinct.measured.air import air_of
+from twinct.measured.air import Brighter, found_air, level_of
+from twinct.measured.beam import FreeBeam
 from twinct.measured.description import Air, FieldImages, Images, Rings
+from twinct.measured.lines import AirOfLines, seams
 from twinct.measured.pixels import (
     Doubtful,
     Levels,
@@ -91,12 +93,14 @@ class Corrected(NamedTuple):
         scale: brightness of its air, by which it was divided; 1 without a region of air.
         doubtful: pixels that were repaired.
         saturated: pixels that hold the largest number of their type.
+        stored: the image as stored.
     """
 
     image: Floats
     scale: float
     doubtful: Doubtful
     saturated: Bools
+    stored: NDArray[Any]
 
 
 class DarkNoise(NamedTuple):
@@ -121,6 +125,11 @@ class Corrections:
         dark: dark images; None: nothing is subtracted.
         flat: flat images without their dark part; None: nothing is divided by.
         bad: bad pixels of the stored images, (rows, columns).
+        beam: the free beam of the stated geometry.
+        falls: True if images are divided by the free beam.
+        lacks_fall: True if air falls off with the free beam although it should not.
+        brighter: pixels brighter than air, in some view; None: there are none.
+        seams: rows and columns at which tiles of the panel begin, and the steps there.
         air: pixels that show air in all views, (rows, columns); None: unknown.
         noise: noise of the dark image.
         levels: noise by brightness; None: single pixels are left as they are.
@@ -133,11 +142,17 @@ class Corrections:
     dark: FieldsByView | None
     flat: FieldsByView | None
     bad: Bools
+    beam: FreeBeam
+    falls: bool = False
+    lacks_fall: bool = False
+    brighter: Brighter | None = None
+    seams: dict[str, tuple[tuple[int, float], ...]] = field(default_factory=dict)
     air: Bools | None = None
     noise: DarkNoise = DarkNoise(0.0, "unknown")
     levels: Levels | None = None
     gains: Floats | None = None
-    _near: dict[int, tuple[Floats, Bools]] = field(default_factory=dict)
+    _lines: dict[str, AirOfLines] = field(default_factory=dict)
+    _near: dict[int, tuple[Floats, NDArray[Any]]] = field(default_factory=dict)
 
     def transmission(self, view: int) -> Corrected:
         """Return the transmission of a stored image.
@@ -145,19 +160,40 @@ class Corrections:
         Raises:
             InputError: good pixels are not finite, or the air is not brighter than the dark image.
         """
-        image, saturated = self._read(view)
+        image, stored = self._read(view)
         bright = dark = np.zeros(image.shape, np.bool_)
         if self.levels is not None and (three := self._three(view)) is not None:
             bright, dark = singles(three, self.levels)
         left_out = self.bad | bright | dark
+        image, low, means = starved(filled(image, left_out), self.noise.sigma)
+        image = image / self.beam.image(view) if self.falls else image
         scale = 1.0
-        if self.section.air is not None:
+        if self.scaled:
             scale = self._air(image, left_out, view)
             image = image / scale
-        image = filled(image, left_out)
-        image, low, means = starved(image, self.noise.sigma / scale)
+        if self.section.lines is not None:
+            image = self.lines(self.section.lines.along).evened(image, self.section.lines.kind)
         image = image if self.gains is None else image / self.gains
-        return Corrected(image, scale, Doubtful(bright, dark, low, means), saturated)
+        return Corrected(
+            image, scale, Doubtful(bright, dark, low, means), stored == self.largest, stored
+        )
+
+    def lines(self, along: str) -> AirOfLines:
+        """Return the air of rows or columns; it must be known."""
+        assert self.air is not None
+        if along not in self._lines:
+            self._lines[along] = AirOfLines(self.air & ~self.bad, along)
+        return self._lines[along]
+
+    @property
+    def scaled(self) -> bool:
+        """True if the air of each view is scaled to 1."""
+        return self.section.air not in (None, "fall_off")
+
+    @property
+    def least_beam(self) -> float:
+        """Brightness of the free beam in its darkest pixel, relative to the brightest."""
+        return float(self.beam.image(0).min())
 
     @cached_property
     def largest(self) -> float:
@@ -165,8 +201,8 @@ class Corrections:
         whole = np.issubdtype(self.stack.dtype, np.integer)
         return float(np.iinfo(self.stack.dtype).max) if whole else np.inf
 
-    def _read(self, view: int) -> tuple[Floats, Bools]:
-        """Return an image without bad pixels, and which are saturated; keep the last."""
+    def _read(self, view: int) -> tuple[Floats, NDArray[Any]]:
+        """Return an image without bad pixels, and as stored; keep the last."""
         if view not in self._near:
             stored = self.stack.image(view)
             image = self._uncorrected(view, stored)
@@ -184,10 +220,9 @@ class Corrections:
                     f"{self.stack.where}: image {view}: no pixel is brighter than {least}: was "
                     "the beam off? Leave this view out, or correct images.darks"
                 )
-            full = stored == self.largest
             while len(self._near) > 2:
                 del self._near[next(iter(self._near))]
-            self._near[view] = image, full
+            self._near[view] = image, stored
         return self._near[view]
 
     def _three(self, view: int) -> ThreeViews | None:
@@ -217,7 +252,8 @@ class Corrections:
     def _air(self, image: Floats, left_out: Bools, view: int) -> float:
         assert self.air is not None
         good = image[self.air & ~left_out]
-        scale = float(good.mean()) if good.size else 0.0
+        level = level_of(good)[0] if self.section.air == "auto" and good.size else None
+        scale = level if level is not None else float(good.mean()) if good.size else 0.0
         if not scale > 0:
             raise InputError(
                 f"{self.stack.where}: image {view}: images.air has {good.size} good pixels, of "
@@ -226,15 +262,21 @@ class Corrections:
         return scale
 
 
-def corrections(section: Images) -> Corrections:
-    """Open the images of a section, with the fields and bad pixels that correct them.
+def corrections(section: Images, stack: Stack, beam: FreeBeam) -> Corrections:
+    """Open the fields and bad pixels that correct the images of a section.
+
+    Args:
+        section: the section ``images``.
+        stack: its images.
+        beam: the free beam of the stated geometry.
 
     Raises:
-        InputError: images, fields or map are missing, unreadable, of other sizes, saturated or
+        InputError: fields or map are missing, unreadable, of other sizes, saturated or
             dark.
     """
-    stack = open_stack(section, "images")
     dark = _fields(section.darks, "images.darks", stack)
+    if section.black is not None:
+        dark = FieldsByView((0.0,), (np.full(stack.shape, section.black),))
     flat = _fields(section.flats, "images.flats", stack, bright=True)
     bad = np.zeros(stack.shape, np.bool_)
     if flat is not None:
@@ -254,7 +296,7 @@ def corrections(section: Images) -> Corrections:
         _check_air(section.air, stack)
     if section.bad_pixels.path is not None:
         bad |= read_image(Path(section.bad_pixels.path), "bad pixels", stack.shape) != 0
-    result = Corrections(section, stack, dark, flat, bad)
+    result = Corrections(section, stack, dark, flat, bad, beam)
     _check_values(result)
     if section.bad_pixels.find:
         bad |= unlike(_mean_image(result), bad)
@@ -272,19 +314,31 @@ def _with_levels(corrected: Corrections) -> Corrections:
     images = [filled(corrected._read(view)[0], corrected.bad) for view in few]
     noise = _dark_noise(corrected, images)
     levels = levels_of(threes, noise.sigma) if threes else None
+    many = _some(count, MOST_FOR_MEAN)
+    views = [filled(corrected._read(view)[0], corrected.bad) for view in many]
+    beams = [corrected.beam.image(view) for view in many]
+    found = found_air(views, beams, True if section.air == "fall_off" else None)
+    air, shows_fall, brighter = found.pixels, found.falls, found.brighter
+    falls = section.air == "fall_off" or (section.air == "auto" and shows_fall)
     if isinstance(section.air, Air):
+        falls = section.air.fall_off
         air = np.zeros(corrected.stack.shape, np.bool_)
         air[slice(*section.air.rows), slice(*section.air.columns)] = True
-    else:
-        many = _some(count, MOST_FOR_MEAN)
-        air = air_of([filled(corrected._read(view)[0], corrected.bad) for view in many])
-        if air is None and section.air == "auto":
-            raise InputError(
-                f"{corrected.stack.where}: images.air: auto, but no part of the panel is bright "
-                "and steady in all views: state its rows and columns, or flats of these views"
-            )
+    elif air is None and (section.air == "auto" or section.lines is not None):
+        key = "air: auto" if section.air == "auto" else "lines"
+        raise InputError(
+            f"{corrected.stack.where}: images.{key}, but no part of the panel is bright "
+            "and steady in all views: state its rows and columns, or flats of these views"
+        )
     return replace(
-        corrected, air=air, noise=noise, levels=levels if section.single_pixels else None
+        corrected,
+        falls=falls,
+        lacks_fall=shows_fall and not falls,
+        brighter=brighter and brighter._replace(view=many[brighter.view]),
+        seams={name: seams(found.mean, found.steady, name) for name in ("rows", "columns")},
+        air=air,
+        noise=noise,
+        levels=levels if section.single_pixels else None,
     )
 
 

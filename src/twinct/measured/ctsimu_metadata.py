@@ -8,8 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from twinct.core.errors import InputError
+from twinct.core.files.boundary import library_errors, read_text
+from twinct.core.files.plain_json import json_of
 
 KIND = "CTSimU Metadata"
+
+MOST_BYTES = 50_000_000
+"""Largest scenario that is read."""
 
 _RAW = (".raw", ".bin")
 
@@ -30,7 +35,9 @@ def read_metadata(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the description of a scan from its metadata.
 
     Images that are corrected already are divided by ``max_intensity``; others by their flat images,
-    less the dark ones.
+    less the dark ones. Without flat images, the brightest pixel of the free beam has
+    ``max_intensity``, and the others follow the beam's fall-off. Without dark images, the scenario
+    states the grey value in the dark.
 
     Args:
         path: the file; its paths are relative to it.
@@ -52,7 +59,7 @@ def read_metadata(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
         images = {
             **_files(path, filename, projections),
             "values": "intensities",
-            **_fields(path, projections),
+            **_fields(path, projections, _black(data, path.parent / scenario)),
         }
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(
@@ -92,10 +99,35 @@ def _files(path: Path, filename: str, projections: Mapping[str, Any]) -> dict[st
     }
 
 
-def _fields(path: Path, projections: Mapping[str, Any]) -> dict[str, Any]:
+def _black(data: Mapping[str, Any], scenario: Path) -> float | None:
+    """Return the grey value without radiation that the scenario states, or None.
+
+    It is ``offset`` or ``imin``: the grey value of no energy. A file of grey values counts before.
+
+    Raises:
+        InputError: the scenario cannot be read.
+    """
+    text = read_text(scenario, f"{scenario}", MOST_BYTES)
+    with library_errors(f"{scenario}"):
+        grey = (json_of(text).get("detector") or {}).get("gray_value") or {}
+    told = {name: _value(grey.get(name)) for name in ("factor", "offset", "imin")}
+    if _value(grey.get("intensity_characteristics_file")) is not None:
+        return None
+    black = told["imin"] if told["factor"] is None else told["offset"]
+    return float(black) if isinstance(black, (int, float)) else None
+
+
+def _value(quantity: Any) -> Any:
+    return quantity.get("value") if isinstance(quantity, Mapping) else None
+
+
+def _fields(path: Path, projections: Mapping[str, Any], black: float | None) -> dict[str, Any]:
     """Return the keys of dark and flat fields and of bad pixels."""
-    dark, flat, bad = (
-        projections.get(name) or {} for name in ("dark_field", "flat_field", "bad_pixel_map")
+    names = "dark_field", "flat_field", "bad_pixel_map"
+    dark, flat, bad = (projections.get(name) or {} for name in names)
+    # Names may stand beside a number of 0: there are no such files.
+    dark, flat = (
+        one if one.get("number", 1) else {**one, "filename": None} for one in (dark, flat)
     )
     results: dict[str, Any] = {}
     if bad.get("filename"):
@@ -108,12 +140,17 @@ def _fields(path: Path, projections: Mapping[str, Any]) -> dict[str, Any]:
             )
         if dark.get("filename") and not dark.get("projections_corrected"):
             results["darks"] = [_files(path, dark["filename"], projections)]
+        elif black and not dark.get("projections_corrected"):
+            results["black"] = black
         if flat.get("filename"):
             return {**results, "flats": [_files(path, flat["filename"], projections)]}
+        results["air"] = "fall_off"
     white = projections.get("max_intensity")
     if not (isinstance(white, (int, float)) and white > 0):
         raise InputError(
             f"{path}: output.projections.max_intensity: {white}: it must be the intensity without "
             "object, where there are no flat images"
         )
+    if dark.get("projections_corrected") and not flat.get("projections_corrected"):
+        white -= black or 0.0
     return {**results, "white": float(white)}

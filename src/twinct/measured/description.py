@@ -55,6 +55,9 @@ class Air(Section):
 
     rows: Range = Field(description="First row, and the row after the last.")
     columns: Range = Field(description="First column, and the column after the last.")
+    fall_off: bool = setting(
+        False, "Divide by the beam's fall-off from the geometry first: flats or white lack it."
+    )
 
 
 class BadPixels(Section):
@@ -81,6 +84,15 @@ class Rings(Section):
         return self
 
 
+class Lines(Section):
+    """Evening of rows or columns, each by its own air in each view."""
+
+    along: Literal["rows", "columns"] = Field(description="Lines that differ.")
+    kind: Literal["gain", "offset"] = setting(
+        "gain", "Whether a line is too bright by a factor, or by a number added to all its pixels."
+    )
+
+
 class Crop(Section):
     """Pixels cut off the turned image at each side."""
 
@@ -99,9 +111,10 @@ class Images(Files):
     flats: tuple[FieldImages, ...] = setting((), "Images without object.")
     darks: tuple[FieldImages, ...] = setting((), "Images without radiation.")
     white: Positive | None = setting(None, "Intensity without object, in place of flats.")
-    air: Air | Literal["auto"] | None = setting(
+    black: Finite | None = setting(None, "Intensity without radiation, in place of darks.")
+    air: Air | Literal["auto", "fall_off"] | None = setting(
         None, "Scale each view so that the mean transmission here is 1; auto: where all views are "
-        "brightest.",
+        "brightest, divided by the beam's fall-off if they show it; fall_off: divide by it only.",
     )  # fmt: skip
     dark_noise: Positive | None = setting(
         None, "Standard deviation of the dark image, in numbers of the files; null: from darks, or "
@@ -110,6 +123,9 @@ class Images(Files):
     bad_pixels: BadPixels = setting(BadPixels(), "Bad pixels.")
     single_pixels: bool = setting(
         True, "Repair pixels that differ from all neighbours in row, column and view."
+    )
+    lines: Lines | None = setting(
+        None, "Even rows or columns of the stored image, by their air in each view."
     )
     rings: Rings | None = setting(None, "Remove rings; the views must cover a turn.")
     transpose: bool = setting(False, "Exchange rows and columns first.")
@@ -122,12 +138,18 @@ class Images(Files):
 
     @model_validator(mode="after")
     def _corrections_fit(self) -> Images:
-        given = [k for k in ("flats", "darks", "white") if getattr(self, k)]
+        given = [k for k in ("flats", "darks", "white", "black") if getattr(self, k)]
         if self.values != "intensities" and given:
             raise ValueError(f"{', '.join(given)}: allowed only with values: intensities")
         if self.flats and self.white is not None:
             raise ValueError("flats and white: give one of them")
-        if self.values == "intensities" and not (self.flats or self.white or self.air):
+        if self.darks and self.black is not None:
+            raise ValueError("darks and black: give one of them")
+        if self.white is not None and self.black is not None and self.white <= self.black:
+            raise ValueError(f"white: {self.white:g} must exceed black, {self.black:g}")
+        if self.values == "intensities" and not (
+            self.flats or self.white or self.air not in (None, "fall_off")
+        ):
             raise ValueError(
                 "values: intensities need flats (images without object), white (their intensity) "
                 "or air (a region beside the object)"

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.geometry import ScanGeometry
 from twinct.measured.circle import Circle
-from twinct.measured.corrections import SATURATED, Corrections
+from twinct.measured.corrections import SATURATED, Corrected, Corrections
 from twinct.measured.description import Measured
 from twinct.measured.looks import Looks
+from twinct.measured.order import ViewOrder, listed
 from twinct.scan.integrals import DARKEST
 
 OFF_AIR = 0.05
@@ -48,19 +51,24 @@ class Doubts:
     Attributes:
         description: description of the scan.
         images: its images.
+        geometry: its views.
         looks: counts of its pixels.
     """
 
     description: Measured
     images: Corrections
+    geometry: ScanGeometry
     looks: Looks
     _views: list[float] = field(default_factory=list)
     _rows: NDArray[np.float64] | float = 0.0
     _columns: NDArray[np.float64] | float = 0.0
     _like_transmissions: int = 0
+    _order: ViewOrder = field(default_factory=ViewOrder)
 
-    def add(self, transmission: NDArray[np.float64]) -> None:
-        """Count one more view, (rows, columns), as stored."""
+    def add(self, view: int, corrected: Corrected) -> None:
+        """Count one more view, of a number in the stack."""
+        transmission = corrected.image
+        self._order.add(view, corrected.stored, transmission)
         p = -np.log(np.maximum(transmission, DARKEST))
         self._views.append(float(p.mean()))
         self._rows = self._rows + p.mean(axis=1)
@@ -78,7 +86,20 @@ class Doubts:
         if count == 1:
             return ("one view: no volume can be made from it",)
         result = _doubts_of_angles(self.description.geometry, self.images.stack.count)
-        result += self._doubts_of_pixels()
+        where = self.images.stack.where
+        if missing := self.images.stack.missing:
+            result.append(
+                f"{where}: the numbers of the files leave out {listed([str(n) for n in missing])}: "
+                "are views missing? Then the angles must leave them out, too"
+            )
+        # Images that are read wrongly show all other faults, too.
+        if misread := self._doubts_of_reading():
+            return (*result, *misread)
+        result += [f"{where}: {told}" for told in self._order.sentences(self.geometry)]
+        return (*result, *self._doubts_of_pixels())
+
+    def _doubts_of_reading(self) -> list[str]:
+        result, count = [], len(self._views)
         if (
             self.description.images.values == "line_integrals"
             and self._like_transmissions > count / 2
@@ -100,11 +121,20 @@ class Doubts:
                     else "Are the files sinograms?"
                 )
             )
-        return tuple(result)
+        return result
 
     def _doubts_of_pixels(self) -> list[str]:
         result, air, where = [], self.looks.air, self.images.stack.where
-        if air is not None and self.images.section.air is None and abs(air - 1) > OFF_AIR:
+        if self.images.lacks_fall:
+            result.append(
+                f"{where}: air falls by {1 - self.images.least_beam:.1%} towards the darkest "
+                "corner, as the beam of this geometry does: "
+                + ("images.flats lack" if self.images.flat is not None else "nothing corrects")
+                + " this fall-off: images.air: auto divides by it and scales each view to 1 in "
+                "air, images.air: fall_off only divides; images.air.fall_off for a region of your "
+                "own"
+            )
+        elif air is not None and not self.images.scaled and abs(air - 1) > OFF_AIR:
             flats = "flats" if self.images.flat is not None else "white"
             cause = {"intensities": f"images.{flats} of another exposure than the views'"}.get(
                 self.description.images.values, "numbers that were never divided by air"
@@ -114,6 +144,22 @@ class Doubts:
                 "images.air: auto scales each view to 1 there, images.air with rows and columns in "
                 "a region of your own; right only if these pixels show air"
             )
+        if not self.images.scaled and (drift := self.looks.drift):
+            (darkest, low), (brightest, high) = drift.least, drift.most
+            result.append(
+                f"{where}: air {'drifts' if drift.slow else 'flickers'} from {low:.4g} in image "
+                f"{darkest} to {high:.4g} in image {brightest}, by more than its noise of "
+                f"{drift.error:.1g}: the tube is not steady: images.air: auto scales each view to "
+                "1 in air"
+            )
+        for name in self.looks.lines:
+            result += [f"{where}: {told}" for told in self._doubts_of_lines(name)]
+        if self.images.flat is not None and (brighter := self.images.brighter):
+            result.append(
+                f"{where}: {brighter.share:.1%} of the pixels of image {brighter.view} are "
+                "brighter than air by more than 10 %: do images.flats hold the object, or are they "
+                "of another beam? Take flats without it"
+            )
         if (share := self.looks.share("saturated")) > SATURATED:
             result.append(
                 f"{where}: {share:.1%} of the pixels are saturated, at {self.images.largest:.0f}, "
@@ -121,6 +167,29 @@ class Doubts:
                 "large; repeat the scan with less exposure"
             )
         return result
+
+    def _doubts_of_lines(self, name: str) -> Iterator[str]:
+        odd = self.looks.lines[name].odd
+        cure = f"images.lines: {{along: {name}}} evens them by their air"
+        if odd.always:
+            told = listed([f"{line} by {off:+.1%}" for line, off in odd.always])
+            yield (
+                f"air of {name} differs from that of their neighbours in all views, {told}: do the "
+                f"flats lack them? {cure}, images.rings in the mean of a turn"
+            )
+        if odd.flickers:
+            view, line, off = odd.worst
+            yield (
+                f"air of {name} of single views ({odd.flickers}) differs from that of their "
+                f"neighbours, the most in image {view}, {name[:-1]} {line}, by {off:+.1%}: {cure}, "
+                "with kind: offset if the readout adds a number to them"
+            )
+        if seams := self.images.seams.get(name):
+            told = listed([f"{line} by {step:+.1%}" for line, step in seams])
+            yield (
+                f"brightness steps at {name} {told}, in pixels that no view changes: are there "
+                "tiles of other gains? Take flats of these views"
+            )
 
     def _other_axes(self) -> list[tuple[str, NDArray[np.float64]]]:
         """Return the sums along each axis that may be that of the views, by their counts."""

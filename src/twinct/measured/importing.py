@@ -18,14 +18,15 @@ from twinct.core.files.writing import complete, storage_errors
 from twinct.evaluation import coarse, views_needed
 from twinct.geometry import ScanGeometry
 from twinct.geometry.wire import PosePairs
+from twinct.measured.beam import FreeBeam
 from twinct.measured.corrections import Corrections, corrections
 from twinct.measured.description import Measured, read_description
 from twinct.measured.doubts import Doubts
 from twinct.measured.imported_picture import SIZE_IN, draw_imported
 from twinct.measured.looks import Looks
-from twinct.measured.orientation import PanelPlacement, turned_shape
+from twinct.measured.orientation import PanelPlacement, placed
 from twinct.measured.sources import description_of, is_measured
-from twinct.measured.views import ImageFacts, StatedViews
+from twinct.measured.stack import open_stack
 from twinct.observers import Audience, Observers, audience_of
 from twinct.recon.field_of_view import grid_of
 from twinct.runs import Folder
@@ -84,8 +85,9 @@ def import_measured(
     folder = Folder(Path(out))
     folder.refuse_others()
     folder.refuse_if_taken(resumes=False)
-    images = corrections(description.images)
-    placement, views = _placed(description, images)
+    stack = open_stack(description.images, "images")
+    placement = placed(description, stack)
+    images = corrections(description.images, stack, FreeBeam(placement))
     geometry = placement.geometry[:: description.images.every]
     _check_views(description, placement.geometry, geometry)
     settings = _settings(description, geometry)
@@ -108,11 +110,12 @@ def import_measured(
         # The scan comes last: without it, an import that was cut short can be repeated.
         draft = stack.enter_context(complete(folder.scan))
         looks = Looks(images)
-        doubts = Doubts(description, images, looks)
+        doubts = Doubts(description, images, geometry, looks)
         store = ScanStore.create_imported(draft, taken, bad)
         _write_views(store, placement, doubts, audience)
         folder.write_scenario(settings)
         show(partial(draw_imported, store.read(), placement, looks), SIZE_IN, folder.imported)
+    views = placement.views
     notes = *_notes_of_images(images, geometry, looks), *views.notes
     sentences = *notes, *_notes_of_grid(settings), *looks.table
     return ImportedScan(folder.path, settings, sentences, (*views.doubts, *doubts.sentences))
@@ -135,16 +138,6 @@ def _remove_unfinished(folder: Folder) -> None:
 def _remove_empty(path: Path) -> None:
     with suppress(OSError):  # it has files
         path.rmdir()
-
-
-def _placed(description: Measured, images: Corrections) -> tuple[PanelPlacement, StatedViews]:
-    """Return the way of the images to the panel, and the views as stated."""
-    section, stack = description.images, images.stack
-    rows, columns = turned_shape(section, stack.shape)
-    as_stored = not (section.transpose or section.turn_deg)
-    stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
-    views = description.views(ImageFacts(stack.count, rows, columns, *stated))
-    return PanelPlacement(section, views), views
 
 
 def _check_views(description: Measured, stored: ScanGeometry, used: ScanGeometry) -> None:
@@ -210,7 +203,7 @@ def _write_views(
         for view in range(store.views):
             corrected = images.transmission(view * every)
             doubts.looks.add(view * every, corrected)
-            doubts.add(corrected.image)
+            doubts.add(view * every, corrected)
             store.write(view, placement.image(corrected.image).astype(np.float32))
             step()
 
@@ -244,9 +237,14 @@ def _notes_of_images(images: Corrections, geometry: ScanGeometry, looks: Looks) 
             f"most {100 * np.abs(off).max():.2g} %, from the mean of {len(geometry)} views and a "
             f"median of {section.rings.width} pixels along the rows (Boin and Haibel 2006)"
         )
-    if section.air is not None:
+    if images.scaled:
         low, high = min(looks.scales), max(looks.scales)
         notes.append(f"air: {low:.4g} to {high:.4g}, scaled to 1 in each view")
+    if images.falls:
+        notes.append(
+            f"air: divided by the beam's fall-off, from 1 to {images.least_beam:.4g}, as the "
+            "geometry states it"
+        )
     return notes
 
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.geometry import ScanGeometry
-from twinct.measured.description import Images
-from twinct.measured.views import StatedViews, cut
+from twinct.measured.description import Images, Measured
+from twinct.measured.stack import Stack
+from twinct.measured.views import ImageFacts, StatedViews, cut
 
 Numbers = TypeVar("Numbers", bound=np.generic)
 
@@ -81,6 +82,14 @@ class PanelPlacement:
         blocks = image[: rows * by, : columns * by].reshape(rows, by, columns, by)
         return blocks.mean(axis=(1, 3))
 
+    def stored(self, panel: NDArray[Numbers]) -> NDArray[Numbers]:
+        """Return an image of the whole panel, (rows, columns), as it would be stored."""
+        section = self.section
+        image = panel[:, ::-1] if self.views.flip_columns != section.flip_columns else panel
+        image = image[::-1] if self.views.flip_rows != section.flip_rows else image
+        image = np.rot90(image, -section.turn_deg // 90)
+        return image.T if section.transpose else image
+
     def mask(self, stored: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a map of bad pixels on the panel: a block is bad if most of it is."""
         return self.image(stored.astype(np.float64)) > 0.5
@@ -91,3 +100,18 @@ class PanelPlacement:
         image = image[crop.top : rows - crop.bottom, crop.left : columns - crop.right]
         image = image[::-1] if self.views.flip_rows else image
         return image[:, ::-1] if self.views.flip_columns else image
+
+
+def placed(description: Measured, stack: Stack) -> PanelPlacement:
+    """Return the way of stored images to the panel that the description states.
+
+    Raises:
+        InputError: the geometry cannot be read, or does not fit the images.
+    """
+    section = description.images
+    rows, columns = turned_shape(section, stack.shape)
+    as_stored = not (section.transpose or section.turn_deg)
+    stated = (stack.spacing, stack.first_pixel) if as_stored else (None, None)
+    return PanelPlacement(
+        section, description.views(ImageFacts(stack.count, rows, columns, *stated))
+    )

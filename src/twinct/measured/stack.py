@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from twinct.measured.hdf5_images import open_hdf5
 from twinct.measured.numbers import MOST_BYTES, array_name
 from twinct.measured.zarr_images import open_zarr
 
+if TYPE_CHECKING:
+    from twinct.core.files.plain_tiff import PlainTiff
+
 Image = NDArray[Any]
 
 _TIFF = (".tif", ".tiff")
@@ -39,6 +43,9 @@ NO_ZEISS = (
     "state distances, pitch and angles as kind: circle in a YAML file (docs/measured_files.md)"
 )
 """Reason: no real file is public with which a reader, and its sense of rotation, can be tested."""
+
+MOST_GAP = 1000
+"""Largest number of missing files in a row that are listed."""
 
 IMAGE_FACTOR = 160
 """Bytes in memory per pixel while an image is corrected, between its neighbours: 20 images in
@@ -59,6 +66,7 @@ class Stack:
         first_pixel: place of pixel (0, 0) on the panel that the file states, mm, or None.
         exchangeable: True for an array, whose axes may be named in another order.
         notes: sentences on files that are no images of this stack.
+        missing: numbers that are missing among those of the files' names.
     """
 
     where: str
@@ -70,6 +78,7 @@ class Stack:
     first_pixel: tuple[float, float] | None = None
     exchangeable: bool = False
     notes: tuple[str, ...] = ()
+    missing: tuple[int, ...] = ()
 
 
 def open_stack(section: Files, key: str) -> Stack:
@@ -92,7 +101,7 @@ def open_stack(section: Files, key: str) -> Stack:
         else:
             files, notes = _images_of(path, _files(path, key))
             stack = _stack_of(path, files, section, key)
-            stack = replace(stack, notes=(*notes, *stack.notes))
+            stack = replace(stack, notes=(*notes, *stack.notes), missing=_missing(files))
         return _bounded(stack, sum(file.stat().st_size for file in files))
 
 
@@ -126,7 +135,7 @@ def _stack_of(path: Path, files: Sequence[Path], section: Files, key: str) -> St
     if suffix in _RAW:
         return _raw(files, section, key)
     if suffix in _TIFF:
-        return _joined(files, [_tiff(file) for file in files])
+        return _joined(files, list(_tiffs(files)))
     if suffix in _DICOM:
         return _dicom(files, section, key)
     if suffix == ".npy":
@@ -176,6 +185,22 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     """Return a key that sorts 2 before 10."""
     parts = ((whole_number(part), part) for part in re.split(r"([0-9]{1,18})", path.name))
     return [(-1, text) if number is None else (number, "") for number, text in parts]
+
+
+def _missing(files: Sequence[Path]) -> tuple[int, ...]:
+    """Return the numbers that are missing among those at the end of the names of files."""
+    found = [re.findall(r"[0-9]{1,15}", file.stem) for file in files]
+    if len(files) < 3 or not all(found):
+        return ()
+    numbers = [int(one[-1]) for one in found]
+    steps = [b - a for a, b in zip(numbers, numbers[1:], strict=False)]
+    usual = sorted(steps)[len(steps) // 2]
+    # Numbers that are no counts, such as fractions of degrees, have other steps.
+    if min(steps) < 1 or any(step % usual for step in steps):
+        return ()
+    gaps = zip(numbers, steps, strict=False)
+    few = [at + usual * i for at, step in gaps for i in range(1, min(step // usual, MOST_GAP))]
+    return tuple(few)
 
 
 def _joined(files: Sequence[Path], stacks: Sequence[Stack]) -> Stack:
@@ -281,6 +306,31 @@ def _raw(files: Sequence[Path], section: Files, key: str) -> Stack:
 
         stacks.append(Stack(str(file), octets // size, (rows, columns), dtype, image))
     return _joined(files, stacks)
+
+
+def _tiffs(files: Sequence[Path]) -> Iterator[Stack]:
+    """Yield the images of TIFF files; of many alike, only the first is read tag by tag."""
+    import tifffile
+
+    from twinct.core.files.plain_tiff import plain_tiff
+
+    first = _tiff(files[0])
+    yield first
+    layout = None
+    if len(files) > 1:
+        with library_errors(f"{files[0]}"), tifffile.TiffFile(files[0]) as file:
+            layout = plain_tiff(file, files[0])
+    for path in files[1:]:
+        if layout is not None and layout.fits(path):
+            image = partial(_plain_image, layout, path)
+            yield Stack(str(path), 1, first.shape, first.dtype, image)
+        else:
+            yield _tiff(path)
+
+
+def _plain_image(layout: PlainTiff, path: Path, index: int) -> Image:
+    with library_errors(f"{path}"):
+        return layout.image(path)
 
 
 def _tiff(path: Path) -> Stack:

@@ -309,9 +309,9 @@ class Ctsimu(Section):
         Raises:
             InputError: the file does not hold them, or they do not fit the images.
         """
-        from twinct.ctsimu import load_ctsimu
+        from twinct.ctsimu.scenario import known_geometry
 
-        geometry: ScanGeometry = load_ctsimu(self.path).geometry(believed=True)
+        geometry: ScanGeometry = known_geometry(self.path)
         facts.require(f"{self.path}", len(geometry), geometry.panel)
         note = f"{self.path.name}: {len(geometry)} views of a CTSimU scenario, as known, mm"
         return StatedViews(geometry, flip_rows=True, notes=(note,))
