@@ -36,7 +36,7 @@ STOPPED = 0.3
 
 def main() -> None:
     """Make the scans that are missing, and print the figures of all."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", maxsplit=1)[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--first", type=int, default=TUNING, help="first seed")
     parser.add_argument("--scans", type=int, default=20)

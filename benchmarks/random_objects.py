@@ -109,7 +109,8 @@ def ellipsoid(centre, half, turn=None, value=1.0, *, only_within=False) -> Solid
     matrix = (turn / half).T.astype(np.float32)
 
     def rule(x, y, z):
-        return sum((m[0] * x + m[1] * y + m[2] * z) ** 2 for m in matrix) - 1
+        squares = [(m[0] * x + m[1] * y + m[2] * z) ** 2 for m in matrix]
+        return squares[0] + squares[1] + squares[2] - 1
 
     return Solid(np.asarray(centre, float), float(half.max()), rule, value, only_within)
 
@@ -213,7 +214,7 @@ def helix(rng) -> list[Solid]:
     solids: list[Solid] = []
     if screw:
         ends = turn @ [0, 0, -half], turn @ [0, 0, half]
-        solids.append(cylinder(*ends, radius * rng.uniform(0.85, 0.95)))
+        solids.append(cylinder(ends[0], ends[1], radius * rng.uniform(0.85, 0.95)))
         solids.append(cylinder(ends[1], turn @ [0, 0, half + 0.15], min(radius * 1.6, 0.6)))
     number = int(60 * turns)
     for start in range(starts):
@@ -243,7 +244,7 @@ def board(rng) -> list[Solid]:
     for _ in range(int(rng.integers(4, 20))):
         place, size = at(0), rng.uniform(0.02, 0.06)
         ends = [turn @ (place + [0, 0, z]) for z in (-thick * 1.2, thick * 1.2)]
-        solids += [cylinder(*ends, size * 1.6), cylinder(*ends, size, 0.0)]
+        solids += [cylinder(ends[0], ends[1], size * 1.6), cylinder(ends[0], ends[1], size, 0.0)]
     for _ in range(int(rng.integers(1, 4))):
         place, half = at(thick * 2.6), rng.uniform(0.1, 0.22, size=2)
         solids.append(box(turn @ place, [*half, thick], turn, chip))
@@ -284,7 +285,7 @@ def composite(rng) -> list[Solid]:
         direction /= np.linalg.norm(direction)
         length, radius = rng.uniform(0.3, 0.9), rng.uniform(0.015, 0.05)
         ends = [turn @ (place + sign * direction * length / 2) for sign in (-1, 1)]
-        solids.append(cylinder(*ends, radius, 1.0, only_within=True))
+        solids.append(cylinder(ends[0], ends[1], radius, 1.0, only_within=True))
     crack = [half[0] * rng.uniform(0.3, 0.9), half[1] * rng.uniform(0.3, 0.9), 0.012]
     place = turn @ (rng.uniform(-0.5, 0.5, size=3) * half)
     solids.append(box(place, crack, turn, 0.0, only_within=True))
@@ -321,9 +322,9 @@ def casting(rng) -> list[Solid]:
         far = half + rng.uniform(0.05, 0.25)
         ends = [turn @ (place + sign * direction * far) for sign in (-1, 1)]
         radius = rng.uniform(0.1, 0.25)
-        solids.append(cylinder(*ends, radius))
+        solids.append(cylinder(ends[0], ends[1], radius))
         if rng.uniform() < 0.7:
-            solids.append(cylinder(*[1.05 * np.array(e) for e in ends], radius * 0.55, 0.0))
+            solids.append(cylinder(1.05 * ends[0], 1.05 * ends[1], radius * 0.55, 0.0))
     _, radii = _apart(rng, int(rng.integers(10, 80)), lambda: rng.lognormal(-3.6, 0.4))
     for radius in radii:
         place = turn @ (rng.uniform(-0.95, 0.95, size=3) * half)

@@ -35,7 +35,7 @@ SWEEPS = {
 
 def main() -> None:
     """Sweep."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", maxsplit=1)[0])
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--scans", type=int, default=19)
     parser.add_argument("--voxels", type=int, default=48)
