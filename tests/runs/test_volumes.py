@@ -259,17 +259,17 @@ def test_progress_ends_at_its_total_though_there_are_fewer_levels(scan, monkeypa
     monkeypatch.setattr(audience, "LAST_WORDS_S", HANG_S)
     reconstruct(scan(), algorithm="fast", levels=3, observers=[heard.append])
     (ended,) = (event for event in heard if isinstance(event, StageEnded))
-    assert ended.done == ended.total == 12 * (4 + 2 * 3)
+    assert ended.done == ended.total == 12 * (4 + 2 + 1) + 4 * 10
 
 
 def test_progress_ends_at_its_total_though_there_are_more_passes(scan, monkeypatch):
-    """Twelve views are few for 48 voxels along an axis: six passes, where four were expected."""
+    """Four passes of ten subsets are expected at full resolution."""
     heard = []
     monkeypatch.setattr(audience, "LAST_WORDS_S", HANG_S)
     fine = scan(grid={"voxels": 48, "voxel_mm": 2.5})
     reconstruct(fine, algorithm="fast", levels=1, observers=[heard.append])
     (ended,) = (event for event in heard if isinstance(event, StageEnded))
-    assert ended.done == ended.total == 12 * 4
+    assert ended.done == ended.total == 12 + 4 * 10
 
 
 def test_progress_counts_the_updates_of_fast_that_show_the_best_pass(scan, monkeypatch):
@@ -282,7 +282,7 @@ def test_progress_counts_the_updates_of_fast_that_show_the_best_pass(scan, monke
     reconstruct(stops, observers=[Observer(heard.append, lossless=True)])
     first = next(n for n, event in enumerate(heard) if isinstance(event, IterationDone))
     steps = [event.done for event in heard[:first] if isinstance(event, StageStep)]
-    expected = 12 * (4 + 2 * 3)
+    expected = 12 * (4 + 2 + 1) + 4 * 10
     assert len(prepared) > 12
     assert steps[-1] == expected + 12
     (ended,) = (event for event in heard if isinstance(event, StageEnded))
@@ -311,25 +311,6 @@ def test_an_object_beyond_the_grid_is_named_with_its_cure(scan, caplog):
     reconstruct(scan(**slab, surroundings={"margin_mm": 60, "voxel_mm": 10, "iterations": 1}))
     reconstruct(scan())
     assert "beyond the grid" not in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("radius_mm", "keys", "is_named"),
-    [
-        (6.0, {"algorithm": "fast"}, True),
-        (6.0, {"stop": "auto"}, True),
-        (6.0, {}, False),
-        (18.0, {"algorithm": "fast"}, False),
-        (18.0, {"stop": "auto"}, True),
-        (40.0, {"stop": "auto"}, False),
-        (40.0, {"algorithm": "fast"}, False),
-    ],
-)
-def test_parts_that_are_too_thin_for_fast_are_named(scan, caplog, radius_mm, keys, is_named):
-    """Balls in voxels of 5 mm, and a third of their diameter thick; ``sart`` alone has no limit."""
-    volume = reconstruct(scan(radius_mm), **keys)
-    named = [one for one in volume.extras.get("warnings", []) if "voxels thick" in one]
-    assert bool(named) == ("voxels thick" in caplog.text) == is_named
 
 
 def moved(geometry, millimetres):
