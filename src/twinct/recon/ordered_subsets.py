@@ -26,7 +26,7 @@ from twinct.recon.fista import LEAST_WEIGHT, Descent, Variation
 from twinct.recon.levels import Level
 from twinct.recon.order import subsets_of
 from twinct.recon.projector import Projector
-from twinct.recon.ray_weights import RayWeights
+from twinct.recon.ray_weights import RayWeights, twice_as_large
 from twinct.recon.resolution import interpolated
 from twinct.recon.steps import sum_of_squares
 
@@ -58,7 +58,7 @@ class Minimiser:
         A = level.A
         self.level, self.weights, self.change = level, weights, math.inf
         self._views = subsets_of(A.geometry, min(SUBSETS, len(A)))
-        curvature = self._curvature_of(A.on(A.grid.with_voxels(2 * A.grid.voxel)))
+        curvature = self._curvature_of(A.on(twice_as_large(A.grid)))
         seen = curvature[curvature > 0]
         self.mean = float(seen.mean(dtype=np.float64)) if seen.size else 1.0
         del seen

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.geometry import VolumeGrid
 from twinct.recon.air import DARKEST, KnownNoise
 from twinct.recon.checks import mask_of, masked_image
 from twinct.recon.engine import Singles
@@ -99,11 +100,17 @@ def error_of_model(A: Projector, x: Singles) -> float:
         x: volume, (z, y, x).
     """
     part = A[some_views(len(A))]
-    larger = A.grid.with_voxels(2 * A.grid.voxel)
-    coarse = part.on(larger, part.geometry.binned(2, 2))
-    images, _ = binned(part(x), None, (2, 2))
+    larger = twice_as_large(A.grid)
+    rows, columns = (min(2, number) for number in A.range_shape[1:])
+    coarse = part.on(larger, part.geometry.binned(rows, columns))
+    images, _ = binned(part(x), None, (rows, columns))
     images -= coarse(interpolated(x, A.grid, larger))
     return OF_COARSER * float(np.mean(np.square(images, out=images), dtype=np.float64))
+
+
+def twice_as_large(grid: VolumeGrid) -> VolumeGrid:
+    """Return a grid of voxels twice as large along each axis that has at least four of them."""
+    return grid.with_voxels(grid.voxel * np.where(np.array(grid.shape_xyz) < 4, 1, 2))
 
 
 def some_views(views: int) -> list[int]:
