@@ -38,13 +38,10 @@ def bodies(circle, ellipsoid_integrals):
 
 
 def test_no_key_of_another_algorithm_is_taken_over():
-    """A scenario that a run wrote has all keys of its algorithm: their defaults are not these.
-
-    But for ``regularisation``, which means the same for all.
-    """
+    """A scenario that a run wrote has all keys of its algorithm: their defaults are not these."""
     for other in {*BUILT_IN} - {"fast"}:
         shared = {*BUILT_IN[other].settings.model_fields} & {*Fast.model_fields}
-        assert shared - {"regularisation"} == {"algorithm"}
+        assert shared == {"algorithm"}
 
 
 def test_it_beats_sart_at_its_best_iteration(bodies):
@@ -165,16 +162,16 @@ def test_noise_and_thin_parts_are_told_apart(plates):
     A, clean, truth = plates
     p = noisy(clean)
     error = np.square(fast(A, p).array - truth).mean()
-    assert error < 1.05 * np.square(fast(A, p, regularisation=0).array - truth).mean()
+    assert error < 1.05 * np.square(fast(A, p, strength=0).array - truth).mean()
 
 
 def test_predictions_hold_what_lies_around_the_grid(bodies):
     A, p, _ = bodies
     views = [0, 20, 40]
-    volume = fast(A, p, regularisation=0, predicted_views=views)
+    volume = fast(A, p, strength=0, predicted_views=views)
     predicted, alone = volume.extras["predicted"], A[views](volume.array)
     rest, without = (
         np.linalg.norm(p[views] - q) / np.linalg.norm(p[views]) for q in (predicted, alone)
     )
     assert rest < AROUND_LEFT < 5 * AROUND_LEFT < without
-    assert "predicted" not in fast(A, p, regularisation=0).extras
+    assert "predicted" not in fast(A, p, strength=0).extras

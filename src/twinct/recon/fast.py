@@ -82,7 +82,7 @@ class Fast(AlgorithmSettings):
         le=6,
         description="Number of resolutions; each halves the voxels and pixels of the one before.",
     )
-    regularisation: NonNegative | None = Field(
+    strength: NonNegative | None = Field(
         default=None,
         description="Strength of the total variation, as in fista_tv: borders of this height "
         "(in the unit of the volume) around parts of this radius (in mm) vanish where the product "
@@ -108,7 +108,7 @@ def fast(
     passes: int = PASSES,
     tolerance: float = TOLERANCE,
     levels: int = LEVELS,
-    regularisation: float | None = None,
+    strength: float | None = None,
     margin: float | None = None,
     nonnegative: bool = True,
     mask: ArrayLike | None = None,
@@ -126,7 +126,7 @@ def fast(
         passes: most passes at full resolution, at least 1, after one of SART.
         tolerance: they end when one changes the volume by less than this share.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
-        regularisation: strength of the total variation, as in ``fista_tv``; by default, left-out
+        strength: ``regularisation`` of ``fista_tv``; by default, left-out
             views find it.
         margin: margin of the coarse grids on each side, as a share of the grid's size along each
             axis; by default ``usual_margin``.
@@ -155,8 +155,8 @@ def fast(
     levels = checks.count("levels", levels)
     if margin is not None:
         margin = checks.not_negative("margin", margin)
-    if regularisation is not None:
-        regularisation = checks.not_negative("regularisation", regularisation)
+    if strength is not None:
+        strength = checks.not_negative("strength", strength)
     checks.done()
     require_memory(FAST, A)
     factors = _factors(A.domain_shape, A.range_shape[1:], levels)
@@ -165,7 +165,7 @@ def fast(
         log.info("margin of the coarse grids: %g of the grid's size on each side", margin)
     floor = 0.0 if nonnegative else LOWEST
     noise = noise_in_air(p, pixels, known)
-    scan = _Scan(A, p, pixels, noise, margin, floor, passes, tolerance, regularisation)
+    scan = _Scan(A, p, pixels, noise, margin, floor, passes, tolerance, strength)
     level, x, extras = scan.solved(deque(factors), callback)
     whole = level.A.grid.shape == A.grid.shape
     if len(predicted_views) and whole:
@@ -186,7 +186,7 @@ class _Scan:
     floor: float
     passes: int
     tolerance: float
-    regularisation: float | None
+    strength: float | None
 
     def solved(
         self, factors: deque[int], callback: Callback | None
@@ -212,7 +212,7 @@ class _Scan:
                 done += 1
             x = work.array
             del work  # frees the card
-            if factor == 2 and self.regularisation is None:
+            if factor == 2 and self.strength is None:
                 trial = tried(level, x, self._weights(level, x, factor), self.floor)
                 found = trial and trial.factor
             if not factors:
@@ -231,10 +231,10 @@ class _Scan:
         """Return the level, the minimised volume, and the extras; ``found`` is that of a trial."""
         minimiser = Minimiser(level, x, self._weights(level, x, 1), self.floor)
         del x
-        if self.regularisation is None:
+        if self.strength is None:
             minimiser.strength = Forces.of(minimiser).strength(1.0 if found is None else found)
         else:
-            minimiser.strength = self.regularisation
+            minimiser.strength = self.strength
         count = done
 
         def notify(square: float, rays: int, x: Singles) -> bool:
@@ -250,7 +250,7 @@ class _Scan:
             stopped = minimiser.one_pass(notify if listener.wanted else None)
             passes += 1
         extras: dict[str, Any] = {"passes": passes, "change": minimiser.change}
-        if self.regularisation is None:
+        if self.strength is None:
             source = None if self.noise is None else self.noise.source
             known = {"from": source, "factor": found}
             extras["regularisation"] = {"strength": minimiser.strength, **known}
