@@ -17,6 +17,7 @@ The updates at full resolution end when a pass changes the volume by less than a
 from __future__ import annotations
 
 import logging
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -126,8 +127,7 @@ def fast(
         passes: most passes at full resolution, at least 1, after one of SART.
         tolerance: they end when one changes the volume by less than this share.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
-        strength: ``regularisation`` of ``fista_tv``; by default, left-out
-            views find it.
+        strength: as ``regularisation`` of ``fista_tv``; by default, left-out views find it.
         margin: margin of the coarse grids on each side, as a share of the grid's size along each
             axis; by default ``usual_margin``.
         nonnegative: x >= 0.
@@ -249,7 +249,12 @@ class _Scan:
                 break
             stopped = minimiser.one_pass(notify if listener.wanted else None)
             passes += 1
-        extras: dict[str, Any] = {"passes": passes, "change": minimiser.change}
+        change = minimiser.change
+        extras: dict[str, Any] = {"passes": passes}
+        if math.isfinite(change):
+            extras["change"] = change
+            short = "" if change < self.tolerance else ", so it is not at its minimum yet"
+            log.info("pass %d changed the volume by %.2g %%%s", passes, 100 * change, short)
         if self.strength is None:
             source = None if self.noise is None else self.noise.source
             known = {"from": source, "factor": found}

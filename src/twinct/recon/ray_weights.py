@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.geometry import VolumeGrid
-from twinct.recon.air import DARKEST, KnownNoise
+from twinct.recon.air import DARKEST
 from twinct.recon.checks import mask_of, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.levels import Level
@@ -51,11 +51,6 @@ class RayWeights:
 
     noise: NDArray[np.float64]
     model: float
-
-    @classmethod
-    def of(cls, noise: KnownNoise | None, views: int, model: float) -> RayWeights:
-        """Return the weights for a noise, if it is known."""
-        return cls(np.zeros(views) if noise is None else noise.in_air**2, model)
 
     def of_level(self, level: Level, view: int) -> Singles:
         """Return the weights of a view's rays, (rows, columns); 0 where a pixel does not count."""

@@ -109,6 +109,7 @@ def tried(level: Level, x: Singles, weights: RayWeights, floor: float) -> Trial 
     """
     A = level.A
     if len(A) < FEWEST_VIEWS:
+        log.info("%d views are too few to leave any out: factor 1", len(A))
         return None
     out = sorted(subsets_of(A.geometry, PARTS)[0])
     used = sorted(set(range(len(A))) - set(out))

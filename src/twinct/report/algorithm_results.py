@@ -8,6 +8,7 @@ from typing import Any
 ALGORITHM_RESULTS = (
     "implants",
     "passes",
+    "change",
     "metal_voxels",
     "metal_density_rel",
     "metal_thin_voxels",
@@ -30,6 +31,8 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
     words: list[str] = []
     if "passes" in data:
         words.append("1 pass" if data["passes"] == 1 else f"{data['passes']} passes")
+    if "change" in data:
+        words.append(f"the last of which changed it by {100 * data['change']:.2g} %")
     if "metal_voxels" in data:
         words.append(f"{data['metal_voxels'] or 'no'} metal voxels")
     if density := data.get("metal_density_rel"):
@@ -49,5 +52,7 @@ def with_results(in_words: str, data: Mapping[str, Any]) -> str:
         words.append(f"regularisation {strength['strength']:.2g}, {why}")
         if strength.get("factor"):
             words[-1] += f" and left-out views (factor {strength['factor']:.2g})"
+        else:
+            words[-1] += ", without a trial on left-out views"
     words += [f"warning: {one}" for one in data.get("warnings", ())]
     return f"{in_words}: {', '.join(words)}" if words else in_words
