@@ -6,7 +6,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray
-from waiting import HANG_S, until
+from waiting import AGAIN_S, HANG_S, happens, until
 
 from twinct.core.errors import LinkError
 from twinct.link import RosRig, messages
@@ -105,14 +105,22 @@ def test_a_second_publisher_ends_the_scan_by_name_and_with_no_wrong_data(
         reached, true = rig.move(0, targets[0]), local.move(0, targets[0])
         assert (reached.executed, reached.time_s) == (true.executed, true.time_s)
         assert rig.expose(0).tobytes() == local.expose(0).tobytes()
-        stranger = foreign(rig.domain_id)
-        out = stranger.node.create_publisher(topic.message_class, topic.name, LATCHED)
-        stranger.until(out.get_subscription_count)
-        until(
-            lambda: rig._station.names_on(topic, lambda who: who != rig._station.participant).count(
-                NAME
-            )
-        )
+        publishing = rig._station.names_on
+
+        def named():
+            return NAME in publishing(topic, lambda who: who != rig._station.participant)
+
+        def joins():
+            stranger = foreign(rig.domain_id)
+            out = stranger.node.create_publisher(topic.message_class, topic.name, LATCHED)
+            stranger.until(out.get_subscription_count)
+            return stranger
+
+        stranger = joins()
+        while not happens(named, AGAIN_S):
+            # On a busy machine, Fast DDS may lose a node's name for good (its issue 6117).
+            stranger.close()
+            stranger = joins()
         words = f"a node '{NAME}', which is not part of this scan, publishes on {topic}: end it"
         with pytest.raises(LinkError, match=words):
             rig.move(1, targets[1])

@@ -153,8 +153,8 @@ def test_every_wrong_argument_is_named(name, scan):
         extra |= {"regularisation": -1.0, "weights": -np.ones_like(p), "huber": 0.0}
         names += ["regularisation is -1.0", "weights must be 0 or more", "huber is 0.0"]
     if name == "fast":
-        extra |= {"passes": 0, "levels": 0, "margin": -1.0, "regularisation": np.nan}
-        names += ["passes is 0", "levels is 0", "margin is -1.0", "regularisation is nan"]
+        extra |= {"passes": 0, "levels": 0, "margin": -1.0, "strength": np.nan}
+        names += ["passes is 0", "levels is 0", "margin is -1.0", "strength is nan"]
     if name == "fdk":
         extra["window"] = "blackman"
         names.append("window is 'blackman'")
