@@ -7,7 +7,7 @@ right skull base. ``twinct plan`` seeks a sinusoid (``task.family``, all of whos
 the default cell hold) whose volume, of images of a prior that is off by 2 mm and 2 deg, has the
 least error there (``task.trying``), with 40 views. Beside it the planar arc of 210 deg, at the best
 of four places about the head; the paper's path; views spread evenly and drawn at random among the
-candidates within reach. 20, 40, 80 and 160 views, images as by a gantry, ``fista_tv`` with passes
+candidates within reach. 20, 40, 80 and 160 views, images as by a gantry, ``fast`` with passes
 enough to converge and the regularisation that is best for the arc with as many views. The place of
 the arc, the regularisation and the plan are chosen with a seed of their own; noise and random views
 are of the others.
@@ -53,7 +53,7 @@ CENTRES_DEG = (0, 90, 180, 270)
 LOWERS, SHARE = 0.1, 0.45
 KEYS = [
     "detector={columns: 120, rows: 90, pixel_pitch_mm: 2.667, noise: {kind: quantum}}",
-    "reconstruction={algorithm: fista_tv, iterations: 10, grid: {voxels: 96, voxel_mm: 1.65}}",
+    "reconstruction={algorithm: fast, passes: 10, grid: {voxels: 96, voxel_mm: 1.65}}",
 ]
 # Where arms stand and how they move are the defaults, not the paper's.
 ARMS = ["cell={kind: arms}", "motion={detector_roll: free, trigger: settled}"]
@@ -168,9 +168,7 @@ class Bench:
         (self.folder / "scans").mkdir(exist_ok=True)
         store = self.folder / "scans" / f"{path.replace(' ', '_')}-{views}-{seed}.zarr"
         scan = acquire_to_store(builder, store, local_rig, resume=True).read()
-        volume = reconstruct(
-            scan, algorithm="fista_tv", iterations=PASSES[views], regularisation=strength
-        ).array
+        volume = reconstruct(scan, algorithm="fast", passes=PASSES[views], strength=strength).array
         off = volume[self.region].astype(float) - self.truth[self.region]
         found = float(np.sqrt(np.mean(off**2))) / self.mu
         with self.log.open("a") as stream:

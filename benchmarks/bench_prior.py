@@ -142,22 +142,26 @@ def main() -> None:
     kept = options.out / "found.json"
     found: dict[str, dict[str, float]] = json.loads(kept.read_text()) if kept.exists() else {}
     ways = [
-        *(("fista_tv", rounds, 0.0) for rounds in (1, 4)),
-        *(("prior_tv", 4, share) for share in options.shares),
+        ("fast", 0.0),
+        *(("prior_tv", share) for share in options.shares),
     ]
-    for algorithm, rounds, share in ways:
+    for algorithm, share in ways:
         for strength in options.strengths:
-            name = f"{algorithm} {share:g} {strength:g} {options.iterations} {rounds}"
+            name = f"{algorithm} {share:g} {strength:g} {options.iterations}"
             if name not in found:
-                keys: dict[str, Any] = {"prior": {"path": str(file), "share": share}}
+                keys: dict[str, Any] = {"passes": options.iterations, "strength": strength}
+                if algorithm == "prior_tv":
+                    keys = {
+                        "iterations": options.iterations,
+                        "rounds": 4,
+                        "regularisation": strength,
+                        "prior": {"path": str(file), "share": share},
+                    }
                 volume = reconstruct(
                     scan,
                     algorithm=algorithm,
-                    iterations=options.iterations,
-                    rounds=rounds,
-                    regularisation=strength,
                     surroundings=SURROUNDINGS,
-                    **(keys if algorithm == "prior_tv" else {}),
+                    **keys,
                 )
                 found[name] = judge(volume.array) | {"strength": strength}
                 if "world_from_prior" in volume.extras:
@@ -169,7 +173,7 @@ def main() -> None:
             (one for name, one in found.items() if name.startswith(algorithm)),
             key=lambda one: one["near_bone"],
         )
-        for algorithm in ("fista_tv", "prior_tv")
+        for algorithm in ("fast", "prior_tv")
     )
     print(f"without a prior, regularisation {plain['strength']:g}: {words(plain)}")
     print(f"with it, regularisation {ours['strength']:g}: {words(ours)}")

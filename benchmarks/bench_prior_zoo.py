@@ -8,8 +8,8 @@ by 1 mm and turned by 1 degree; and now with few views and a change: a lesion, a
 resection. Pixels and voxels of the earlier scan are half as large, and a pixel has a quarter of the
 photons. Its volume, by ``fast``, is the prior, which ``prior_tv`` registers itself. With ``--poor``
 it has 120 views in pixels and voxels as large as those of now. Errors are
-those of the zoo, near the object as it is now. ``fista_tv`` has the best of its strengths, chosen
-by the truth, and rounds of 1 and 4. The contrast is that of the change's core, two voxels within
+those of the zoo, near the object as it is now. ``fast`` has the best of its strengths, chosen
+by the truth. The contrast is that of the change's core, two voxels within
 its border, of the truth's; it is judged where the core is at least 10 voxels wide with its border
 and the change exceeds five times the noise of the volume without a prior. With ``--perfect`` the
 prior is the earlier scan's truth in its voxels: the bound of any prior.
@@ -28,11 +28,11 @@ from scipy.spatial.transform import Rotation
 from zoo_scans import Case, Made
 from zoo_shapes import BOX
 
-from twinct.recon import Projector, fast, fista_tv, prior_tv
+from twinct.recon import Projector, fast, prior_tv
 from twinct.recon.volume import Volume
 
 STRENGTHS = tuple(1e-4 * 3.0**k for k in range(-3, 4))
-"""Regularisations of ``fista_tv``; the search goes on while they help."""
+"""Strengths of ``fast`` without a prior; the search goes on while they help."""
 ITERATIONS = 24
 MOVED_MM, TURNED_DEG = (0.6, -0.5, 0.62), (0.5, -0.6, 0.62)
 EARLIER_VIEWS, FINER = 400, 2
@@ -152,24 +152,21 @@ class Judge:
 
 
 def best_plain(now, judge):
-    """The best of ``fista_tv``: from the middle strength on, as long as the error falls."""
+    """The best of ``fast``: from the middle strength on, as long as the error falls."""
     found = {}
 
-    def error(k, rounds):
-        if (k, rounds) not in found:
-            keys = {"iterations": ITERATIONS, "rounds": rounds, "regularisation": STRENGTHS[k]}
-            volume = fista_tv(now.A, now.p, **keys).array
-            found[k, rounds] = now.error(volume), judge.contrast(volume), judge.noise(volume)
-        return found[k, rounds][0]
+    def error(k):
+        if k not in found:
+            volume = fast(now.A, now.p, passes=ITERATIONS, strength=STRENGTHS[k]).array
+            found[k] = now.error(volume), judge.contrast(volume), judge.noise(volume)
+        return found[k][0]
 
     k = len(STRENGTHS) // 2
     for way in (-1, 1):
-        while 0 <= k + way < len(STRENGTHS) and error(k + way, 1) < error(k, 1):
+        while 0 <= k + way < len(STRENGTHS) and error(k + way) < error(k):
             k += way
-    while k < len(STRENGTHS) and error(k, 4) == min(found.values())[0]:
-        k += 1  # several rounds take more
-    (k, rounds), (least, contrast, noise) = min(found.items(), key=lambda one: one[1][0])
-    told = {"error": least, "contrast": contrast, "noise": noise, "rounds": rounds}
+    k, (least, contrast, noise) = min(found.items(), key=lambda one: one[1][0])
+    told = {"error": least, "contrast": contrast, "noise": noise}
     return told | {"strength": STRENGTHS[k]}
 
 
@@ -231,8 +228,8 @@ def main():
                 contrasts.append(ours["contrast"])
                 told = f"{100 * ours['contrast']:.0f} %"
             print(
-                f"{key}: prior_tv {ours['error']:.2f} %, fista_tv {plain['error']:.2f} % "
-                f"({plain['strength']:.2g}, {plain['rounds']} rounds): {ratios[-1]:.2f} x; "
+                f"{key}: prior_tv {ours['error']:.2f} %, fast {plain['error']:.2f} % "
+                f"({plain['strength']:.2g}): {ratios[-1]:.2f} x; "
                 f"contrast {told}; share {ours['share']:g}, residual of left-out views "
                 f"{ours['left out']:.3f} x",
                 flush=True,

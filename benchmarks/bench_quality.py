@@ -25,13 +25,13 @@ from twinct.recon import (
     Projector,
     cgls,
     fast,
-    fista_tv,
     os_sart,
     rtk_sart,
     sart,
     sirt,
     without_surroundings,
 )
+from twinct.recon.fista_tv import PASSES, TOLERANCE
 from twinct.recon.resolution import binned
 from twinct.recon.volume import Volume
 from twinct.runs.reconstruction import load_scan
@@ -222,10 +222,7 @@ WAYS = {
         better(cgls, denoised),
         "cgls, surroundings out, with the best of five strengths of total variation",
     ),
-    "fista_tv": (
-        better(fista_tv, regularisation=1e-4),
-        "fista_tv, regularisation 0.0001, surroundings out",
-    ),
+    "fista_tv": (better(fast, passes=PASSES, tolerance=TOLERANCE), "fista_tv, surroundings out"),
     "rtk": (rtks, "RTK's SART"),
 }
 

@@ -22,12 +22,12 @@ from twinct.recon import (
     cgls,
     fast,
     fdk,
-    fista_tv,
     os_sart,
     sart,
     sirt,
     without_surroundings,
 )
+from twinct.recon.fista_tv import PASSES, TOLERANCE
 from twinct.recon.volume import Volume
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
@@ -47,9 +47,7 @@ ALGORITHMS: dict[str, Callable[..., Volume]] = {
     ),
     "sirt, 80 iterations": lambda A, p: sirt(A, p, iterations=80, nonnegative=True),
     "cgls, 10 iterations": lambda A, p: cgls(A, p, iterations=10),
-    "fista_tv, 10 iterations,\nregularisation 0.0001": lambda A, p: fista_tv(
-        A, p, iterations=10, regularisation=1e-4
-    ),
+    "fista_tv": lambda A, p: fast(A, p, passes=PASSES, tolerance=TOLERANCE),
 }
 
 demo = load_scenario(ROOT / "scenarios" / "demo.yaml")
@@ -117,8 +115,8 @@ def main() -> None:
     for name, run in ALGORITHMS.items():
         keep(name, run(A, p), geometry)
     rest = without_surroundings(A, p, margin_mm=50.0, voxel_mm=2.5)
-    tv = fista_tv(A, rest, iterations=10, regularisation=1e-4)
-    keep("fista_tv,\nsurroundings taken out", tv, geometry)
+    alone = fast(A, rest, margin=0.0)
+    keep("fast,\nsurroundings taken out", alone, geometry)
     arc = commanded_views(
         load_scenario(ROOT / "scenarios" / "demo.yaml", [ARC]).trajectory, demo.detector.panel
     )

@@ -15,7 +15,6 @@ from twinct.recon import (
     cgls,
     fast,
     fdk,
-    fista_tv,
     os_sart,
     prior_tv,
     sart,
@@ -40,7 +39,6 @@ RUNS = {
     "os_sart": partial(os_sart, iterations=3, relaxation=0.8, subsets=6),
     "sirt": partial(sirt, iterations=6, relaxation=1.5),
     "cgls": partial(cgls, iterations=5),
-    "fista_tv": partial(fista_tv, iterations=3, regularisation=0.01, subsets=4),
     "prior_tv": with_prior,
     "fdk": fdk,
 }
@@ -115,7 +113,7 @@ def test_callback_sees_each_update_and_stops(name, scan):
     assert not np.array_equal(stopped, RUNS[name](A, p))
     if name not in ("fdk", "fast", "prior_tv"):  # they begin with larger pixels, or from a prior
         # The first update starts from zero: the residual is that of the projections alone.
-        views = {"sart": 1, "os_sart": 4, "fista_tv": 6}.get(name, 24)
+        views = {"sart": 1, "os_sart": 4}.get(name, 24)
         counts = A.chords() >= A.grid.voxel.min()
         first = slice(None) if views == 24 else slice(0, None, 24 // views)
         expected = np.sqrt(np.mean(p[first][counts[first]].astype(float) ** 2))
@@ -146,10 +144,10 @@ def test_every_wrong_argument_is_named(name, scan):
     if name in RESUMABLE:
         extra["relaxation"] = 2.0
         names.append("relaxation is 2.0; it must be above 0 and below 2")
-    if name in ("os_sart", "fista_tv", "prior_tv"):
+    if name in ("os_sart", "prior_tv"):
         extra["subsets"] = 25
         names.append("subsets is 25; it must be a whole number of at least 1 and at most 24")
-    if name in ("fista_tv", "prior_tv"):
+    if name == "prior_tv":
         extra |= {"regularisation": -1.0, "weights": -np.ones_like(p), "huber": 0.0}
         names += ["regularisation is -1.0", "weights must be 0 or more", "huber is 0.0"]
     if name == "fast":

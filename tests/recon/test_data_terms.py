@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from solvers import with_total_variation
 
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, fista_tv
+from twinct.recon import Projector
 
 
 @pytest.fixture
@@ -30,9 +31,9 @@ def test_huber_loss_bears_a_few_wrong_pixels(ball_scan):
     def error(x):
         return float(np.sqrt(np.mean((x.array - 0.02)[inside] ** 2)))
 
-    clean = error(fista_tv(A, p, **settings))
-    squares = error(fista_tv(A, wrong, **settings))
-    robust = error(fista_tv(A, wrong, **settings, huber=0.03))
+    clean = error(with_total_variation(A, p, **settings))
+    squares = error(with_total_variation(A, wrong, **settings))
+    robust = error(with_total_variation(A, wrong, **settings, huber=0.03))
     assert squares > 5 * clean
     assert robust < 0.3 * squares
 
@@ -51,6 +52,8 @@ def test_photon_weights_bear_starved_rays(ball_scan, ellipsoid_integrals):
     def error(x):
         return float(np.sqrt(np.mean((x.array - 0.02)[judged] ** 2)))
 
-    uniform = error(fista_tv(A, measured, **settings))
-    weighted = error(fista_tv(A, measured, **settings, weights=np.maximum(counts, 0.5) / 1000))
+    uniform = error(with_total_variation(A, measured, **settings))
+    weighted = error(
+        with_total_variation(A, measured, **settings, weights=np.maximum(counts, 0.5) / 1000)
+    )
     assert weighted < 0.4 * uniform

@@ -10,12 +10,13 @@ from functools import partial
 
 import numpy as np
 import pytest
+from solvers import with_total_variation
 
 from twinct.core import card
 from twinct.core.card import DEVICE_VARIABLE
 from twinct.core.errors import InputError, MemoryShortageError
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, engine, fast, fdk, fista_tv, os_sart, sart
+from twinct.recon import Projector, engine, fast, fdk, os_sart, sart
 from twinct.recon.blocks import Blocks
 from twinct.recon.engine import Ratio
 
@@ -56,7 +57,7 @@ SOLVERS = {
     "os_sart": partial(os_sart, iterations=2, relaxation=0.5, subsets=4),
     "fast": fast,
     "fdk": fdk,
-    "fista_tv": partial(fista_tv, iterations=2, regularisation=0.01),
+    "exact adjoint": partial(with_total_variation, iterations=2, regularisation=0.01),
 }
 
 
@@ -304,7 +305,7 @@ DIGESTS = """
 import hashlib
 import numpy as np
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, fdk, fista_tv, os_sart, sart, sirt, cgls
+from twinct.recon import Projector, fdk, fast, os_sart, sart, sirt, cgls
 from twinct.trajectory import CircleTrajectory
 from twinct.trajectory import commanded_views
 circle = CircleTrajectory(kind="circle", views=12, sod_mm=200, sdd_mm=400)
@@ -317,7 +318,7 @@ for volume in (
     os_sart(A, p, iterations=2, relaxation=0.5, subsets=4),
     sirt(A, p, iterations=2),
     cgls(A, p, iterations=3),
-    fista_tv(A, p, iterations=2, regularisation=0.01),
+    fast(A, p, strength=0.01, passes=2),
     fdk(A, p),
 ):
     print(hashlib.sha256(volume.array.tobytes()).hexdigest())

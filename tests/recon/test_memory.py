@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, cgls, fast, fdk, fista_tv, os_sart, prior_tv, sart, sirt
+from twinct.recon import Projector, cgls, fast, fdk, os_sart, prior_tv, sart, sirt
 from twinct.recon.algorithms import BUILT_IN
 from twinct.recon.volume import Volume
 
@@ -30,9 +30,6 @@ RUNS = {
     "os_sart": partial(os_sart, iterations=2, relaxation=0.8, subsets=2),
     "sirt": partial(sirt, iterations=2),
     "cgls": partial(cgls, iterations=2),
-    "fista_tv": partial(
-        fista_tv, iterations=2, rounds=2, regularisation=0.01, subsets=1, tv_steps=1
-    ),
     "prior_tv": with_prior,
     "fdk": fdk,
 }

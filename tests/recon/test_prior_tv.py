@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from solvers import with_total_variation
 
 from twinct.core.errors import InputError
 from twinct.geometry import Panel, Pose, VolumeGrid
-from twinct.recon import Projector, fista_tv, prior_tv
+from twinct.recon import Projector, prior_tv
 from twinct.recon.fista import KnownBefore, Variation
 from twinct.recon.left_out import LARGE, preferred
 from twinct.recon.prior_tv import _strength
@@ -74,7 +75,7 @@ def scan(circle, ellipsoid_integrals):
 def test_few_views_are_enough_and_what_is_new_survives(scan):
     A, p, prior, truth = scan
     settings = {"iterations": 10, "regularisation": 1e-4, "subsets": 2}
-    plain = fista_tv(A, p, **settings).array
+    plain = with_total_variation(A, p, **settings).array
     ours = prior_tv(A, p, prior, **settings)
 
     def error(x):
@@ -108,7 +109,7 @@ def test_strength_follows_from_photons_or_air_and_is_told(scan, caplog):
 def test_without_a_share_it_is_fista_tv_from_the_prior(scan):
     A, p, prior, _ = scan
     settings = {"iterations": 40, "regularisation": 1e-4, "subsets": 1, "tv_steps": 20, "rounds": 1}
-    plain = fista_tv(A, p, **settings).array
+    plain = with_total_variation(A, p, **settings).array
     ours = prior_tv(
         A, p, prior, share=0.0, closeness=0, x0=np.zeros(A.domain_shape), **settings
     ).array
@@ -159,7 +160,7 @@ def test_beside_the_prior_nothing_is_drawn_to_it(scan):
         @ Pose.from_matrix(np.array([0, 0, -9 * 1.5]), np.eye(3))))  # fmt: skip
     settings = {"iterations": 10, "regularisation": 1e-4, "subsets": 2}
     ours = prior_tv(A, p, lower, **settings).array
-    plain = fista_tv(A, p, **settings).array
+    plain = with_total_variation(A, p, **settings).array
 
     def error(x, part):
         return float(np.sqrt(np.mean((x - truth)[part] ** 2)))

@@ -67,7 +67,6 @@ LOST = 0.5
         pytest.param("os_sart", 6, marks=pytest.mark.tutorial),
         pytest.param("sirt", 20, marks=pytest.mark.tutorial),
         pytest.param("cgls", 14, marks=pytest.mark.tutorial),
-        pytest.param("fista_tv", 12, marks=pytest.mark.tutorial),
     ],
 )
 def test_leaving_them_out_is_better_than_trusting_their_neighbours(

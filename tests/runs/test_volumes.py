@@ -36,16 +36,17 @@ AROUND = {"margin_mm": 20, "voxel_mm": 10, "iterations": 1}
 MU = 0.03
 
 
-def settings(**reconstruction):
+def settings(noise=None, **reconstruction):
     grid = {"voxels": 24, "voxel_mm": 5.0}
+    passes = {} if "passes" in reconstruction else {"iterations": 3}
     return parse_scenario(
         {
             "source": {"spectrum": {"kind": "tube", "kvp": 80}},
-            "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8.0},
+            "detector": {"columns": 40, "rows": 30, "pixel_pitch_mm": 8.0, "noise": noise},
             "trajectory": {"kind": "circle", "views": 12},
             "specimen": {"parts": [{"shape": {"kind": "sphere", "radius_mm": 40}}]},
             "uncertainty": {"source": {"sigma_mm": 0}, "detector": {"sigma_mm": 0}},
-            "reconstruction": {"grid": grid, "iterations": 3} | reconstruction,
+            "reconstruction": {"grid": grid} | passes | reconstruction,
         }
     )
 
@@ -67,7 +68,7 @@ def scan():
 
 def test_views_of_more_mas_count_for_more(scan):
     """Three views of twelve are wrong; with a ten-thousandth of the mAs they do little harm."""
-    good = scan(algorithm="fista_tv", weighting="counts", iterations=10)
+    good = scan(noise={"kind": "quantum"}, algorithm="fista_tv", passes=10)
     spoilt, mas = good.transmission.copy(), np.full(len(good), good.scenario.source.mas)
     spoilt[::4], mas[::4] = 0.5, 1e-4 * mas[0]
     bad, truth = replace(good, transmission=spoilt), reconstruct(good).array

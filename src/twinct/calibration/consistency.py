@@ -26,7 +26,10 @@ from twinct.calibration.freedom import Freedom, PosePrior, What
 from twinct.core.errors import InputError
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.recon import Projector, fista_tv, sart
+from twinct.recon import Projector, sart
+from twinct.recon.checks import start_volume
+from twinct.recon.fista import Variation, minimised
+from twinct.recon.order import subset_number
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.volume import Volume
 
@@ -38,6 +41,9 @@ ALIKE_PX = 12.0
 
 CLOSENESS = 1e-3
 """Regularisation relative to the volume's mean attenuation, weighted by itself: next to none."""
+
+DUAL_STEPS = 10
+"""Steps of the dual iteration in each update, as in ``prior_tv``."""
 
 MOMENTUM = 0.5
 """Share of a round's change that the next repeats: a volume that fits gives way slowly."""
@@ -174,7 +180,10 @@ def _fitted(
             start = interpolated(start, before.grid, A.grid)
     mass = float(start.sum(dtype=np.float64))
     mean = float(np.square(start, dtype=np.float64).sum()) / mass if mass > 0 else 0.0
-    return fista_tv(A, p, iterations=passes, regularisation=CLOSENESS * mean, x0=start, mask=counts)
+    variation = Variation(A, CLOSENESS * mean, DUAL_STEPS, np.float32(0))
+    subsets = subset_number(None, len(A))
+    start = start_volume(A, start, nonnegative=True)
+    return minimised(A, p, start, variation, iterations=passes, subsets=subsets, mask=counts)
 
 
 def _normal_equations(

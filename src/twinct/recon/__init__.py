@@ -5,7 +5,6 @@ from twinct.recon.cgls import cgls
 from twinct.recon.fast import fast
 from twinct.recon.fdk import fdk
 from twinct.recon.few_photons import integrals_of_photons
-from twinct.recon.fista_tv import fista_tv
 from twinct.recon.known_components import (
     BelievedImplant,
     FittedImplant,
@@ -44,7 +43,6 @@ __all__ = [
     "cgls",
     "fast",
     "fdk",
-    "fista_tv",
     "fit_circle",
     "integrals_of_photons",
     "os_sart",

@@ -41,6 +41,7 @@ from twinct.recon.ordered_subsets import SUBSETS, Minimiser
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.ray_weights import RayWeights, error_of_model
 from twinct.recon.resolution import interpolated
+from twinct.recon.shared_keys import Passes, Tolerance
 from twinct.recon.steps import Callback, Listener
 from twinct.recon.strength import Forces, tried
 from twinct.recon.usual_margin import usual_margin
@@ -60,23 +61,14 @@ PASSES, FEWEST_PASSES, TOLERANCE = 12, 2, 0.02
 """Most passes and fewest at full resolution, and the change of the volume in the last one."""
 
 
-class Fast(AlgorithmSettings):
-    """Least squares plus total variation, from coarse to fine; left-out views find its strength."""
+class Penalised(AlgorithmSettings):
+    """Keys of least squares plus total variation, from coarse to fine.
 
-    algorithm: Literal["fast"] = "fast"
-    passes: int = Field(
-        default=PASSES,
-        ge=1,
-        le=1000,
-        description="Most passes over all views at full resolution, after one of SART.",
-    )
-    tolerance: float = Field(
-        default=TOLERANCE,
-        gt=0,
-        lt=1,
-        description="The passes end when one changes the volume by less than this share (root mean "
-        "squares).",
-    )
+    The algorithms that share them differ in their budget: the defaults of the first two.
+    """
+
+    passes: Passes = PASSES
+    tolerance: Tolerance = TOLERANCE
     levels: int = Field(
         default=LEVELS,
         ge=1,
@@ -85,7 +77,7 @@ class Fast(AlgorithmSettings):
     )
     strength: NonNegative | None = Field(
         default=None,
-        description="Strength of the total variation, as in fista_tv: borders of this height "
+        description="Strength of the total variation: borders of this height "
         "(in the unit of the volume) around parts of this radius (in mm) vanish where the product "
         "is below about three times it. By default, views that are left out of a trial at half the "
         "resolution find it.",
@@ -100,6 +92,12 @@ class Fast(AlgorithmSettings):
         "those at the panel's border see air; else 0.1 to 0.3, as a short trial requires.",
     )
     allow_negative: bool = Field(default=False, description="Whether voxels may fall below 0.")
+
+
+class Fast(Penalised):
+    """Least squares plus total variation, from coarse to fine; left-out views find its strength."""
+
+    algorithm: Literal["fast"] = "fast"
 
 
 def fast(
@@ -127,7 +125,8 @@ def fast(
         passes: most passes at full resolution, at least 1, after one of SART.
         tolerance: they end when one changes the volume by less than this share.
         levels: at least 1; fewer if the coarsest would have less than 8 voxels or pixels.
-        strength: as ``regularisation`` of ``fista_tv``; by default, left-out views find it.
+        strength: of the total variation, mm times the unit of the result (``ordered_subsets``); by
+            default, left-out views find it.
         margin: margin of the coarse grids on each side, as a share of the grid's size along each
             axis; by default ``usual_margin``.
         nonnegative: x >= 0.
@@ -280,7 +279,7 @@ def _factors(voxels: tuple[int, ...], pixels: tuple[int, ...], levels: int) -> l
     return [factor for factor in factors if factor == 1 or least // factor >= SMALLEST]
 
 
-def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
+def _check(settings: Penalised, views: ScanGeometry, grid: VolumeGrid) -> None:
     """Check the coarsest grid."""
     factor = _factors(grid.shape, views.panel.shape, settings.levels)[0]
     if factor == 1:
@@ -291,14 +290,14 @@ def _check(settings: Fast, views: ScanGeometry, grid: VolumeGrid) -> None:
         raise InputError(f"reconstruction.margin: {one}" for one in error.problems) from None
 
 
-def _solve(problem: Problem, settings: Fast) -> Volume:
+def _solve(problem: Problem, settings: Penalised) -> Volume:
     margin = settings.margin
     if margin is None and problem.alone:
         margin = 0.0
     return solve_by(fast, problem, settings, nonnegative=not settings.allow_negative, margin=margin)
 
 
-FAST = Algorithm(
+FAST: Algorithm[Penalised] = Algorithm(
     Fast,
     _solve,
     volumes=8,

@@ -67,8 +67,8 @@ def judged_by_left_out_views(
         before: the prior in place, with the share that is compared with 0 and ``LARGE``.
         term: function of a projector and ``known`` that returns the term of a reconstruction.
         iterations: those of the whole reconstruction.
-        weights: as in ``fista_tv``.
-        huber: as in ``fista_tv``.
+        weights: as in ``minimised``.
+        huber: as in ``minimised``.
         mask: as in ``sart``.
     """
     if len(A) < FEWEST_VIEWS:

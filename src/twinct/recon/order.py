@@ -152,7 +152,7 @@ def _farthest(between: NDArray[np.float64], parts: list[list[int]]) -> float:
 def subset_number(given: int | None, views: int) -> int:
     """Return the number of subsets: as given, or one for each 10 views.
 
-    For 100 views, ``fista_tv`` converges twice as fast in subsets of 5 views, but no longer
+    For 100 views, ``prior_tv`` converges twice as fast in subsets of 5 views, but no longer
     converges in subsets of 3.
     """
     return max(views // 10, 1) if given is None else given

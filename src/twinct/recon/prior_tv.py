@@ -7,21 +7,21 @@ import math
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
-from twinct.core.settings import NonNegative, Section, Vector, setting
+from twinct.core.settings import NonNegative, Positive, Section, Vector, facts, setting
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.recon.air import known_noise
-from twinct.recon.algorithm import Algorithm, Problem, solve_by
+from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
 from twinct.recon.checks import Checks, Mask, start_volume
 from twinct.recon.engine import Singles
-from twinct.recon.fista import KnownBefore, Regularised, Variation, minimised
+from twinct.recon.fista import KnownBefore, Variation, minimised
 from twinct.recon.left_out import judged_by_left_out_views
 from twinct.recon.levels import density
 from twinct.recon.memory import require_memory
@@ -29,7 +29,7 @@ from twinct.recon.order import subset_number
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.registration import covered, means_at, moved, registered
 from twinct.recon.regularisation import strength_of_noise
-from twinct.recon.shared_keys import Iterations
+from twinct.recon.shared_keys import Iterations, Nonnegative, Subsets
 from twinct.recon.steps import Callback
 from twinct.recon.volume import Volume
 
@@ -96,25 +96,51 @@ class Prior(Section):
         return f"{self.path.name}{share}"
 
 
-class PriorTv(Regularised):
+class PriorTv(AlgorithmSettings):
     """FISTA with total variation, also of the difference from an earlier volume, for few views."""
 
     algorithm: Literal["prior_tv"] = "prior_tv"
     iterations: Iterations = 24
-    regularisation: NonNegative | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+    regularisation: NonNegative | None = Field(
         default=None,
-        description="Strength of the total variation: a dimensionless number that does not depend "
-        "on the number of views, pixels or voxels. By default it follows from the noise "
-        "of the scenario's photons or of air in the projections; if the noise is unknown, the "
-        "value is 0, and log, metrics.json and report say so.",
+        description="Strength of the total variation, as in fast. By default it follows from the "
+        "noise of the scenario's photons or of air in the projections; if the noise is unknown, "
+        "the value is 0, and log, metrics.json and report say so.",
     )
-    weighting: Literal["uniform", "counts"] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+    rounds: int | None = Field(
+        default=None,
+        ge=1,
+        le=1000,
+        description="Number of rounds that the iterations are divided into; after each round, the "
+        "residual is added to the line integrals, which restores contrast that the total variation "
+        "removed. By default one per 6 iterations, at most 4 with a stated regularisation, else at "
+        "most 2.",
+        json_schema_extra=facts(source="Osher et al., Multiscale Model. Simul. 4 (2005) 460"),
+    )
+    subsets: Subsets = None
+    weighting: Literal["uniform", "counts"] | None = Field(
         default=None,
         description="Weight of each pixel; counts: its transmission times the view's mAs, relative "
         "to the source's mAs, for Poisson noise. By default counts if the regularisation follows "
         "from the noise, else uniform.",
     )
+    huber: Positive | None = Field(
+        default=None,
+        description="Residual of a line integral beyond which it counts linearly instead of "
+        "quadratically, so that a few wrong pixels have little effect (Huber's loss); 3 times the "
+        "noise is usual. null: always quadratically.",
+    )
+    tv_steps: int = Field(default=10, ge=1, le=1000, description="Denoising steps in each update.")
+    nonnegative: Nonnegative = True
     prior: Prior = Field(description="The earlier volume.")
+
+    @model_validator(mode="after")
+    def _a_pass_in_each_round(self) -> Self:
+        if self.rounds is not None and self.rounds > self.iterations:
+            raise ValueError(
+                f"rounds: {self.rounds} is more than the number of iterations, {self.iterations}"
+            )
+        return self
 
 
 def prior_tv(
@@ -138,17 +164,17 @@ def prior_tv(
     mask: ArrayLike | None = None,
     callback: Callback | None = None,
 ) -> Volume:
-    """Reconstruct as ``fista_tv``, with total variation also of the difference from a prior.
+    """Minimise residual and total variation, of the volume and of its difference from a prior.
 
         0.5 |A x - p|_W^2 / d + regularisation * ((1 - share) TV(x) + share TV(x - prior))
-        + closeness * sum_j h(x_j - prior_j)
+        + closeness * sum_j h(x_j - prior_j),   x >= 0,   TV(x) = integral of |grad x| over mm^3
 
-    The first line is prior image constrained compressed sensing (Chen, Tang, Leng 2008); h is
-    Huber's loss, 0.5 t^2 and linear above 1 % of the prior's dense voxels. The prior is first
-    registered by the projections (``registered``), and its means over the grid's voxels are taken
-    (``means_at``). All terms grow with the size of changes, not with its square: new structures
-    cost little more than without a prior. Where the prior has no values, its share applies to the
-    volume itself.
+    d is the mean over the grid of A^T W A 1 per mm^3 (see ``minimised``). The first line is prior
+    image constrained compressed sensing (Chen, Tang, Leng 2008); h is Huber's loss, 0.5 t^2 and
+    linear above 1 % of the prior's dense voxels. The prior is first registered by the projections
+    (``registered``), and its means over the grid's voxels are taken (``means_at``). All terms grow
+    with the size of changes, not with its square: new structures cost little more than without a
+    prior. Where the prior has no values, its share applies to the volume itself.
 
     Peak memory: 16 volumes, a prior in voxels of this size included (13 if the grid is large: the
     registration stays coarse), or the size of a larger prior, and five times the projections,
@@ -166,13 +192,14 @@ def prior_tv(
             out prefer it (``judged_by_left_out_views``), and 0.15 if there are fewer than 10 views.
         closeness: 0 or more; by default 0.06, or 0 without regularisation.
         start: initial pose of the prior's world in the scan's world; by default the identity.
-        rounds: as in ``fista_tv``; by default one for each 6 iterations, at most 4, or at most 2 if
-            the regularisation follows from the noise.
-        subsets: as in ``fista_tv``.
+        rounds: from 1 to the number of iterations; by default one for each 6 iterations, at most 4,
+            or at most 2 if the regularisation follows from the noise.
+        subsets: from 1 to the number of views; by default one for each 10 views.
         tv_steps: dual steps after each update, at least 1.
-        weights: as in ``fista_tv``; by default exp(-p) if the regularisation follows from the
-            noise.
-        huber: as in ``fista_tv``.
+        weights: W, of the shape of the projections, 0 or more; for Poisson noise the expected
+            counts. By default exp(-p) if the regularisation follows from the noise, else 1.
+        huber: residual of a line integral beyond which it counts by its size, above 0; by default
+            none.
         x0: initial volume, (z, y, x); by default the registered prior.
         nonnegative: x >= 0.
         mask: as in ``sart``.

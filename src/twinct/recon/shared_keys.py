@@ -14,6 +14,23 @@ _PAPER = facts(source="the paper")
 Iterations = Annotated[
     int, Field(ge=1, le=10_000, description="Passes over all views.", json_schema_extra=_PAPER)
 ]
+Passes = Annotated[
+    int,
+    Field(
+        ge=1,
+        le=1000,
+        description="Most passes over all views at full resolution, after one of SART.",
+    ),
+]
+Tolerance = Annotated[
+    float,
+    Field(
+        gt=0,
+        lt=1,
+        description="The passes end when one changes the volume by less than this share (root mean "
+        "squares).",
+    ),
+]
 Relaxation = Annotated[
     float,
     Field(

@@ -66,7 +66,7 @@ def doubt_of_prior(volume: Volume) -> str | None:
     return (
         "the prior does not help: volumes from four fifths of the views predict the others no "
         f"better with it than without it (residuals {ratio:.3f} times as large); is it of the same "
-        "object, and sharp enough? fista_tv works without a prior"
+        "object, and sharp enough? fast works without a prior"
     )
 
 

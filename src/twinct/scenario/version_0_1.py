@@ -32,8 +32,15 @@ _ORDER = (
 """Order of the keys, nested ones included, in the hashed text; stored keys are alphabetical."""
 
 
-_FORMER_FAST = {"coarse_passes", "first_relaxation", "denoising", "stop"}
-"""Keys that ``fast`` had while rules chose its passes; a result holds them all, with defaults."""
+_FORMER = {
+    "fast": {"coarse_passes", "first_relaxation", "denoising", "stop"},
+    "fista_tv": {"iterations", "regularisation", "subsets", "weighting", "tv_steps", "nonnegative"},
+}
+"""Keys of ``fast`` while rules chose its passes, and of ``fista_tv`` while it was a solver of its
+own; a result holds them all, with defaults."""
+
+_LATER = {"fast": set[str](), "fista_tv": {"rounds", "huber"}}
+"""Keys that only some of those results hold."""
 
 
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
@@ -41,7 +48,7 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
 
     Version 1.0 said of each specimen that it is not unknown. For version 0.1, leave out settings
     that the algorithm did not use, and turn the engine ``rtk`` into the algorithm ``rtk_sart``.
-    Leave out keys that ``fast`` no longer has.
+    Leave out keys that ``fast`` and ``fista_tv`` no longer have.
     Without ``nonnegative``, the algorithm's own default holds, as in version 0.1.
     """
     stated = data.get("specimen")
@@ -52,24 +59,35 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     section = data.get("reconstruction")
     if not isinstance(section, dict):
         return data
-    flat = cast("dict[str, Any]", section)
-    if flat.get("algorithm") == "fast" and flat.keys() >= _FORMER_FAST:
-        log.info("reconstruction by an earlier fast: left out %s", ", ".join(sorted(_FORMER_FAST)))
-        former = {*_FORMER_FAST}
-        if flat.get("passes") is None:
-            former.add("passes")
-        return data | {"reconstruction": {k: v for k, v in flat.items() if k not in former}}
-    if not flat.keys() >= _ALL:
-        return data
+    stored = cast("dict[str, Any]", section)
+    flat = _without_former(stored)
+    if not stored.keys() >= _ALL:
+        return data if flat is stored else data | {"reconstruction": flat}
     name = "rtk_sart" if flat["engine"] == "rtk" else str(flat["algorithm"])
     known = SECTIONS[name].model_fields if name in SECTIONS else flat
-    gone = {key for key in _ALL if key not in known} | {"engine"}
-    if flat["nonnegative"] is None:
+    gone = {key for key in flat.keys() & _ALL if key not in known} | {"engine"}
+    if flat.get("nonnegative") is None:
         gone.add("nonnegative")
     names = ", ".join(sorted(gone))
     log.info("reconstruction of version 0.1: left out %s (not used by %s)", names, name)
     valid = {key: value for key, value in flat.items() if key not in gone}
     return data | {"reconstruction": valid | {"algorithm": name}}
+
+
+def _without_former(section: dict[str, Any]) -> dict[str, Any]:
+    """Return a reconstruction without keys that its algorithm no longer has."""
+    name = section.get("algorithm")
+    if name not in _FORMER or not section.keys() >= _FORMER[name]:
+        return section
+    gone = _FORMER[name] | (_LATER[name] & section.keys())
+    log.info("reconstruction by an earlier %s: left out %s", name, ", ".join(sorted(gone)))
+    kept = {key: value for key, value in section.items() if key not in gone}
+    if name == "fast":
+        if kept.get("passes", 0) is None:
+            del kept["passes"]
+        return kept
+    allowed = section["nonnegative"] is False
+    return kept | {"strength": section["regularisation"], "allow_negative": allowed}
 
 
 def volume_digest(scan_digest: str, section: dict[str, Any]) -> str:

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 from scipy.optimize import minimize, nnls
+from solvers import with_total_variation
 
 from twinct.geometry import Panel, VolumeGrid
-from twinct.recon import Projector, fista_tv
+from twinct.recon import Projector
 
 pytestmark = pytest.mark.usefixtures("engine")
 
@@ -78,7 +79,7 @@ def test_reaches_the_minimum(problem, weighted):
         return objective(x, M, b, w, D, 0.05, A.grid)
 
     least = cost(primal_dual(M, b, w, D, 0.05, A.grid))
-    ours = fista_tv(
+    ours = with_total_variation(
         A,
         p,
         iterations=150,
@@ -92,7 +93,7 @@ def test_reaches_the_minimum(problem, weighted):
     assert least < 0.8 * cost(0 * ours.ravel())
     assert least < 0.95 * cost(nnls(M * np.sqrt(w)[:, None], b * np.sqrt(w))[0])
     # Ordered subsets come near it in a few passes; measured 0.4 % above.
-    fast = fista_tv(
+    fast = with_total_variation(
         A, p, iterations=12, regularisation=0.05, subsets=2, weights=weights if weighted else None
     ).array
     assert cost(fast.ravel().astype(float)) < 1.01 * least
@@ -101,7 +102,9 @@ def test_reaches_the_minimum(problem, weighted):
 def test_without_regularisation_it_is_least_squares(problem):
     A, p, _, M, b, _ = problem
     x, least = nnls(M, b)
-    ours = fista_tv(A, p, iterations=300, regularisation=0.0, subsets=1, tv_steps=1).array
+    ours = with_total_variation(
+        A, p, iterations=300, regularisation=0.0, subsets=1, tv_steps=1
+    ).array
     assert np.linalg.norm(M @ ours.ravel() - b) < (1 + 1e-4) * least
 
 
@@ -116,7 +119,7 @@ def test_rounds_bring_back_contrast(circle, ellipsoid_integrals):
     kept = []
     for rounds in (1, 3):
         settings = {"iterations": 24, "regularisation": 6e-4, "subsets": 2}
-        found = fista_tv(A, p, rounds=rounds, **settings).array
+        found = with_total_variation(A, p, rounds=rounds, **settings).array
         kept.append((found[away < 3].mean() - found[(away > 8) & (away < 12)].mean()) / 0.004)
     assert kept[0] < 0.5  # measured 0.38
     assert 0.9 < kept[1] < 1.15  # measured 1.10
@@ -138,7 +141,7 @@ def test_huber_reaches_the_minimum(problem):
     )  # fmt: skip
     beyond = np.abs(M @ least.x - b) > huber
     assert 0.1 < beyond.mean() < 0.6
-    ours = fista_tv(
+    ours = with_total_variation(
         A,
         p,
         iterations=150,
@@ -162,7 +165,7 @@ def test_strength_means_the_same_for_other_views_and_voxels(circle, ellipsoid_in
         A = Projector(geometry, VolumeGrid((n[1],) * 3, voxel))
         x, y, z = A.grid.axes()
         ball = (z**2)[:, None, None] + (y**2)[:, None] + x**2 < 16
-        volume = fista_tv(A, p, iterations=25, regularisation=0.3).array
+        volume = with_total_variation(A, p, iterations=25, regularisation=0.3).array
         values.append(volume[ball].mean())
     assert 0.3 < values[0] < 0.95, "strong enough to matter"
     np.testing.assert_allclose(values, values[0], rtol=0.1)
