@@ -9,7 +9,10 @@ non-negative, with relaxations of 0.3 and 1, and its best pass is chosen by the 
 how much of the truth's structure below two voxels a volume shows: its projection on the truth less
 the smoothed truth, near the object. Time is relative to that of SART for its best number of passes,
 but at least five. With ``--stop``, also the error of ``sart`` with ``stop: auto`` and after five
-passes, relative to its best, with the default relaxation.
+passes, relative to its best, with the default relaxation. With ``--budgets``, also the errors of
+``fast`` and ``fista_tv`` relative to the objective's minimum at its best of nine strengths, a
+factor of two apart about that of ``fast``; a minimum ends when a pass changes the volume by less
+than 1e-4, or after 300 passes.
 
 Each scan is a line of OUT/objective.jsonl; one that is there is not made again. Beside other work,
 use TWINCT_THREADS=1.
@@ -28,10 +31,14 @@ from scipy.ndimage import gaussian_filter
 
 from twinct.core.threads import let_idle_threads_sleep
 from twinct.recon import fast, sart
+from twinct.recon.fista_tv import PASSES as PASSES_TV
+from twinct.recon.fista_tv import TOLERANCE as TOLERANCE_TV
+from twinct.recon.volume import Volume
 
 PASSES, RELAXATIONS, LEAST = 20, (0.3, 1.0), 5
 DETAIL = 2.0
 STOPPED = 0.3
+STRENGTHS, CLOSE, MOST = range(-4, 5), 1e-4, 300
 
 
 def main() -> None:
@@ -42,6 +49,7 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=20)
     parser.add_argument("--voxels", type=int, help="along an axis, instead of the drawn number")
     parser.add_argument("--stop", action="store_true", help="also `stop: auto`")
+    parser.add_argument("--budgets", action="store_true", help="also the minimum at its best")
     parser.add_argument("--show", action="store_true", help="only print what is there")
     given = parser.parse_args()
     let_idle_threads_sleep()
@@ -52,7 +60,9 @@ def main() -> None:
     for seed in range(given.first, given.first + given.scans):
         if given.show or (seed, given.voxels) in there:
             continue
-        row = judged(random_scan(seed, given.voxels, given.out / "scans"), given.stop)
+        row = judged(
+            random_scan(seed, given.voxels, given.out / "scans"), given.stop, given.budgets
+        )
         rows.append(row | {"asked": given.voxels})
         with file.open("a") as lines:
             lines.write(json.dumps(rows[-1]) + "\n")
@@ -60,7 +70,7 @@ def main() -> None:
     show(rows)
 
 
-def judged(scan: RandomScan, stop: bool) -> dict[str, object]:
+def judged(scan: RandomScan, stop: bool, budgets: bool) -> dict[str, object]:
     """Return the figures of one scan."""
     A, p, views = scan.A, scan.p, len(scan.A)
     detail = scan.truth - gaussian_filter(scan.truth, DETAIL)
@@ -117,7 +127,27 @@ def judged(scan: RandomScan, stop: bool) -> dict[str, object]:
             photons=scan.photons,
         ).extras["passes"]
         row |= {"auto": own[chosen] / min(own.values()), "five": own[5] / min(own.values())}
-    return row
+    return row | (against_minimum(scan, row["fast"], volume) if budgets else {})
+
+
+def against_minimum(scan: RandomScan, error: float, volume: Volume) -> dict[str, object]:
+    """Return the errors of both budgets relative to the minimum at its best strength."""
+    known = {"photons": scan.photons}
+    larger = fast(scan.A, scan.p, passes=PASSES_TV, tolerance=TOLERANCE_TV, **known)
+    found = volume.extras["regularisation"]["strength"]
+    minima = {}
+    for power in STRENGTHS:
+        budget = {"passes": MOST, "tolerance": CLOSE, "strength": found * 2.0**power}
+        minimum = fast(scan.A, scan.p, **budget, **known)
+        minima[power] = scan.error(minimum.array), minimum.extras["passes"]
+    best = min(minima, key=lambda power: minima[power][0])
+    return {
+        "fast_minimum": error / minima[best][0],
+        "larger_minimum": scan.error(larger.array) / minima[best][0],
+        "larger_passes": larger.extras["passes"],
+        "best_power": best,
+        "minima": minima,
+    }
 
 
 def line(row: dict) -> str:
@@ -129,6 +159,9 @@ def line(row: dict) -> str:
     text = f"{what}, {row['views']} views, {photons}: fast {row['fast']:.4f}, {ratio:.2f} x SART's "
     text += f"pass {number} of {relaxation}; detail {row['fast_detail']:.2f}, "
     text += f"{row['sart_detail']:.2f}; {row['time']:.2f} x its time"
+    if "larger_minimum" in row:
+        text += f"; of the minimum {row['fast_minimum']:.3f}, fista_tv {row['larger_minimum']:.3f} "
+        text += f"({row['larger_passes']} passes; 2^{row['best_power']})"
     return text + (f"; auto {row['auto']:.2f}, five {row['five']:.2f}" if "auto" in row else "")
 
 
@@ -140,6 +173,8 @@ def show(rows: list[dict]) -> None:
         "time": [row["time"] for row in rows],
         "time, 128 voxels and more": [row["time"] for row in rows if row["voxels"] >= 128],
         "stop: auto / best": [row["auto"] for row in rows if "auto" in row],
+        "fast / minimum": [row["fast_minimum"] for row in rows if "fast_minimum" in row],
+        "fista_tv / minimum": [row["larger_minimum"] for row in rows if "larger_minimum" in row],
         "five passes / best": [row["five"] for row in rows if "five" in row],
     }
     for family in sorted({row["family"] for row in rows}):

@@ -73,7 +73,7 @@ def compile_card() -> None:
 def _reconstruct(engine: str) -> None:
     """Call every kernel of an engine through the algorithms that use it."""
     from twinct.geometry import Panel, Pose, VolumeGrid
-    from twinct.recon import Projector, fast, fdk, fista_tv, sart
+    from twinct.recon import Projector, fast, fdk, sart
     from twinct.recon.moving import MovingProjector
     from twinct.specimen.deformation import Deformation
     from twinct.trajectory import CircleTrajectory, commanded_views
@@ -85,7 +85,6 @@ def _reconstruct(engine: str) -> None:
     projector.T(projections)
     sart(projector, projections, iterations=1, relaxation=0.5)
     fast(projector, projections)
-    fista_tv(projector, projections, iterations=1, regularisation=0.01)
     fdk(projector, projections)
     if engine == "cuda":
         return

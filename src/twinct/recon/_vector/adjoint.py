@@ -64,6 +64,7 @@ def adjoint(y, view, out, parts):
             rays, bounds = scratch[0][axis], scratch[1][axis]
             edges, brick = scratch[6][axis], scratch[7]
             marks = np.empty(TILE_GROUPS, np.float32)
+            nothing = flat, shape, axis, (0, 0, 0, 0, 0, 0)
             own = slabs * part // parts, slabs * (part + 1) // parts
             for top in range(0, rows, TILE_ROWS):
                 bottom = min(top + TILE_ROWS, rows)
@@ -79,7 +80,7 @@ def adjoint(y, view, out, parts):
                         box = box_of(edges, groups, axis, shape, start, end, marks)
                         if box[1] == 0:
                             continue
-                        told = start, end, rays, bounds, edges, groups, marks, False
+                        told = start, end, rays, bounds, edges, groups, marks, False, nothing
                         if fits(box):
                             move(flat, shape, axis, box, brick, False)
                             _add_slab(brick, in_brick(box, axis, shape), *told)

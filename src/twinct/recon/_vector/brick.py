@@ -20,6 +20,7 @@ from numba.core import cgutils
 
 from twinct.recon._vector.options import OPTIONS
 from twinct.recon._vector.vectors import (
+    I32,
     I64,
     LANES,
     arguments,
@@ -31,6 +32,10 @@ from twinct.recon._vector.vectors import (
 
 ROOM = 131072
 """Largest number of voxels in a brick, half a MB; most are half as large, and stay in L2."""
+
+
+CACHE_LINE = 16
+"""Voxels of a line of the caches, 64 bytes."""
 
 
 @intrinsic
@@ -101,6 +106,46 @@ def move(x, shape, axis, box, brick, back):
                 _copy_line(brick, to, x, at, nb)
             else:
                 _copy_line(x, at, brick, to, nb)
+
+
+@intrinsic
+def _prefetch(typingctx, x, at):
+    """Ask the processor to read the cache line of x.flat[at] while it goes on."""
+    n, void = types.int64, types.void
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        x, at = arguments(context, builder, signature, args)
+        byte, name = ir.IntType(8).as_pointer(), "llvm.prefetch.p0i8"
+        kind = ir.FunctionType(ir.VoidType(), [byte, I32, I32, I32])
+        function = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
+        # To read, to be kept in all caches, data.
+        hints = [ir.Constant(I32, hint) for hint in (0, 3, 1)]
+        builder.call(function, [builder.bitcast(builder.gep(x, [at]), byte), *hints])
+        return context.get_dummy_value()
+
+    return void(x, n), codegen
+
+
+@njit(**OPTIONS)
+def look_ahead(x, shape, axis, box, part, parts):
+    """Ask for one of so many parts of a box of the volume ``x`` (flat), which is needed soon.
+
+    Copying a box waits for memory most of the time; samples of the slab before take as long.
+    """
+    _, ny, nx = shape
+    start, planes, c0, nc, b0, nb = box
+    lines = nc * (nb if axis == 0 else planes)
+    for line in range(part * lines // parts, (part + 1) * lines // parts):
+        if axis == 0:
+            at = ((c0 + line // nb) * ny + b0 + line % nb) * nx + start
+            _prefetch(x, at)
+            _prefetch(x, at + planes - 1)
+            continue
+        p, c = start + line // nc, c0 + line % nc
+        at = (c * ny + p if axis == 1 else p * ny + c) * nx + b0
+        for n in range(0, nb, CACHE_LINE):
+            _prefetch(x, at + n)
+        _prefetch(x, at + nb - 1)
 
 
 @intrinsic

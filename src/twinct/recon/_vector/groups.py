@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from twinct.recon._vector import vectors
-from twinct.recon._vector.brick import ROOM
+from twinct.recon._vector.brick import ROOM, look_ahead
 from twinct.recon._vector.march import B_MIDDLE, BLOCK, C_MIDDLE, LANES, VALUE
 from twinct.recon._vector.options import OPTIONS
 from twinct.recon._vector.rays import ray_of
@@ -287,13 +287,16 @@ def slab_of(inside, guarded, in_window=None):
     """Build a function that takes groups through the planes of a slab, with functions of ``march``.
 
     The function leaves out the groups with the mark ``FAR``. ``in_window`` takes a group through
-    planes and returns True, or returns False; it is tried if the function's last argument is true.
+    planes and returns True, or returns False; it is tried if ``windows`` is true. ``ahead`` is the
+    volume, its shape, the axis and the box of the following slab, see ``look_ahead``.
     """
     try_window = in_window or _in_no_window
 
     @njit(**OPTIONS)
-    def slab(x, lattice, start, end, rays, ranges, edges, groups, marks, windows):
+    def slab(x, lattice, start, end, rays, ranges, edges, groups, marks, windows, ahead):
+        volume, shape, axis, box = ahead
         for group in range(groups):
+            look_ahead(volume, shape, axis, box, group, groups)
             if marks[group] > 0:
                 continue
             bounds, block = ranges[group], group * BLOCK
