@@ -73,7 +73,8 @@ class Coarse:
         least = np.maximum(number, 1)
 
         def means(values: NDArray[np.generic]) -> Singles:
-            return _sums(np.where(good, values, 0), by) / least
+            sums = _sums(np.where(good, values, 0), by)
+            return np.divide(sums, least, dtype=np.float32)
 
         seen = images[good] if good.any() else np.zeros(1, np.float32)
         low, high = float(seen.min()), float(seen.max())
@@ -87,7 +88,7 @@ class Coarse:
             A=A.on(_coarse(A.grid), whole[chosen]),
             p=means(images),
             counts=number >= by * by / 2,
-            variance=means(own) / least,
+            variance=np.divide(means(own), least, dtype=np.float32),
             lowest=means(noisy & (images <= low + SAME)),
             highest=means(noisy & (images >= high - SAME)),
             chosen=chosen,

@@ -25,13 +25,14 @@ def _beam(scan: Coarse) -> Iterator[Singles]:
     """Yield what a beam that hardens lacks, and what scattered photons lack beside the object."""
     q = np.maximum(scan.predicted - scan.metal, 0)
     yield q**2
-    yield np.exp(np.minimum(q, DARK)) - 1 - q
+    yield np.asarray(np.exp(np.minimum(q, DARK)) - 1 - q, np.float32)
 
 
 def _metal(scan: Coarse) -> Iterator[Singles]:
     """Yield wrong attenuation of metal, and hardening by metal alone and with the rest."""
     if scan.metal.any():
-        yield from (scan.metal, scan.metal**2, scan.metal * (scan.predicted - scan.metal))
+        metal = scan.metal
+        yield from (metal, metal * metal, metal * (scan.predicted - metal))
 
 
 def _ends(scan: Coarse) -> Iterator[Singles]:

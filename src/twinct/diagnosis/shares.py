@@ -99,8 +99,14 @@ class Residual:
         products = basis @ basis.transpose(0, 2, 1)
         pulls = (basis @ rest[:, :, None])[:, :, 0]
         squares = np.square(rest).sum(axis=1)
-        sums = (np.asarray(values, np.float64) for values in (products, pulls, squares))
-        return cls(tuple(owners), *sums, size, by_view)
+        return cls(
+            owners=tuple(owners),
+            products=np.asarray(products, np.float64),
+            pulls=np.asarray(pulls, np.float64),
+            squares=np.asarray(squares, np.float64),
+            size=size,
+            by_view=by_view,
+        )
 
     def share(self, name: str, after: Sequence[str] = ()) -> Share:
         """Return the share of a cause, after some others explained what they can."""
@@ -141,7 +147,7 @@ def _parts_of(views: int) -> NDArray[np.intp]:
 
 def _sigmas(sums: Floats) -> float:
     """Return how much sums of views are, relative to their standard error, from parts of them."""
-    return _sigmas_of_parts(np.bincount(_parts_of(len(sums)), sums, FOLDS))
+    return _sigmas_of_parts(np.bincount(_parts_of(len(sums)), sums, FOLDS).astype(np.float64))
 
 
 def _sigmas_of_parts(parts: Floats) -> float:
