@@ -114,7 +114,7 @@ def test_a_run_that_stops_by_itself_tells_of_its_passes(
 def test_implants_that_another_reconstruction_knew_are_kept(folder: Path) -> None:
     keys = ["reconstruction.iterations=1"]
     made = reconstruct_run(folder, keys, geometry="executed", name="one")
-    assert not made.results.keys() - {"unexplained", "warnings"}
+    assert not made.results.keys() - {"unexplained", "diagnosis", "warnings"}
     screw = {"name": "screw", "position_mm": [1.0, 2.0, 3.0]}
     other = {"name": "two", "path": made.path.with_name("two")}
     known = replace(made, **other, results={"implants": [screw]})

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.pictures import show
+from twinct.diagnosis.left_out import left_out
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.measured.beam import FreeBeam
 from twinct.measured.circle import Circle
@@ -30,7 +31,7 @@ from twinct.measured.orientation import PanelPlacement, placed, turned_shape
 from twinct.measured.stack import open_stack
 from twinct.measured.views import ImageFacts, StatedViews
 from twinct.observers import Observers, audience_of
-from twinct.recon import Projector, sart
+from twinct.recon import Projector
 from twinct.recon.field_of_view import grid_of
 from twinct.scan import line_integrals
 
@@ -42,8 +43,6 @@ MOST_PIXELS = 64
 
 FEWEST_VIEWS = 6
 """Smallest number of views of which half can be predicted by the others."""
-
-PASSES = 3
 
 SAME = 0.002
 """Largest relative difference of residuals within a class."""
@@ -290,14 +289,8 @@ def _tried(
     placement = PanelPlacement(section, StatedViews(chosen, *flips))
     geometry = placement.geometry
     p = line_integrals(np.array([placement.image(image) for image in stored], np.float32))
-    grid = _grid(geometry)
-    volume = sart(
-        Projector(geometry[::2], grid), p[::2], iterations=PASSES, relaxation=0.5, nonnegative=True
-    )
-    held = p[1::2]
-    off = held - Projector(geometry[1::2], grid)(volume.array)
-    residual = float(np.sqrt(np.mean(off**2) / max(float(np.mean(held**2)), 1e-30)))
-    return Tried(candidate, residual, volume.array[len(volume) // 2].copy())
+    found = left_out(Projector(geometry, _grid(geometry)), p)
+    return Tried(candidate, found.residual_rel, found.volume[len(found.volume) // 2].copy())
 
 
 def _grid(geometry: ScanGeometry) -> VolumeGrid:

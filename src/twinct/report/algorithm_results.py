@@ -16,6 +16,7 @@ ALGORITHM_RESULTS = (
     "denoising",
     "regularisation",
     "unexplained",
+    "diagnosis",
     "warnings",
 )
 """Extras of a volume that ``metrics.json`` and the report list."""

@@ -25,7 +25,7 @@ from twinct.recon.volume import Volume
 
 log = logging.getLogger(__name__)
 
-OF_RAYS = "unexplained", "warnings"
+OF_RAYS = "unexplained", "diagnosis", "warnings"
 """Extras of a volume that say how well it fits its projections."""
 
 

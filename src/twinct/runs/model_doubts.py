@@ -8,10 +8,12 @@ from dataclasses import asdict, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.diagnosis import diagnosed
 from twinct.recon.projector import Projector
 from twinct.recon.signs_beyond import signs_beyond
-from twinct.recon.unexplained import Unexplained, typical_attenuation, unexplained
+from twinct.recon.unexplained import Unexplained, unexplained
 from twinct.recon.volume import Volume
+from twinct.runs.cures import cures_of
 from twinct.scan import Scan
 
 MUCH_BESIDE = 0.2
@@ -29,17 +31,11 @@ PART_OF_NOISE = 0.5
 MUCH_FOR_EDGES = 2.0
 """Ratio of this share to what edges usually leave below which there is no warning."""
 
-EXPLAINED_BY_POSES = 0.75
-"""Ratio of what is left by moved shadows, and all, below which poses or motion are likely wrong."""
-
 STILL_FALLS = 0.9
 """Ratio of the last two residuals below which further passes would lower it much."""
 
-DENSER, FEWEST_VOXELS = 3.0, 27
-"""Ratio to the object's typical attenuation from which so many voxels may be metal."""
-
-SOME_BESIDE = 0.01
-"""Share of the attenuation on rays beside the grid from which something may lie around it."""
+DIGITS = 3
+"""Decimals of a share."""
 
 
 def doubt_of_grid(
@@ -78,9 +74,11 @@ def judged_by_rays(
     pixels: NDArray[np.bool_] | None,
     course: Sequence[float],
 ) -> tuple[Volume, str | None]:
-    """Return a volume with ``unexplained`` in its extras, and a warning if it leaves much.
+    """Return a volume with ``unexplained`` and ``diagnosis`` in its extras, and a warning.
 
-    The extra ``predicted`` (see ``Problem.predicted_views``) is taken out.
+    There is a warning if the volume leaves much unexplained, or if a cause explains more of what
+    the projections contradict than chance does (``twinct.diagnosis``). The extra ``predicted`` (see
+    ``Problem.predicted_views``) is taken out.
 
     Args:
         volume: the volume.
@@ -89,7 +87,7 @@ def judged_by_rays(
         scan: the images as measured, and the scenario.
         pixels: True where a pixel counts.
         course: residual of each pass; without any, the volume was not fitted to the line
-            integrals, and there is no warning.
+            integrals, and may leave much.
     """
     extras = dict(volume.extras)
     predicted = extras.pop("predicted", None)
@@ -97,17 +95,26 @@ def judged_by_rays(
     rest = unexplained(A, integrals, volume.array, *seen, predicted)
     if rest is not None:
         extras["unexplained"] = asdict(rest)
+    causes = diagnosed(A, integrals, pixels, seen[2])
+    if causes.all:
+        extras["diagnosis"] = {one.name: round(one.share, DIGITS) for one in causes.all}
     volume = replace(volume, extras=extras)
-    if rest is None:
-        return volume, None
-    if not course or not leaves_much(rest):
-        return volume, None
-    around = signs_beyond(A, integrals, pixels).beside > SOME_BESIDE
-    causes = "; ".join(_causes(scan, rest, course, _has_metal(volume.array), around))
-    return volume, (
-        f"the volume does not explain the projections: it leaves {100 * rest.share:.0f} % of the "
-        f"line integrals, beyond noise of {100 * rest.noise:.1f} % and {100 * rest.edges:.1f} % "
-        f"that edges in such voxels usually leave. Likely causes, with cures: {causes}"
+    much = rest if rest is not None and course and leaves_much(rest) else None
+    cures = cures_of(scan, [cause.name for cause in causes.named])
+    if much is not None:
+        cures += _causes_of_volume(scan, course)
+    return volume, _in_words(much, cures) if cures else None
+
+
+def _in_words(much: Unexplained | None, causes: Sequence[str]) -> str:
+    """Return a warning from what is left, if it is much, and causes with their cures."""
+    listed = f"Likely causes, with cures: {'; '.join(causes)}"
+    if much is None:
+        return f"the projections contradict each other by more than chance. {listed}"
+    return (
+        f"the volume does not explain the projections: it leaves {100 * much.share:.0f} % of the "
+        f"line integrals, beyond noise of {100 * much.noise:.1f} % and {100 * much.edges:.1f} % "
+        f"that edges in such voxels usually leave. {listed}"
     )
 
 
@@ -122,30 +129,14 @@ def _photons(scan: Scan) -> NDArray[np.float64] | None:
     return np.full(len(scan), np.inf) if scan.provenance.noiseless else scan.photons
 
 
-def _has_metal(x: NDArray[np.float32]) -> bool:
-    """Return whether parts of a volume are far denser than the material it mostly consists of."""
-    threshold = DENSER * typical_attenuation(x)
-    return sum(int(np.count_nonzero(plane > threshold)) for plane in x) >= FEWEST_VOXELS
-
-
-def _causes(
-    scan: Scan, rest: Unexplained, course: Sequence[float], metal: bool, around: bool
-) -> list[str]:
-    """Return likely causes of a wrong model of the rays, the likeliest first."""
-    section, source = scan.settings.reconstruction, scan.settings.source
-    hardens = source is None or source.spectrum is not None
+def _causes_of_volume(scan: Scan, course: Sequence[float]) -> list[str]:
+    """Return likely causes that lie in the volume and not in the projections."""
+    single = getattr(scan.settings.reconstruction, "iterations", 2) == 1
     causes = {
-        "wrong poses or a motion, since moved shadows explain much of it (twinct calibrate, "
-        "reconstruction.motion)": rest.still < EXPLAINED_BY_POSES * rest.share,
         "too few passes, since the residual still falls (reconstruction.iterations)": len(course)
         > 1
         and course[-1] < STILL_FALLS * course[-2],
-        "a single pass (reconstruction.iterations)": getattr(section, "iterations", 2) == 1,
-        "beam hardening (reconstruction.beam_hardening)": hardens
-        and section.beam_hardening is None,
-        "metal (reconstruction.metal)": metal and section.metal is None,
-        "something around the grid (reconstruction.surroundings)": around
-        and section.around is None,
+        "a single pass (reconstruction.iterations)": single,
         "parts about as thin as a voxel, or thinner (smaller voxels in reconstruction.grid)": True,
     }
     return [cause for cause, likely in causes.items() if likely]

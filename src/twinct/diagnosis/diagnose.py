@@ -1,0 +1,120 @@
+"""Causes that a scan's projections name themselves, ranked by what each of them explains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twinct.diagnosis.causes import CAUSES
+from twinct.diagnosis.coarse import Coarse
+from twinct.diagnosis.facts import facts
+from twinct.diagnosis.shares import Residual, Share
+from twinct.diagnosis.trials import tried
+from twinct.recon.checks import Mask
+from twinct.recon.engine import Singles
+from twinct.recon.projector import Projector
+
+LEAST_SHARE, LEAST_SIGMAS = 0.02, 3.0
+"""Share, and its ratio to its standard error, from which a cause is named."""
+
+LEAST_EXPLAINED = 0.009
+"""Least that it explains of the line integrals: coarse voxels leave as much of a sharp ball."""
+
+ALIKE = 0.9
+"""Ratio of two shares from which they are alike."""
+
+VALUES = tuple(cause.name for cause in CAUSES if not cause.geometric)
+"""Causes that change the values of pixels."""
+
+MORE = 2
+"""Most causes that are named after the first."""
+
+FEWEST_VIEWS = 10
+"""Number of views from which parts of them judge each other."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Causes by what they explain.
+
+    Attributes:
+        named: causes that explain more than chance does, the likeliest first; each after those
+            before it explained what they can.
+        all: shares of all causes, each on its own, the largest first.
+    """
+
+    named: tuple[Share, ...]
+    all: tuple[Share, ...]
+
+
+def diagnosed(
+    A: Projector,
+    line_integrals: Singles,
+    mask: Mask | None = None,
+    photons: NDArray[np.float64] | None = None,
+) -> Diagnosis:
+    """Return the likely causes of line integrals that contradict each other.
+
+    Args:
+        A: the projector, as the scan is stated.
+        line_integrals: p, (views, rows, columns).
+        mask: True where a pixel counts, (rows, columns) or (views, rows, columns).
+        photons: photons of a pixel in the free beam, (views,), infinite without noise; by default
+            air shows the noise.
+    """
+    if len(A) < FEWEST_VIEWS:
+        return Diagnosis((), ())
+    scan = Coarse.of(A, line_integrals, mask, photons)
+    rest = Residual.of(scan, CAUSES)
+    return ranked(rest, tried(scan), list(facts(scan)))
+
+
+def ranked(rest: Residual, others: tuple[Share, ...], seen: Sequence[str]) -> Diagnosis:
+    """Return the diagnosis.
+
+    Args:
+        rest: the residual, and the signatures of causes.
+        others: shares of causes that were tried.
+        seen: names of causes that the images show.
+    """
+    every = [*(rest.share(cause.name) for cause in CAUSES), *others]
+    every.sort(key=lambda one: -one.share)
+    named = _explaining(rest, every)
+    shown = [one for one in every if one.name in seen]
+    # Stuck pixels and missing parts change values, too: they come before causes that only infer it.
+    at = next((n for n, one in enumerate(named) if one.name in VALUES), len(named))
+    later = [one for one in named[at:] if one.name not in seen]
+    before = [one for one in named[:at] if one.name not in seen]
+    return Diagnosis((*before, *shown, *later), tuple(every))
+
+
+def _explaining(rest: Residual, every: list[Share]) -> list[Share]:
+    """Return the cause that explains most, and those that explain what it leaves."""
+    sure = _sure(every)
+    if wrong := [one for one in sure if one.name == "order"]:
+        return wrong  # nothing else means anything then
+    if not sure:
+        return []
+    first = _simplest([one for one in sure if one.share >= ALIKE * sure[0].share])
+    linear = [cause.name for cause in CAUSES if not cause.by_view and cause.name != first.name]
+    after = (first.name,) if first.name in rest.owners else ()
+    return [first, *_sure([rest.share(name, after) for name in linear])[:MORE]]
+
+
+def _sure(shares: list[Share]) -> list[Share]:
+    """Return the shares that chance does not explain, the largest first."""
+
+    def is_sure(one: Share) -> bool:
+        by_chance = one.share < LEAST_SHARE or one.sigmas < LEAST_SIGMAS
+        return not by_chance and one.explained >= LEAST_EXPLAINED
+
+    return sorted(filter(is_sure, shares), key=lambda one: -one.share)
+
+
+def _simplest(alike: list[Share]) -> Share:
+    """Return the first of the causes in their order; those that were tried have no numbers."""
+    order = [cause.name for cause in CAUSES]
+    return min(alike, key=lambda one: order.index(one.name) if one.name in order else -1)
