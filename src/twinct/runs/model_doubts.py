@@ -74,11 +74,10 @@ def judged_by_rays(
     pixels: NDArray[np.bool_] | None,
     course: Sequence[float],
 ) -> tuple[Volume, str | None]:
-    """Return a volume with ``unexplained`` and ``diagnosis`` in its extras, and a warning.
+    """Return a volume with ``unexplained`` in its extras, and a warning if it leaves much.
 
-    There is a warning if the volume leaves much unexplained, or if a cause explains more of what
-    the projections contradict than chance does (``twinct.diagnosis``). The extra ``predicted`` (see
-    ``Problem.predicted_views``) is taken out.
+    Then the extra ``diagnosis`` holds what each cause explains (``twinct.diagnosis``). The extra
+    ``predicted`` (see ``Problem.predicted_views``) is taken out.
 
     Args:
         volume: the volume.
@@ -87,7 +86,7 @@ def judged_by_rays(
         scan: the images as measured, and the scenario.
         pixels: True where a pixel counts.
         course: residual of each pass; without any, the volume was not fitted to the line
-            integrals, and may leave much.
+            integrals, and there is no warning.
     """
     extras = dict(volume.extras)
     predicted = extras.pop("predicted", None)
@@ -95,26 +94,17 @@ def judged_by_rays(
     rest = unexplained(A, integrals, volume.array, *seen, predicted)
     if rest is not None:
         extras["unexplained"] = asdict(rest)
+    if rest is None or not course or not leaves_much(rest):
+        return replace(volume, extras=extras), None
     causes = diagnosed(A, integrals, pixels, seen[2])
     if causes.all:
         extras["diagnosis"] = {one.name: round(one.share, DIGITS) for one in causes.all}
-    volume = replace(volume, extras=extras)
-    much = rest if rest is not None and course and leaves_much(rest) else None
     cures = cures_of(scan, [cause.name for cause in causes.named])
-    if much is not None:
-        cures += _causes_of_volume(scan, course)
-    return volume, _in_words(much, cures) if cures else None
-
-
-def _in_words(much: Unexplained | None, causes: Sequence[str]) -> str:
-    """Return a warning from what is left, if it is much, and causes with their cures."""
-    listed = f"Likely causes, with cures: {'; '.join(causes)}"
-    if much is None:
-        return f"the projections contradict each other by more than chance. {listed}"
-    return (
-        f"the volume does not explain the projections: it leaves {100 * much.share:.0f} % of the "
-        f"line integrals, beyond noise of {100 * much.noise:.1f} % and {100 * much.edges:.1f} % "
-        f"that edges in such voxels usually leave. {listed}"
+    listed = "; ".join([*cures, *_causes_of_volume(scan, course)])
+    return replace(volume, extras=extras), (
+        f"the volume does not explain the projections: it leaves {100 * rest.share:.0f} % of the "
+        f"line integrals, beyond noise of {100 * rest.noise:.1f} % and {100 * rest.edges:.1f} % "
+        f"that edges in such voxels usually leave. Likely causes, with cures: {listed}"
     )
 
 
