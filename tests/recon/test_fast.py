@@ -1,5 +1,7 @@
 """From coarse to fine: what it is at one level, what it takes out, what it gains."""
 
+import itertools
+
 import numpy as np
 import pytest
 from skimage.restoration import denoise_tv_chambolle
@@ -9,9 +11,9 @@ from twinct.evaluation import region_of_interest
 from twinct.geometry import Panel, VolumeGrid
 from twinct.recon import Projector, fast, sart
 from twinct.recon.algorithms import BUILT_IN
-from twinct.recon.fast import Fast
 from twinct.recon.fista import Variation
 from twinct.recon.levels import QUIET_SHARE
+from twinct.scenario import load_scenario
 
 AROUND_LEFT = 0.1
 """Share of the line integrals that volume and margin leave."""
@@ -37,11 +39,21 @@ def bodies(circle, ellipsoid_integrals):
     return Projector(geometry, grid), p, error
 
 
-def test_no_key_of_another_algorithm_is_taken_over():
-    """A scenario that a run wrote has all keys of its algorithm: their defaults are not these."""
-    for other in {*BUILT_IN} - {"fast"}:
-        shared = {*BUILT_IN[other].settings.model_fields} & {*Fast.model_fields}
-        assert shared == {"algorithm"}
+@pytest.mark.parametrize("kept", [{}, {"passes": 7}])
+def test_a_run_of_another_algorithm_hands_over_only_keys_that_somebody_chose(tmp_path, kept):
+    """The scenario that a run wrote has all keys of its algorithm, with its defaults."""
+    for before, after in itertools.permutations(("fast", "fista_tv", "sart"), 2):
+        own = kept if "passes" in BUILT_IN[before].settings.model_fields else {}
+        chosen = [f"reconstruction.{key}={value}" for key, value in own.items()]
+        run = load_scenario("demo", [f"reconstruction.algorithm={before}", *chosen])
+        file = tmp_path / "scenario.yaml"
+        file.write_text(run.resolved(), encoding="utf-8")
+        section = load_scenario(
+            file, [f"reconstruction.algorithm={after}"], resolved=True
+        ).reconstruction
+        usual = BUILT_IN[after].settings().model_dump()
+        expected = usual | {key: value for key, value in own.items() if key in usual}
+        assert {key: getattr(section, key) for key in expected} == expected
 
 
 def test_it_beats_sart_at_its_best_iteration(bodies):

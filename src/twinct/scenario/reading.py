@@ -303,7 +303,11 @@ def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
 
 
 def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
-    """Remove keys of the previous algorithm that the new one lacks, except overridden ones."""
+    """Remove keys of the previous algorithm that the new one lacks, except overridden ones.
+
+    Keys at the previous algorithm's default go, too, if the new one has another default: a run's
+    own file holds all of them, and nobody chose them.
+    """
     section = draft.data.get("reconstruction")
     if key != ("reconstruction",) or not is_mapping(section) or not isinstance(algorithm, str):
         return
@@ -323,6 +327,13 @@ def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:
                 )
             del section[name]
             draft.forget((*key, name))
+    former = SECTIONS[before].model_fields if before in SECTIONS else {}
+    for name in [name for name in section if name in former and name in valid]:
+        usual = former[name].default
+        if section[name] == usual != valid[name].default and name != "algorithm":
+            if not draft.set_over((*key, name)):
+                del section[name]
+                draft.forget((*key, name))
 
 
 def _absolute_paths(
