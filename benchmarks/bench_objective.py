@@ -132,13 +132,13 @@ def judged(scan: RandomScan, stop: bool, budgets: bool) -> dict[str, object]:
 
 def against_minimum(scan: RandomScan, error: float, volume: Volume) -> dict[str, object]:
     """Return the errors of both budgets relative to the minimum at its best strength."""
-    known = {"photons": scan.photons}
-    larger = fast(scan.A, scan.p, passes=PASSES_TV, tolerance=TOLERANCE_TV, **known)
+    A, p, photons = scan.A, scan.p, scan.photons
+    larger = fast(A, p, photons=photons, passes=PASSES_TV, tolerance=TOLERANCE_TV)
     found = volume.extras["regularisation"]["strength"]
     minima = {}
     for power in STRENGTHS:
-        budget = {"passes": MOST, "tolerance": CLOSE, "strength": found * 2.0**power}
-        minimum = fast(scan.A, scan.p, **budget, **known)
+        strength = found * 2.0**power
+        minimum = fast(A, p, photons=photons, passes=MOST, tolerance=CLOSE, strength=strength)
         minima[power] = scan.error(minimum.array), minimum.extras["passes"]
     best = min(minima, key=lambda power: minima[power][0])
     return {
