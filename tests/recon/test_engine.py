@@ -7,6 +7,7 @@ import platform
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -159,7 +160,8 @@ Path(sys.argv[2]).write_bytes(pickle.dumps(module.done("vector", *job)))
 def older(tmp_path_factory):
     """Surroundings of processes that compile for an older processor, once for this module."""
     folder = tmp_path_factory.mktemp("older")
-    return os.environ | OLDER | {"NUMBA_CACHE_DIR": str(folder)}
+    support = str(Path(__file__).parents[1] / "support")
+    return os.environ | OLDER | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": support}
 
 
 @pytest.mark.slow
