@@ -187,3 +187,14 @@ def test_predictions_hold_what_lies_around_the_grid(bodies):
     )
     assert rest < AROUND_LEFT < 5 * AROUND_LEFT < without
     assert "predicted" not in fast(A, p, strength=0).extras
+
+
+def test_few_views_do_not_diverge(circle, ellipsoid_integrals):
+    """20 views of a body that reaches beyond the grid: subsets of two views blew the volume up."""
+    geometry = circle(20, Panel(60, 64, 2.0, 2.0))
+    A = Projector(geometry, VolumeGrid((40, 44, 42), 1.0))
+    p = ellipsoid_integrals(geometry, (4, -3, 2), (9, 7, 11))
+    p += ellipsoid_integrals(geometry, (0, 0, 0), (34, 30, 24))
+    volume = fast(A, 0.02 * p, passes=12, tolerance=1e-4)
+    assert volume.extras["change"] < 0.1
+    assert volume.array.max() < 3 * 0.04

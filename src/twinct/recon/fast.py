@@ -37,7 +37,7 @@ from twinct.recon.engine import Singles
 from twinct.recon.levels import SMALLEST, Level, with_margin
 from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
-from twinct.recon.ordered_subsets import SUBSETS, Minimiser
+from twinct.recon.ordered_subsets import Minimiser, subsets_for
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.ray_weights import RayWeights, error_of_model
 from twinct.recon.resolution import interpolated
@@ -192,7 +192,7 @@ class _Scan:
     ) -> tuple[Level, Singles, dict[str, Any]]:
         """Return the last level, its volume without the rest, and the extras."""
         updates = sum(_sart_passes(factor) for factor in factors) * len(self.A)
-        most = self.passes * min(SUBSETS, len(self.A))
+        most = self.passes * subsets_for(len(self.A))
         listener, done = Listener(callback, updates + most), 0
         before, found = None, None
         while True:
@@ -305,6 +305,6 @@ FAST: Algorithm[Penalised] = Algorithm(
     check=_check,
     # About: the number of passes at full resolution depends on the volume.
     updates=lambda own, views: (
-        views * sum(_sart_passes(2**n) for n in range(own.levels)) + 4 * min(SUBSETS, views)
+        views * sum(_sart_passes(2**n) for n in range(own.levels)) + 4 * subsets_for(views)
     ),
 )
