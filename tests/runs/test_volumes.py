@@ -341,7 +341,7 @@ def test_a_volume_that_does_not_explain_its_projections_is_named(scan, caplog):
     [(0.3, 0.5, 0.1, True), (0.3, 0.7, 0.1, False), (0.3, 0.0, 0.2, False), (0.05, 0, 0, False)],
 )
 def test_much_is_more_than_noise_and_edges_leave(share, noise, edges, much):
-    assert leaves_much(Unexplained(share, noise, edges, share)) == much
+    assert leaves_much(Unexplained(share, noise, edges)) == much
 
 
 def test_noise_that_is_known_is_not_taken_for_a_wrong_model(scan):

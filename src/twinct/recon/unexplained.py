@@ -22,7 +22,6 @@ from twinct.recon.air import DARKEST, noise_in_air
 from twinct.recon.checks import Mask, counting_rays, masked_image
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
-from twinct.recon.residuals import residuals_of
 
 MOST_VIEWS = 16
 """Number of views, spread over the scan, that are compared."""
@@ -43,13 +42,11 @@ class Unexplained:
         share: root mean square of p - A x beyond the noise, relative to that of p.
         noise: root mean square of the noise, relative to that of p.
         edges: share that edges in voxels of this size usually leave.
-        still: share that is left if each view's shadow may be shifted, turned and scaled.
     """
 
     share: float
     noise: float
     edges: float
-    still: float
 
 
 def compared_views(views: int) -> range:
@@ -89,21 +86,17 @@ def unexplained(
     if not measured[counts].any():
         return None
     predicted = part(volume) if predicted is None else predicted
-    rest = residuals_of(views, measured, predicted, counts)
-    variance = signal = 0.0
-    for view, image, there in zip(views, measured, counts, strict=True):
+    variance = signal = left = 0.0
+    for view, image, there, shown in zip(views, measured, counts, predicted, strict=True):
+        left += float(np.square(image[there] - shown[there], dtype=np.float64).sum())
         passed = np.clip(transmission[view][there], math.exp(-DARKEST), 1, dtype=np.float64)
         variance += float((1 / passed).sum()) * float(seen.in_air[view]) ** 2
         signal += float(np.square(image[there], dtype=np.float64).sum())
     noise = variance / signal
-
-    def beyond(rms_rel: float) -> float:
-        return math.sqrt(max(rms_rel**2 - noise, 0.0))
-
     path = math.sqrt(signal / int(counts.sum())) / max(typical_attenuation(volume), 1e-30)
     edges = PER_VOXEL * float(A.grid.voxel.mean()) / path
-    left = beyond(rest.rms_rel), math.sqrt(noise), min(edges, 1.0), beyond(rest.left_rel[0])
-    return Unexplained(*left)
+    share = math.sqrt(max(left / signal - noise, 0.0))
+    return Unexplained(share, math.sqrt(noise), min(edges, 1.0))
 
 
 def typical_attenuation(volume: Singles) -> float:
