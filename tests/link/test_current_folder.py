@@ -46,10 +46,14 @@ def test_profiles_in_the_current_folder_are_not_read(tmp_path: Path, domain: int
 
 
 def test_twincts_own_settings_are_understood(tmp_path: Path, domain: int) -> None:
-    assert said(tmp_path, domain, "") == ""
+    # Ports in shared memory are one set for all domains of a machine: Fast DDS may complain of a
+    # port that another process is just leaving.
+    assert "XML" not in said(tmp_path, domain, "")
 
 
 def test_settings_of_the_user_take_precedence(tmp_path: Path, domain: int) -> None:
     own = tmp_path / "own.xml"
     own.write_text(PROFILES)
-    assert "planted" in said(tmp_path, domain, "", FASTRTPS_DEFAULT_PROFILES_FILE=str(own))
+    heard = said(tmp_path, domain, "", FASTRTPS_DEFAULT_PROFILES_FILE=str(own))
+    assert "planted" in heard
+    assert "XML" in heard  # so a file with mistakes is told

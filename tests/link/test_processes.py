@@ -1,5 +1,6 @@
 """Three processes live and die together, and two scans never meet."""
 
+import mmap
 import os
 import signal
 import subprocess
@@ -340,6 +341,20 @@ with open(sys.argv[1], "r+b") as file:
 print("mapped", flush=True)
 sys.stdin.read()
 """
+
+
+@pytest.mark.parametrize("name", ["fastrtps_0123456789abcdef", "fastrtps_port7777"])
+def test_shared_memory_that_this_process_sends_through_is_kept(tmp_path, name):
+    """Another participant of this process may still send to a port whose listener has left."""
+    path = tmp_path / name
+    path.write_text("x")
+    with path.open("r+b") as file, mmap.mmap(file.fileno(), 1):
+        file.close()
+        os.utime(path, (1, 1))
+        sweep_shared_memory(tmp_path)
+        assert [left.name for left in tmp_path.iterdir()] == [name], "no guard of a dead one either"
+    sweep_shared_memory(tmp_path)
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("how", ["open", "mapped"])

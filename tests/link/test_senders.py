@@ -6,7 +6,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray
-from waiting import AGAIN_S, HANG_S, happens, until
+from waiting import HANG_S, until
 
 from twinct.core.errors import LinkError
 from twinct.link import RosRig, messages
@@ -57,6 +57,19 @@ def test_a_message_has_a_sender_while_its_topic_has_one_publisher(domain, tmp_pa
             lambda: listener.names_on(STATE, members._known["robots"].__eq__) == "a node 'robots'",
             HANG_S,
         )
+
+
+def test_who_takes_the_port_of_one_that_left_is_heard(domain):
+    """A sweep of ports that others still sent to cut off every third participant that came."""
+    with closing(Station("listener", domain)) as listener:
+        listener.listen(STATE, lambda *heard: None)
+        for number in range(8):
+            name = f"guest_{number}"
+            with closing(Station(name, domain)) as guest:
+                guest.publisher(STATE)
+                assert listener.wait(
+                    lambda name=name: name in listener.names_on(STATE, bool), HANG_S
+                ), name
 
 
 def test_bytes_that_are_no_message_are_told_once_and_end_nothing(domain):
@@ -110,17 +123,10 @@ def test_a_second_publisher_ends_the_scan_by_name_and_with_no_wrong_data(
         def named():
             return NAME in publishing(topic, lambda who: who != rig._station.participant)
 
-        def joins():
-            stranger = foreign(rig.domain_id)
-            out = stranger.node.create_publisher(topic.message_class, topic.name, LATCHED)
-            stranger.until(out.get_subscription_count)
-            return stranger
-
-        stranger = joins()
-        while not happens(named, AGAIN_S):
-            # On a busy machine, Fast DDS may lose a node's name for good (its issue 6117).
-            stranger.close()
-            stranger = joins()
+        stranger = foreign(rig.domain_id)
+        out = stranger.node.create_publisher(topic.message_class, topic.name, LATCHED)
+        stranger.until(out.get_subscription_count)
+        until(named, "the stranger's name is discovered")
         words = f"a node '{NAME}', which is not part of this scan, publishes on {topic}: end it"
         with pytest.raises(LinkError, match=words):
             rig.move(1, targets[1])

@@ -13,9 +13,6 @@ from typing import TypeVar
 HANG_S = 300.0
 """Give up after so long: nothing in the tests takes a tenth of it on two busy cores."""
 
-AGAIN_S = 30.0
-"""Try again after so long, where a library may lose an event for good."""
-
 _POLL_S = 0.01
 
 T = TypeVar("T")
@@ -44,13 +41,3 @@ def until(done: Callable[[], T], event: str = "what the test waits for") -> T:
         patience.check(event)
         time.sleep(_POLL_S)
     return found
-
-
-def happens(done: Callable[[], object], within_s: float) -> bool:
-    """Poll until ``done`` returns something true; return False after ``within_s`` seconds."""
-    end = time.monotonic() + within_s
-    while not done():
-        if time.monotonic() > end:
-            return False
-        time.sleep(_POLL_S)
-    return True

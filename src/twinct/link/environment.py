@@ -10,8 +10,8 @@ import socket
 import sys
 import sysconfig
 import time
-from collections.abc import Iterator, Mapping, MutableMapping
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterator, Mapping, MutableMapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from twinct.core.errors import InputError, LinkError
@@ -266,51 +266,74 @@ def sweep_shared_memory(folder: Path = SHARED_MEMORY) -> None:
     A live participant locks the ``_el`` file beside each of its segments, and every port with a
     listener has such a file. A segment for which there was no space has none, and Fast DDS leaves
     it: ``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` tries shared memory whatever the settings say.
-    Between creating a file and locking it, a slow participant has it open: such files stay.
+
+    Ports are numbered, and all domains of a machine share the numbers. The locks are held until
+    the files are gone, so that a participant that starts meanwhile takes another port. A file that
+    any process has open or mapped stays, this process included: a participant here that still
+    sends to a port whose listener has left would send to nobody once another listener takes it.
     """
-    left = [name for path in folder.glob("fastrtps_*") if (name := _abandoned(path))]
-    opened = _open_elsewhere(folder) if left else frozenset[str]()
-    for name in left:
-        if opened.isdisjoint((name, f"{name}_el")):
-            _remove_segment(folder, name)
+    with ExitStack() as held:
+        locks = {
+            name: lock
+            for name in sorted(_left_behind(folder))
+            if (lock := _locked(folder / f"{name}_el", held)) is not None
+        }
+        if not locks:
+            return
+        in_use = _in_use(folder, except_for=locks.values())
+        for name in locks:
+            if in_use.isdisjoint((name, f"{name}_el")):
+                for leftover in (name, f"sem.{name}_mutex", f"{name}_el"):
+                    with suppress(OSError):
+                        (folder / leftover).unlink()
 
 
-def _abandoned(path: Path) -> str | None:
-    """Return the name of a segment or port that nobody locks; None for all other files."""
-    guard = path if path.name.endswith("_el") else path.with_name(f"{path.name}_el")
+def _left_behind(folder: Path) -> Iterator[str]:
+    """Yield names of segments and ports that are old enough to have been locked by now."""
+    for path in folder.glob("fastrtps_*"):
+        with suppress(OSError):
+            if time.time() - path.lstat().st_mtime < _YOUNG_S:
+                continue
+            if path.name.endswith("_el"):
+                yield path.name.removesuffix("_el")
+            elif _SHARED.fullmatch(path.name) and not path.with_name(f"{path.name}_el").exists():
+                yield path.name
+
+
+def _locked(guard: Path, held: ExitStack) -> int | None:
+    """Lock a segment's guard until ``held`` ends; None if its participant is alive."""
+    made = not guard.exists()
+    flags = os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | (os.O_CREAT | os.O_EXCL if made else 0)
     try:
-        if time.time() - path.stat().st_mtime < _YOUNG_S:
-            return None
-        if path != guard:
-            return path.name if _SHARED.fullmatch(path.name) and not guard.exists() else None
-        descriptor = os.open(guard, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+        descriptor = os.open(guard, flags, 0o666)
     except OSError:
         return None
+    held.callback(os.close, descriptor)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:  # the participant is alive
+    except OSError:
         return None
-    finally:
-        os.close(descriptor)
-    return guard.name.removesuffix("_el")
+    if made:  # Fast DDS takes a port for dead whose guard nobody locks
+        held.callback(guard.unlink, missing_ok=True)
+    return descriptor
 
 
-def _open_elsewhere(folder: Path) -> frozenset[str]:
-    """Return the names of files of a folder that other processes have open or mapped."""
+def _in_use(folder: Path, except_for: Collection[int]) -> frozenset[str]:
+    """Return the names of files of a folder that processes have open or mapped.
+
+    Args:
+        folder: where the files are.
+        except_for: descriptors of this process that do not count.
+    """
     results: set[str] = set()
+    own = {str(descriptor) for descriptor in except_for}
     for process in Path("/proc").glob("[0-9]*"):
-        if process.name == str(os.getpid()):
-            continue
+        uncounted = own if process.name == str(os.getpid()) else ()
         with suppress(OSError):  # it ended, or is another user's
             results.update(re.findall(rf"{folder}/(\S+)", (process / "maps").read_text()))
             for descriptor in (process / "fd").iterdir():
-                target = Path(os.readlink(descriptor))
-                if target.parent == folder:
-                    results.add(target.name)
+                if descriptor.name not in uncounted:
+                    target = Path(os.readlink(descriptor))
+                    if target.parent == folder:
+                        results.add(target.name)
     return frozenset(results)
-
-
-def _remove_segment(folder: Path, name: str) -> None:
-    for leftover in (name, f"sem.{name}_mutex", f"{name}_el"):
-        with suppress(OSError):
-            (folder / leftover).unlink()
