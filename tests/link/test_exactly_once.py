@@ -48,7 +48,7 @@ def views_of(messages):
 
 
 def elsewhere(target):
-    return with_x(target, target.source[0].seven[0] + 1e-9)
+    return with_x(target, target.source[0].seven[0] + 1e-5)
 
 
 def with_x(target, x_m):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import mujoco
@@ -31,6 +32,8 @@ SIDES = ("source", "detector")
 AS_IN_THE_PAPER = Motion(scheme="planned", tool_speed_mm_s=125)
 REACTIVE = Motion(scheme="reactive")
 BENT_RAD = 0.02
+RESTS_DEG = 0.02
+"""Creep of arms that rest against a body: at 1.3 m, the 0.5 mm that they may be off it."""
 SERVO_ERROR_DEG = 0.1
 """What torque-limited servos with feed-forward may be off while they move."""
 STEP_RAD = 5e-6
@@ -250,7 +253,7 @@ def test_driven_into_table_or_specimen_the_panel_touches_it(
     assert -0.5 < clearance.over(simulation.joints[None]).distance_mm < 0.5
     still = simulation.joints
     simulation.idle(0.5)
-    assert np.degrees(np.abs(simulation.joints - still).max()) < 0.01
+    assert np.degrees(np.abs(simulation.joints - still).max()) < RESTS_DEG
     away = goal_of(cell.joint_names, [5.0], [[before.tolist()], [[0.0] * 12], []])
     assert list(simulation.pursue(simulation.states(away)))
     assert np.degrees(np.abs(simulation.joints - before).max()) < SERVO_ERROR_DEG
@@ -287,7 +290,8 @@ def test_half_the_torque_cannot_follow(
             simulation.move(view, target)
     assert simulation.watch.torque_share.max() >= SATURATED
     assert caught.value.arms == ("source",)
-    assert "wrist 1 touches the table; the arms were stopped" in str(caught.value)  # they sag
+    # They sag; which body touches first depends on the last bits of the joints.
+    assert re.search(r"wrist [12] touches the table; the arms were stopped", str(caught.value))
     assert "torque limit reached in" in str(caught.value)
     assert "source_shoulder_lift_joint (165 N m)" in str(caught.value)
 

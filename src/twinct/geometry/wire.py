@@ -15,6 +15,9 @@ import numpy as np
 
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry, lock
 
+SAME_MM, SAME_DEG = 1e-3, 1e-3
+"""Largest differences of two commanded poses that are one: far below what arms repeat."""
+
 
 @dataclass(frozen=True)
 class PosePairs:
@@ -76,6 +79,17 @@ class PosePairs:
     def geometry(self, panel: Panel) -> ScanGeometry:
         """Return the scan geometry of these poses."""
         return ScanGeometry.from_poses(self.source, self.detector, panel)
+
+    def agrees(self, other: PosePairs) -> bool:
+        """Return True if source and panel of all views are alike, to ``SAME_MM`` and ``SAME_DEG``.
+
+        Sines and cosines of another processor differ in their last bits.
+        """
+        return len(self) == len(other) and all(
+            mine.distance_mm(theirs) <= SAME_MM and mine.angle_deg(theirs) <= SAME_DEG
+            for side in ("source", "detector")
+            for mine, theirs in zip(getattr(self, side), getattr(other, side), strict=True)
+        )
 
     def __len__(self) -> int:
         """Return the number of views."""

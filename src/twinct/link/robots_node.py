@@ -193,7 +193,7 @@ class Turns:
         running = "a scan is running"
         if view is None:
             raise RefusedError(f"{running}, and the stamp of this target does not belong to it")
-        if target != self._targets[view]:
+        if not target.agrees(self._targets[view]):
             raise RefusedError(
                 f"{running}, and this target differs from the scan's target for view {view}"
             )

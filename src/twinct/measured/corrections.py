@@ -18,15 +18,8 @@ from twinct.measured.air import Brighter, found_air, level_of
 from twinct.measured.beam import FreeBeam
 from twinct.measured.description import Air, FieldImages, Images, Rings
 from twinct.measured.lines import AirOfLines, seams
-from twinct.measured.pixels import (
-    Doubtful,
-    Levels,
-    ThreeViews,
-    dark_noise,
-    levels_of,
-    singles,
-    starved,
-)
+from twinct.measured.noise import DarkNoise, noise_of_dark
+from twinct.measured.pixels import Doubtful, Levels, ThreeViews, levels_of, singles, starved
 from twinct.measured.rings import MeanView
 from twinct.measured.stack import Stack, open_stack
 
@@ -53,9 +46,6 @@ MOST_FOR_MEAN = 24
 
 MOST_FOR_NOISE = 6
 """Largest number of views in which the noise is measured, each with its neighbours."""
-
-ROUNDING = 12**-0.5
-"""Standard deviation of the error of rounding to whole numbers."""
 
 OPAQUE = 0.2
 """Largest share of the pixels of transmissions that may be 0 or below."""
@@ -101,18 +91,6 @@ class Corrected(NamedTuple):
     doubtful: Doubtful
     saturated: Bools
     stored: NDArray[Any]
-
-
-class DarkNoise(NamedTuple):
-    """Noise of the dark image.
-
-    Attributes:
-        sigma: standard deviation, as a transmission; 0: unknown.
-        source: where it is from, for messages.
-    """
-
-    sigma: float
-    source: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +155,16 @@ class Corrections:
         return Corrected(
             image, scale, Doubtful(bright, dark, low, means), stored == self.largest, stored
         )
+
+    @cached_property
+    def brightness(self) -> float:
+        """Median brightness of air, relative to the flats; 1 unless each view is scaled."""
+        few = _some(self.stack.count, MOST_FOR_NOISE) if self.scaled else []
+        return float(np.median([self.transmission(view).scale for view in few] or [1.0]))
+
+    def dark_of(self, view: int) -> Floats | float:
+        """Return the dark image of a view, as stored, (rows, columns); 0 without any."""
+        return 0.0 if self.dark is None else self.dark.image(view)
 
     def lines(self, along: str) -> AirOfLines:
         """Return the air of rows or columns; it must be known."""
@@ -245,8 +233,7 @@ class Corrections:
             with np.errstate(divide="ignore", invalid="ignore"):
                 image /= self.flat.image(view)
         elif self.section.white is not None:
-            dark = 0.0 if self.dark is None else float(self.dark.image(view).mean())
-            image /= self.section.white - dark
+            image /= self.section.white - float(np.mean(self.dark_of(view)))
         return image
 
     def _air(self, image: Floats, left_out: Bools, view: int) -> float:
@@ -312,7 +299,8 @@ def _with_levels(corrected: Corrections) -> Corrections:
     few = _some(count, MOST_FOR_NOISE)
     threes = [three for view in few if (three := corrected._three(view)) is not None]
     images = [filled(corrected._read(view)[0], corrected.bad) for view in few]
-    noise = _dark_noise(corrected, images)
+    bright = float(np.median([_bright(image) for image in images]))
+    noise = noise_of_dark(section, corrected.stack.dtype, _unit(corrected), images, bright)
     levels = levels_of(threes, noise.sigma) if threes else None
     many = _some(count, MOST_FOR_MEAN)
     views = [filled(corrected._read(view)[0], corrected.bad) for view in many]
@@ -347,41 +335,13 @@ def _some(count: int, most: int) -> list[int]:
     return [int(v) for v in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
-def _dark_noise(corrected: Corrections, images: list[Floats]) -> DarkNoise:
-    """Return the noise of the dark image: stated, from darks, from the views, or of rounding."""
-    section = corrected.section
-    if section.values == "line_integrals":
-        return DarkNoise(0.0, "unknown")
-    one = _unit(corrected)
-    if section.dark_noise is not None:
-        return DarkNoise(section.dark_noise * one, "images.dark_noise")
-    rounding = one * ROUNDING if np.issubdtype(corrected.stack.dtype, np.integer) else 0.0
-    if noise := _noise_of_darks(section.darks):
-        return DarkNoise(max(noise * one, rounding), "images.darks")
-    air = float(np.median([_bright(image) for image in images]))
-    if noise := dark_noise(images, air):
-        return DarkNoise(max(noise, rounding), "values of 0 and below")
-    return DarkNoise(rounding, "rounding to whole numbers" if rounding else "unknown")
-
-
 def _unit(corrected: Corrections) -> float:
     """Return the transmission, before any scale of air, that a stored number of 1 is."""
     if corrected.flat is not None:
         return 1.0 / float(np.median(corrected.flat.images[0]))
     if corrected.section.white is not None:
-        dark = 0.0 if corrected.dark is None else float(corrected.dark.image(0).mean())
-        return 1.0 / (corrected.section.white - dark)
+        return 1.0 / (corrected.section.white - float(np.mean(corrected.dark_of(0))))
     return 1.0
-
-
-def _noise_of_darks(sections: tuple[FieldImages, ...]) -> float:
-    """Return the standard deviation of two dark images' difference, per image; 0 without two."""
-    for index, section in enumerate(sections):
-        stack = open_stack(section, f"images.darks.{index}")
-        if stack.count > 1:
-            change = np.abs(stack.image(1).astype(np.float64) - stack.image(0))
-            return 1.4826 * float(np.median(change)) / np.sqrt(2)
-    return 0.0
 
 
 def _gains(corrected: Corrections, rings: Rings) -> Floats:

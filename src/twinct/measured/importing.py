@@ -15,6 +15,7 @@ from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.pictures import show
 from twinct.core.files.writing import complete, storage_errors
+from twinct.core.foreign_text import counted
 from twinct.evaluation import coarse, views_needed
 from twinct.geometry import ScanGeometry
 from twinct.geometry.wire import PosePairs
@@ -24,6 +25,7 @@ from twinct.measured.description import Measured, read_description
 from twinct.measured.doubts import Doubts
 from twinct.measured.imported_picture import SIZE_IN, draw_imported
 from twinct.measured.looks import Looks
+from twinct.measured.noise import FlatNoise, noise_of_flats
 from twinct.measured.orientation import PanelPlacement, placed
 from twinct.measured.sources import description_of, is_measured
 from twinct.measured.stack import open_stack
@@ -32,6 +34,8 @@ from twinct.recon.field_of_view import grid_of
 from twinct.runs import Folder
 from twinct.scan import Imported, ScanStore, check_space
 from twinct.scenario.imported import ImportedSettings, load_imported
+from twinct.xray.photons import FreePhotons
+from twinct.xray.sections.detector import SnrNoise
 
 NO_TRUTH = "A measured scan: there is no truth."
 
@@ -90,7 +94,9 @@ def import_measured(
     images = corrections(description.images, stack, FreeBeam(placement))
     geometry = placement.geometry[:: description.images.every]
     _check_views(description, placement.geometry, geometry)
-    settings = _settings(description, geometry)
+    noise = noise_of_flats(description.images, images.dark_of, placement.image)
+    noise = noise and noise.at(images.brightness)
+    settings = _settings(description, geometry, noise)
     if not views_needed(geometry, coarse(settings.reconstruction.volume_grid)):
         raise InputError(
             "grid: no view sees its voxels; without grid, the volume holds all that the views see"
@@ -116,7 +122,11 @@ def import_measured(
         folder.write_scenario(settings)
         show(partial(draw_imported, store.read(), placement, looks), SIZE_IN, folder.imported)
     views = placement.views
-    notes = *_notes_of_images(images, geometry, looks), *views.notes
+    notes = [
+        *_notes_of_images(images, geometry, looks),
+        *_notes_of_noise(settings, noise),
+        *views.notes,
+    ]
     sentences = *notes, *_notes_of_grid(settings), *looks.table
     return ImportedScan(folder.path, settings, sentences, (*views.doubts, *doubts.sentences))
 
@@ -164,8 +174,10 @@ def _check_views(description: Measured, stored: ScanGeometry, used: ScanGeometry
         )
 
 
-def _settings(description: Measured, geometry: ScanGeometry) -> ImportedSettings:
-    """Return what the description says of the scan besides images and geometry."""
+def _settings(
+    description: Measured, geometry: ScanGeometry, noise: FlatNoise | None
+) -> ImportedSettings:
+    """Return what description and flats say of the scan besides images and geometry."""
     if others := [key for key in description.scenario if key not in _KNOWN]:
         raise InputError(
             f"scenario.{others[0]}: an imported scan has no such section: remove it; choose from "
@@ -178,6 +190,12 @@ def _settings(description: Measured, geometry: ScanGeometry) -> ImportedSettings
         "rows": panel.rows,
         "pixel_pitch_mm": [panel.pitch_u, panel.pitch_v],
     }
+    stated = detector.setdefault("noise", noise and noise.section)
+    if isinstance(stated, dict) and stated.get("kind") == "quantum":
+        raise InputError(
+            "scenario.detector.noise.kind: quantum noise is simulated; a measured scan has kind: "
+            "snr, with the signal-to-noise ratio of a pixel in the free beam"
+        )
     reconstruction = {"algorithm": "fast", **dict(further.pop("reconstruction", {}))}
     if description.grid is not None:
         reconstruction["grid"] = description.grid.model_dump(mode="json")
@@ -246,6 +264,20 @@ def _notes_of_images(images: Corrections, geometry: ScanGeometry, looks: Looks) 
             "geometry states it"
         )
     return notes
+
+
+def _notes_of_noise(settings: ImportedSettings, measured: FlatNoise | None) -> list[str]:
+    noise = settings.detector.noise
+    if not isinstance(noise, SnrNoise):
+        return []
+    source = "as stated"
+    if measured is not None and noise.snr == measured.section["snr"]:
+        source = f"from {counted(measured.pairs, 'pair')} of flats"
+    photons = FreePhotons.of_snr(noise).number
+    return [
+        f"noise: a pixel in air has a signal-to-noise ratio of {noise.snr:.4g}, {source}; means of "
+        f"many pixels have the noise of {photons:.4g} photons a pixel"
+    ]
 
 
 def _notes_of_grid(settings: ImportedSettings) -> list[str]:

@@ -23,6 +23,7 @@ from twinct.scan.named_geometries import OWN, NamedGeometry, poses_digest
 from twinct.scenario import Scenario, Uncertainty, stage_digests
 from twinct.scenario.imported import STATED, ImportedSettings, ScanSettings
 from twinct.uncertainty import reported_poses
+from twinct.xray.sections.detector import SnrNoise
 
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
@@ -270,10 +271,13 @@ class Imported:
         """Name and digest of the poses that identify the scan in geometries derived from it."""
         return {STATED: poses_digest(self.stated)}
 
-    @property
+    @cached_property
     def free_photons(self) -> FreePhotons | None:
-        """None: they are not known."""
-        return None
+        """Photons of a pixel in the free beam; None if neither stated nor measured."""
+        from twinct.xray.photons import FreePhotons  # loads the X-ray chain
+
+        noise = self.settings.detector.noise
+        return FreePhotons.of_snr(noise) if isinstance(noise, SnrNoise) else None
 
     @property
     def noiseless(self) -> bool:

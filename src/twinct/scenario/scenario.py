@@ -102,7 +102,12 @@ class Scenario(Section):
     def conflicts(self) -> list[Conflict]:
         """Return the conflicts between sections."""
         contradictions = (
-            *(self._photon_number(), self._subsets(), self._something_to_correct()),
+            *(
+                self._photon_number(),
+                self._noise_to_draw(),
+                self._subsets(),
+                self._something_to_correct(),
+            ),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
             *(self._arms_to_err(), self._time_of_a_frame()),
             *self._motion(),
@@ -120,6 +125,16 @@ class Scenario(Section):
             "detector.noise of kind 'quantum' needs a photon number: give "
             "source.photons_per_mm2_mas, or a source.spectrum of kind 'tube'",
             ("detector.noise", "source.photons_per_mm2_mas", "source.spectrum"),
+        )
+
+    def _noise_to_draw(self) -> Conflict | None:
+        gain = getattr(self.detector.noise, "gain", 1.0)
+        if gain == 1:
+            return None
+        return Conflict(
+            f"detector.noise.gain is {gain:g}, but a simulated scan has 1: noise of kind "
+            "'quantum' and a detector.point_spread simulate what neighbours share",
+            ("detector.noise.gain",),
         )
 
     def _subsets(self) -> Conflict | None:

@@ -25,6 +25,11 @@ class FreePhotons:
     number: float
     single: float
 
+    @classmethod
+    def of_snr(cls, noise: sections.SnrNoise) -> FreePhotons:
+        """Return the photons of a stated signal-to-noise ratio of a pixel."""
+        return cls((noise.snr * noise.gain) ** 2, noise.snr**2)
+
 
 def free_photons(
     source: sections.Source, detector: sections.Detector, commanded: ScanGeometry
@@ -34,7 +39,7 @@ def free_photons(
     if noise is None:
         return None
     if isinstance(noise, sections.SnrNoise):
-        return FreePhotons(noise.snr**2, noise.snr**2)  # drawn after the point spread
+        return FreePhotons.of_snr(noise)
     signal, square = ImagingChain(source, detector, (), commanded[:1]).free
     number = float(signal**2 / square) * detector.binning**2
     spread, panel = build_spread(detector), detector.panel

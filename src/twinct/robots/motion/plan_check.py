@@ -10,7 +10,7 @@ import numpy as np
 from twinct.core.errors import TrajectoryError
 from twinct.core.foreign_text import counted
 from twinct.geometry import Floats, Pose
-from twinct.geometry.wire import PosePairs, places_m
+from twinct.geometry.wire import SAME_DEG, SAME_MM, PosePairs, places_m
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.motion.gate import OVER, ROUNDING, in_unit
@@ -21,9 +21,6 @@ from twinct.robots.motion.refusals import named, runs
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import FINE_S, TimeLaw
 from twinct.robots.sections import Motion
-
-SAME_MM, SAME_DEG = 1e-3, 1e-3
-"""Tolerances within which the poses of a plan equal the requested poses."""
 
 HURRIED_S = 1e-6
 """Time by which a view may come too soon, for rounding."""

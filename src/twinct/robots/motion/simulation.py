@@ -231,7 +231,7 @@ class RobotSimulation:
                 f"view {view}: the plan of the views has ended, because something else moved the "
                 "arms: restore a stored state, or follow the plan again"
             )
-        if target != plan.targets[view]:
+        if not target.agrees(plan.targets[view]):
             raise TargetRefusedError(f"view {view}: this target is not the one in the plan")
         return self._along(view, f"view {view}", np.zeros((0, 3, self._n)), on_step)
 

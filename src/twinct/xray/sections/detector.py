@@ -107,6 +107,12 @@ class SnrNoise(Section):
         "panel.",
         json_schema_extra=facts(source="as in CTSimU files"),
     )
+    gain: Positive = setting(
+        1.0,
+        "Noise of a pixel relative to what it would be if neighbours did not share it. Below 1 for "
+        "an imported scan whose detector blurs; a simulated scan has 1: kind 'quantum' and a "
+        "point_spread simulate blurred noise.",
+    )
 
 
 Noise = Annotated[QuantumNoise | SnrNoise, Field(discriminator="kind")]
