@@ -89,3 +89,36 @@ def test_commas_are_decimal_only_beside_other_separators(text, numbers, tmp_path
     path = tmp_path / "table.csv"
     path.write_text(text)
     assert read_numbers(path, "", "table").tolist() == numbers
+
+
+@pytest.mark.parametrize("ending", ["npy", "npz", "h5", "nxs", "zarr"])
+def test_arrays_of_angles_are_read_by_their_name(ending, tmp_path):
+    path, name = tmp_path / f"angles.{ending}", "exchange/theta"
+    others = {name: np.array(ANGLES), "exchange/data": np.zeros((4, 2, 3))}
+    if ending == "npy":
+        np.save(path, ANGLES)
+    elif ending == "npz":
+        np.savez(path, **{key.replace("/", "_"): value for key, value in others.items()})
+        name = "exchange_theta"
+    elif ending == "zarr":
+        zarr = pytest.importorskip("zarr")
+        name, group = "theta", zarr.create_group(str(path))
+        group.create_array("theta", data=np.array(ANGLES))
+        group.create_array("data", data=np.zeros((4, 2, 3)))
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(path, "w") as file:
+            for key, value in others.items():
+                file[key] = value
+    np.testing.assert_array_equal(read_angles(path, name, 4, "angles"), ANGLES)
+    if ending != "npy":
+        with pytest.raises(InputError, match="no array 'omega'; it holds "):
+            read_angles(path, "omega", 4, "angles")
+
+
+def test_arrays_that_fill_the_memory_are_refused(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "large.h5", "w") as file:
+        file.create_dataset("theta", shape=(2**30,), dtype="f8", chunks=(2**20,))
+    with pytest.raises(InputError, match="holds 8589934592 bytes; at most 4294967296 are read"):
+        read_angles(tmp_path / "large.h5", "theta", 4, "angles")

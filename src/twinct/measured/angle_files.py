@@ -15,10 +15,12 @@ import numpy as np
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import counted, quoted
 from twinct.geometry import Floats
+from twinct.measured.hdf5_images import HDF5
 from twinct.measured.numbers import MOST_TEXT, read_numbers, table_of
 from twinct.measured.windows_text import read_windows_text
+from twinct.measured.zarr_images import is_zarr
 
-_ARRAYS = ".npy", ".npz"
+_ARRAYS = ".npy", ".npz", *HDF5
 
 _FILE = re.compile(r'^\s*"?[^\s,;"]+\.[A-Za-z]{2,5}"?\s*[\s,;]\s*')
 """Name of an image at the beginning of a line."""
@@ -42,15 +44,15 @@ def read_angles(path: Path, array: str, views: int, where: str) -> Floats:
     """Return the angles in a file in the order of the views, in the unit of the file.
 
     Args:
-        path: a .npy or .npz file, or a text.
-        array: name of the array in an .npz file; empty if it has only one.
+        path: a .npy, .npz or HDF5 file, a Zarr store, or a text.
+        array: name of the array in a file of several; empty if it has only one.
         views: number of angles that are expected; others are returned as well.
         where: beginning of messages.
 
     Raises:
         InputError: there are no such numbers, or no column is that of the angles.
     """
-    if path.suffix.lower() in _ARRAYS:
+    if path.suffix.lower() in _ARRAYS or is_zarr(path):
         return _column(read_numbers(path, array, where), views, where)
     text = read_windows_text(path, where, MOST_TEXT)
     lines = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]

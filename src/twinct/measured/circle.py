@@ -27,9 +27,9 @@ class Angles(Section):
     step: Finite | None = setting(None, "Angle from view to view.")
     values: tuple[Finite, ...] | None = setting(None, "Angle of each view.")
     path: Path | None = setting(
-        None, "File of the angles: .npy, .npz or a text, which may number the views."
+        None, "File of the angles: .npy, .npz, HDF5, Zarr, or a text, which may number the views."
     )
-    array: str = setting("", "Name of the array in an .npz file.")
+    array: str = setting("", "Name of the array in a file of several.")
     unit: Literal["deg", "rad"] = setting("deg", "Unit of all these angles.")
 
     @model_validator(mode="after")

@@ -15,7 +15,10 @@ from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.packing import Packing
 from twinct.core.foreign_text import quoted
-from twinct.measured.numbers import array_name
+from twinct.measured.array_names import array_name
+
+HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
+"""Endings of HDF5 files, those of Data Exchange and NeXus among them."""
 
 _FILTERS = {1: "zlib", 2: "shuffle", 3: "fletcher32", 4: "szip", 32000: "lzf"}
 """Filters that are read, by HDF5's numbers; their output is limited before HDF5 applies them."""

@@ -182,11 +182,12 @@ def _of_pair(one: NDArray[np.floating], other: NDArray[np.floating]) -> _Varianc
         return _Variance(0.0, 0.0, 0)
     off = np.where(counts, off - off[counts].mean(), 0.0)
     near, far = [], []
-    for down in range(-BEYOND, BEYOND + 1):
-        for right in range(-BEYOND, BEYOND + 1):
+    rows, columns = (min(BEYOND, length - 1) for length in off.shape)
+    for down in range(-rows, rows + 1):
+        for right in range(-columns, columns + 1):
             within = max(abs(down), abs(right)) <= REACH
             (near if within else far).append(_covariance(off, counts, down, right))
-    slow = float(np.mean(far))
+    slow = float(np.mean(far)) if far else 0.0
     single = _covariance(off, counts, 0, 0) - slow
     return _Variance(single, float(np.sum(near)) - len(near) * slow, int(counts.sum()))
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +14,17 @@ from numpy.typing import NDArray
 from twinct.core.errors import InputError
 from twinct.core.files.arrays import read_npy, read_npz
 from twinct.core.foreign_text import number, quoted
+from twinct.measured.array_names import named_array
+from twinct.measured.hdf5_images import HDF5, Hdf5Images, open_hdf5
 from twinct.measured.windows_text import read_windows_text
+from twinct.measured.zarr_images import ZarrImages, is_zarr, open_zarr
 
-T = TypeVar("T")
 MOST_BYTES = 2**32
 MOST_TEXT = 2**28
 
 
 def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
-    """Return the numbers of a .npy or .npz file, or the rows of a text, float64.
+    """Return the numbers of a .npy, .npz, HDF5 or Zarr array, or the rows of a text, float64.
 
     A text separates numbers by commas, semicolons or blanks. Commas are decimal ones where
     semicolons or blanks separate, and no number has a point. Lines that begin with # do not count,
@@ -29,17 +32,22 @@ def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
 
     Args:
         path: the file.
-        array: name of the array in an .npz file; empty if it has only one.
+        array: name of the array in a file of several; empty if it has only one.
         where: beginning of messages.
 
     Raises:
         InputError: there are no such numbers, or one is not finite.
+        MissingExtraError: HDF5 needs a package that is not installed.
     """
     suffix = path.suffix.lower()
     if suffix == ".npy":
         numbers: NDArray[Any] = read_npy(path, where)
     elif suffix == ".npz":
         numbers = named_array(read_npz(path, where, MOST_BYTES), array, where)
+    elif suffix in HDF5:
+        numbers = _whole(open_hdf5(path, array, where), where)
+    elif is_zarr(path):
+        numbers = _whole(open_zarr(path, array, where), where)
     else:
         numbers = table_of(read_windows_text(path, where, MOST_TEXT), where)
     if numbers.dtype.kind not in "fiu":
@@ -50,27 +58,11 @@ def read_numbers(path: Path, array: str, where: str) -> NDArray[np.float64]:
     return numbers
 
 
-def named_array(arrays: Mapping[str, T], name: str, where: str) -> T:
-    """Return an array by its name; the only one if the name is empty.
-
-    Raises:
-        InputError: there is no such array.
-    """
-    return arrays[array_name(list(arrays), name, where)]
-
-
-def array_name(names: Sequence[str], name: str, where: str) -> str:
-    """Return the name of an array, or that of the only one if the name is empty.
-
-    Raises:
-        InputError: there is no such array.
-    """
-    if not name and len(names) == 1:
-        return names[0]
-    if name not in names:
-        problem = f"no array {quoted(name)}" if name else "array: name one"
-        raise InputError(f"{where}: {problem}; it holds {', '.join(sorted(names))}")
-    return name
+def _whole(stored: Hdf5Images | ZarrImages, where: str) -> NDArray[Any]:
+    """Return all numbers of an array."""
+    if (size := math.prod(stored.shape) * stored.dtype.itemsize) > MOST_BYTES:
+        raise InputError(f"{where} holds {size} bytes; at most {MOST_BYTES} are read")
+    return stored[(slice(None),) * len(stored.shape)]
 
 
 def table_of(text: str, where: str) -> NDArray[np.float64]:

@@ -19,11 +19,12 @@ from twinct.core.files.boundary import file_bytes, library_errors, no_file, requ
 from twinct.core.files.metaimage import metaimage_header, read_metaimage
 from twinct.core.files.packed import require_growth
 from twinct.core.foreign_text import quoted, whole_number
+from twinct.measured.array_names import array_name
 from twinct.measured.description import Files
 from twinct.measured.dicom_images import MOST_LISTED, dicom_files, is_dicom
-from twinct.measured.hdf5_images import open_hdf5
-from twinct.measured.numbers import MOST_BYTES, array_name
-from twinct.measured.zarr_images import open_zarr
+from twinct.measured.hdf5_images import HDF5, open_hdf5
+from twinct.measured.numbers import MOST_BYTES
+from twinct.measured.zarr_images import is_zarr, open_zarr
 
 if TYPE_CHECKING:
     from twinct.core.files.plain_tiff import PlainTiff
@@ -34,8 +35,7 @@ _TIFF = (".tif", ".tiff")
 _PICTURES = (".png", ".bmp", ".pgm", ".jpg", ".jpeg")
 _DICOM = (".dcm", ".ima", "")
 _RAW = (".raw", ".bin", ".img", ".dat", ".vol")
-_HDF5 = (".h5", ".hdf5", ".hdf", ".nxs", ".nx")
-_IMAGES = {*_TIFF, *_PICTURES, *_DICOM, *_RAW, *_HDF5, ".npy", ".npz", ".mha", ".mhd"}
+_IMAGES = {*_TIFF, *_PICTURES, *_DICOM, *_RAW, *HDF5, ".npy", ".npz", ".mha", ".mhd"}
 
 ZEISS = (".txrm", ".xrm", ".txm")
 NO_ZEISS = (
@@ -93,9 +93,8 @@ def open_stack(section: Files, key: str) -> Stack:
         MissingExtraError: HDF5 needs a package that is not installed.
     """
     path = Path(section.path)
-    is_zarr = path.suffix.lower() == ".zarr" or (path / "zarr.json").is_file()
     with library_errors(f"{path}"):
-        if is_zarr:
+        if is_zarr(path):
             files = [file for file in path.rglob("*") if file.is_file()]
             stack = _of_array(open_zarr(path, section.array, key), section, f"{path}")
         else:
@@ -129,7 +128,7 @@ def _stack_of(path: Path, files: Sequence[Path], section: Files, key: str) -> St
         )
     if section.series is not None and suffix not in _DICOM:
         raise InputError(f"{key}.series: only for DICOM files, not for {files[0].name}")
-    if len(files) == 1 and suffix in (".npy", ".npz", ".mha", ".mhd", *_HDF5):
+    if len(files) == 1 and suffix in (".npy", ".npz", ".mha", ".mhd", *HDF5):
         readers = {".npy": _npy, ".npz": _npz, ".mha": _metaimage, ".mhd": _metaimage}
         return readers.get(suffix, _hdf5)(files[0], section, key)
     if suffix in _RAW:

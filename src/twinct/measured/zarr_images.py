@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twinct.core.files.zarr_chunks import Part, ZarrChunks
-from twinct.measured.numbers import named_array
+from twinct.measured.array_names import named_array
 
 
 class ZarrImages:
@@ -28,6 +28,11 @@ class ZarrImages:
         """
         self._chunks.require(index)
         return np.asarray(self._array[index])
+
+
+def is_zarr(path: Path) -> bool:
+    """Return True for the folder of a Zarr store, by its name or its own file."""
+    return path.suffix.lower() == ".zarr" or (path / "zarr.json").is_file()
 
 
 def open_zarr(path: Path, name: str, key: str) -> ZarrImages:

@@ -185,10 +185,11 @@ def circular(geometry: ScanGeometry) -> tuple[CircularOrbit, ShiftedPanel | None
         return circle, shifted_panel(geometry, circle.centre, fan)
     require_centred(geometry, circle.centre)
     needed = math.pi + 2 * float(np.abs(fan).max())
-    if circle.span < needed - 1e-9:
+    # Where the arc of a view ends is known to half of it: half a turn of a source far away is one.
+    if circle.span < needed - float(circle.steps.min()) / 2 - 1e-9:
         raise InputError(
-            f"the arc covers {math.degrees(circle.span):.1f} deg; fdk needs 180 deg plus the fan "
-            f"angle, {math.degrees(needed):.1f} deg, or a full turn; sart and fast take any arc"
+            f"the arc covers {math.degrees(circle.span):.4g} deg; fdk needs 180 deg plus the fan "
+            f"angle, {math.degrees(needed):.4g} deg, or a full turn; sart and fast take any arc"
         )
     return circle, None
 
