@@ -308,11 +308,12 @@ def _locked(guard: Path, held: ExitStack) -> int | None:
         descriptor = os.open(guard, flags, 0o666)
     except OSError:
         return None
-    held.callback(os.close, descriptor)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
+        os.close(descriptor)  # at once: whoever sweeps, too, would take the file for one in use
         return None
+    held.callback(os.close, descriptor)
     if made:  # Fast DDS takes a port for dead whose guard nobody locks
         held.callback(guard.unlink, missing_ok=True)
     return descriptor

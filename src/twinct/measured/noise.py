@@ -41,7 +41,7 @@ LIT = 0.1
 """Smallest brightness of a flat pixel that counts, relative to the median."""
 
 FEWEST = 10_000
-"""Smallest number of pixels, of all pairs: the sum of their covariances is known to 16 %."""
+"""Smallest number of pixels, of all pairs: the sum of their covariances is known to 13 %."""
 
 _MEDIAN_OF_NORMAL = 0.6745
 
