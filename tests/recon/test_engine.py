@@ -206,19 +206,28 @@ def test_engines_agree_within_blocks(against_plain):
 def test_engines_agree_on_back_projection_and_total_variation(against_plain):
     rng = np.random.default_rng(3)
     images = rng.standard_normal(against_plain[0].range_shape).astype(np.float32)
-    z = rng.standard_normal(against_plain[0].domain_shape).astype(np.float32)
-    q = rng.random(z.shape, dtype=np.float32) + 1
-    start = rng.standard_normal((3, *z.shape)).astype(np.float32) / 10
-    inverse = 1 / against_plain[0].grid.voxel
+    shape = against_plain[0].domain_shape
+    z, known = (rng.standard_normal(shape).astype(np.float32) for _ in range(2))
+    before = rng.standard_normal(shape).astype(np.float32)
+    q = rng.random([-(-n // 2) for n in shape], dtype=np.float32) + 1
+    dual = rng.integers(-9000, 9000, (6, *shape)).astype(np.int16)
+    seams = (rng.random(shape) < 0.1).astype(np.uint8)
+    filled = np.ones([-(-n // 8) for n in shape], np.uint8)
+    filled[0, 0, 0] = 0
+    inverse, radii = 1 / against_plain[0].grid.voxel, np.array([0.1, 0.05])
     results = []
     for A in against_plain:
-        spread, out, dual = np.zeros_like(z), np.empty_like(z), start.copy()
+        spread, b, p, x = np.zeros_like(z), z.copy(), dual.copy(), before.copy()
         A.back_project(images, np.linspace(1e4, 2e4, len(A)), spread)
-        A.kernels.primal(z, q, dual, inverse, np.float32(-0.5), out)
-        A.kernels.ascend(out, q, inverse, 0.1, 1.8, dual)
-        results.append((spread, out, dual))
+        A.kernels.weigh(b, q)
+        weighted, blocks = b.copy(), Blocks(filled)
+        A.kernels.ascend(b, q, p, radii, known, seams, inverse, np.float32(-0.5), 1.8, blocks)
+        A.kernels.settle(b, q, p, radii, inverse, np.float32(-0.5), np.float32(0.3), x, blocks)
+        results.append((spread, weighted, p.astype(np.float32), b, x))
     for one, plain in zip(*results, strict=True):
         close(one, plain)
+    wide = q.repeat(2, 0).repeat(2, 1).repeat(2, 2)[tuple(map(slice, shape))]
+    np.testing.assert_allclose(results[0][1], z * wide, rtol=1e-6)
 
 
 def test_a_ratio_has_its_border_and_counts_what_is_missing(pair):

@@ -144,29 +144,60 @@ class Kernels(Protocol):
     def back_project(self, images: Singles, pixels: Floats, scales: Floats, out: Singles) -> None:
         """Add scale / depth^2 times each image (views, rows, columns) at the voxel's projection."""
 
-    def primal(
-        self,
-        z: Singles,
-        q: Singles,
-        dual: Singles,
-        inverse: Floats,
-        floor: np.float32,
-        out: Singles,
-    ) -> None:
-        """Write max(z - (gradient^T dual) / q, floor) to ``out``, all (z, y, x); q is positive.
+    def weigh(self, z: Singles, q: Singles) -> None:
+        """Multiply a volume, (z, y, x), by weights.
 
-        ``dual`` is (3, z, y, x): components along x, y, z, 0 where the difference leaves the grid;
-        ``inverse`` is 1 / voxel edge along x, y, z, 1/mm.
+        They are positive, and those of its voxels, or of voxels twice as large along some axes,
+        whose number is rounded up. ``ascend`` and ``settle`` take such weights, too.
         """
 
     def ascend(
-        self, x: Singles, q: Singles, inverse: Floats, radius: float, step: float, dual: Singles
+        self,
+        b: Singles,
+        q: Singles,
+        dual: NDArray[np.int16],
+        radii: Floats,
+        known: Singles,
+        seams: NDArray[np.uint8],
+        inverse: Floats,
+        floor: np.float32,
+        step: float,
+        blocks: Blocks = EVERYWHERE,
     ) -> None:
-        """Take a projected gradient step on ``primal``'s dual, along the gradient of x.
+        """Take a projected gradient step on the duals of a total variation, and perhaps of another.
 
-        Each voxel's vector is projected into a ball of ``radius``. ``step``, below 2, is a factor
-        on the inverse of the dual Hessian's largest row sum.
+        With D the forward differences over the voxel edges, p the duals and sums over them, the
+        step goes along the gradient D of x = max((b - D^T p) / q, floor), which is 0 outside the
+        blocks. That of the second dual goes along D (x - known), and its vectors at seams are 0.
+        Each vector is projected into the ball of its dual's radius.
+
+        Args:
+            b: weights times the volume to be denoised, (z, y, x).
+            q: weights, see ``weigh``.
+            dual: p, (3 or 6, z, y, x): components along x, y, z of one dual, then of another, as
+                shares of the radius times 32767; 0 where the difference leaves the grid.
+            radii: (1 or 2,); a dual of radius 0 stays as it is.
+            known: (z, y, x); empty with one dual.
+            seams: 1 or 0, (z, y, x); empty with one dual.
+            inverse: 1 / voxel edge along x, y, z, 1/mm.
+            floor: lower bound of x.
+            step: below 2, a factor on the inverse of the dual Hessian's largest row sum.
+            blocks: blocks outside of which x is 0.
         """
+
+    def settle(
+        self,
+        b: Singles,
+        q: Singles,
+        dual: NDArray[np.int16],
+        radii: Floats,
+        inverse: Floats,
+        floor: np.float32,
+        share: np.float32,
+        x: Singles,
+        blocks: Blocks = EVERYWHERE,
+    ) -> None:
+        """Write the volume of ``ascend`` to ``x``, and to ``b`` x + share (x - x before)."""
 
 
 def kernels(name: str | None = None) -> Kernels:

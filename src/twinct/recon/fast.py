@@ -117,7 +117,7 @@ def fast(
 ) -> Volume:
     """Reconstruct a volume from line integrals, first in larger voxels and pixels.
 
-    Peak memory: 8 volumes and half of the projections, besides the projections.
+    Peak memory: 4 volumes and half of the projections, besides the projections.
 
     Args:
         A: the projector, with the believed geometry.
@@ -300,7 +300,7 @@ def _solve(problem: Problem, settings: Penalised) -> Volume:
 FAST: Algorithm[Penalised] = Algorithm(
     Fast,
     _solve,
-    volumes=8,
+    volumes=4,
     projections=0.5,
     check=_check,
     # About: the number of passes at full resolution depends on the volume.

@@ -7,7 +7,7 @@ the voxel-driven back projection (``ordered_subsets``), ``minimised`` from the e
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from twinct.recon.checks import Mask, counting_rays, remainder
 from twinct.recon.engine import Singles
 from twinct.recon.order import subsets_of
-from twinct.recon.projector import LOWEST, Projector
+from twinct.recon.projector import Projector
 from twinct.recon.steps import Callback, Listener, sum_of_squares
 from twinct.recon.volume import Volume
+from twinct.recon.working import WorkingVolume
 
 LEAST_WEIGHT = 0.05
 """Smallest curvature of a voxel, as a share of the mean; larger values make smaller, safe steps."""
@@ -54,8 +55,8 @@ class KnownBefore:
     far: float = math.inf
 
     @cached_property
-    def seams(self) -> NDArray[np.intp]:
-        """Flat indices of the voxels whose next neighbour is on the other side of the border.
+    def seams(self) -> NDArray[np.uint8]:
+        """1 in voxels whose next neighbour is on the other side of the border, (z, y, x).
 
         Differences across the border of the known region mean nothing.
         """
@@ -63,23 +64,24 @@ class KnownBefore:
         for axis in range(3):
             along, border = (np.moveaxis(mask, axis, 0) for mask in (self.inside, seam))
             border[:-1] |= along[1:] != along[:-1]
-        return np.flatnonzero(seam)
+        return seam.view(np.uint8)
 
-    def draw(self, z: Singles, curvature: Singles) -> Singles:
-        """Move ``z`` towards the expected values, and return the curvature with their weights.
+    def draw(self, z: Singles, b: Singles, curvature: Singles) -> None:
+        """Add the pull towards the expected values to ``b`` and to the curvature.
 
-        0.5 |x - z|^2 plus the squared differences is another such term, up to a constant. Huber's
-        loss is below a square that touches it at ``z`` (Huber and Dutter 1974).
+        Huber's loss is below a square that touches it at ``z`` (Huber and Dutter 1974).
         """
-        both = np.empty_like(curvature)
-        planes = zip(z, curvature, self.array, self.inside, both, strict=True)
-        for here, own, there, known, total in planes:
+        planes = zip(z, b, curvature, self.array, self.inside, strict=True)
+        for here, drawn, own, there, known in planes:
             away = np.maximum(np.abs(here - there), np.float32(np.finfo(np.float32).tiny))
             weight = np.float32(self.closeness) * known
             weight *= np.minimum(np.float32(self.far) / away, np.float32(1))
-            np.add(own, weight, out=total)
-            here += weight / total * (there - here)
-        return both
+            drawn += weight * there
+            own += weight
+
+
+_NOTHING = np.zeros((0, 0, 0), np.float32)
+_NOWHERE = np.zeros((0, 0, 0), np.uint8)
 
 
 @dataclass(eq=False)
@@ -97,81 +99,97 @@ class Variation:
     steps: int
     floor: np.float32
     known: KnownBefore | None = None
-    dual: Singles = field(init=False)
-    other: Singles = field(init=False)
 
     def __post_init__(self) -> None:
-        """Set the duals to zero."""
-        shape = 3, *self.A.domain_shape
-        self.dual = np.zeros(shape, np.float32)
-        self.other = np.zeros(shape if self.known else (3, 0, 0, 0), np.float32)
+        """Set the duals to zero, where the kernels work."""
+        duals, kernels, known = (1 if self.known is None else 2), self.A.kernels, self.known
+        # Pages that stay zero take no memory.
+        self._dual: Any = kernels.hold(np.zeros((3 * duals, *self.A.domain_shape), np.int16))
+        self._expected = kernels.hold(_NOTHING if known is None else known.array)
+        self._seams = kernels.hold(_NOWHERE if known is None else known.seams)
 
-    def lower(self, z: Singles, curvature: Singles, x: Singles) -> None:
+    def lower(self, b: Any, curvature: Any, x: Any, share: float = 0.0) -> None:
         """Write the minimiser of 0.5 |x - z|^2 in that metric plus this term to ``x``.
 
-        Expected values that draw voxels change ``z``.
+        Args:
+            b: curvature times z, (z, y, x), or held by the kernels; it gets x plus ``share`` times
+                the change of x.
+            curvature: the metric, as the kernels' weights (``engine.Kernels.weigh``).
+            x: the volume before, and after.
+            share: that of the momentum.
         """
-        if self.known and self.known.closeness > 0:
-            curvature = self.known.draw(z, curvature)
         kernels, inverse, known = self.A.kernels, 1.0 / self.A.grid.voxel, self.known
-        if known is None:
-            z, curvature, dual, lowered = map(kernels.hold, (z, curvature, self.dual, x))
-            for _ in range(self.steps if self.strength > 0 else 0):
-                kernels.primal(z, curvature, dual, inverse, self.floor, lowered)
-                kernels.ascend(lowered, curvature, inverse, self.strength, DUAL_STEP, dual)
-            kernels.primal(z, curvature, dual, inverse, self.floor, lowered)
-            kernels.bring(dual, self.dual)
-            kernels.bring(lowered, x)
-            return
-        room, others = np.empty_like(x), self.other.reshape(3, -1)
-        own, share = (1 - known.share) * self.strength, known.share * self.strength
-        for last in range(self.steps + 1):
-            kernels.primal(z, curvature, self.dual, inverse, np.float32(LOWEST), room)
-            kernels.primal(room, curvature, self.other, inverse, self.floor, x)
-            if last == self.steps:
-                return
-            if own > 0:  # avoids a division by zero
-                kernels.ascend(x, curvature, inverse, own, DUAL_STEP / 2, self.dual)
-            if share > 0:
-                np.subtract(x, known.array, out=room)
-                kernels.ascend(room, curvature, inverse, share, DUAL_STEP / 2, self.other)
-                others[:, known.seams] = 0.0
+        shares = (1.0,) if known is None else (1 - known.share, known.share)
+        radii, step = self.strength * np.array(shares), DUAL_STEP / len(shares)
+        blocks, dual, others = self.A.blocks, self._dual, (self._expected, self._seams)
+        for _ in range(self.steps if self.strength > 0 else 0):
+            kernels.ascend(b, curvature, dual, radii, *others, inverse, self.floor, step, blocks)
+        kernels.settle(b, curvature, dual, radii, inverse, self.floor, np.float32(share), x, blocks)
 
 
 class Descent:
-    """Volume on its way to the minimum of a data term and a variation: FISTA's updates.
-
-    Attributes:
-        x: the volume, (z, y, x).
-        z: the volume with momentum, at which the data term's gradient is taken.
-    """
+    """Volume on its way to the minimum of a data term and a variation: FISTA's updates."""
 
     def __init__(self, x: Singles, curvature: Singles, variation: Variation) -> None:
-        """Start from a volume, which is overwritten."""
-        self.x, self.z, self.variation = x, x.copy(), variation
-        self._curvature, self._momentum = curvature, 1.0
+        """Start from a volume, which is overwritten.
 
-    def restart(self) -> None:
-        """Forget the momentum."""
-        self.z[:], self._momentum = self.x, 1.0
-
-    def update(self, step: Singles) -> Singles:
-        """Move by a step, the negative gradient; return room for the next step.
-
-        The step's room takes the new volume.
+        Args:
+            x: the volume, (z, y, x).
+            curvature: weights of the voxels, see ``engine.Kernels.weigh``.
+            variation: the other term, with the floor.
         """
-        step /= self._curvature
-        self.z += step
-        before, self.x = self.x, step
-        self.variation.lower(self.z, self._curvature, self.x)
-        self.variation.A.blocks.clear(self.x)
-        self._momentum, last = (1 + math.sqrt(1 + 4 * self._momentum**2)) / 2, self._momentum
-        share = np.float32((last - 1) / self._momentum)
-        for plane, new, old in zip(self.z, self.x, before, strict=True):
-            np.subtract(new, old, out=plane)
-            plane *= share
-            plane += new
-        return before
+        self.variation, self._kernels = variation, variation.A.kernels
+        self._curvature, self._weights = curvature, self._kernels.hold(curvature)
+        self.start(x)
+
+    def start(self, x: Singles) -> None:
+        """Go on from a volume, which is overwritten, without momentum."""
+        self._z: Any = None  # frees it
+        self._work, self._z = WorkingVolume(self._kernels, x), self._kernels.hold(x.copy())
+        self._momentum = 1.0
+
+    @property
+    def x(self) -> Singles:
+        """The volume, (z, y, x)."""
+        return self._work.array
+
+    @property
+    def held(self) -> Any:
+        """The volume with momentum, at which the data term's gradient is taken, for the kernels."""
+        return self._z
+
+    def weighted(self) -> Any:
+        """Multiply the volume with momentum by the curvature, and return it: a step adds to it."""
+        self._kernels.weigh(self._z, self._weights)
+        return self._z
+
+    def settle(self) -> None:
+        """Lower the variation of what ``weighted`` returned, with the steps added to it."""
+        before = self._momentum
+        self._momentum = (1 + math.sqrt(1 + 4 * before**2)) / 2
+        share = (before - 1) / self._momentum
+        self.variation.lower(self._z, self._weights, self._work.held, share)
+        self._work.changed()
+
+    def update(self, step: Singles) -> None:
+        """Move by a step, the negative gradient, which is overwritten."""
+        known, z = self.variation.known, self.z
+        curvature = self._curvature
+        if known and known.closeness > 0:
+            curvature = curvature.copy()
+            known.draw(z, step, curvature)
+            self._weights = self._kernels.hold(curvature)
+        for here, change, own in zip(z, step, self._curvature, strict=True):
+            change += own * here
+        self._z = self._kernels.hold(step)
+        self.settle()
+
+    @property
+    def z(self) -> Singles:
+        """The volume with momentum, (z, y, x)."""
+        out = self._z if isinstance(self._z, np.ndarray) else np.empty_like(self._work.array)
+        self._kernels.bring(self._z, out)
+        return out
 
 
 def minimised(
@@ -233,7 +251,7 @@ def minimised(
                 for here, view in enumerate(views):
                     p[view] += rest[here]
                 del rest
-            descent.restart()
+            descent.start(descent.x)
         early = iteration < iterations // 2
         for update, (part, views) in enumerate(parts):
             rest = remainder(part, descent.z, p, views, mask)
@@ -247,7 +265,7 @@ def minimised(
             del rest
             step *= np.float32(subsets / mean)
             descent.update(step)
-            del step
+            del step  # it is the volume with momentum now
             if listener(iteration, update, square, rays, descent.x):
                 return Volume(descent.x, A.grid)
     return Volume(descent.x, A.grid)

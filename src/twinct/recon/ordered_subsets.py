@@ -11,6 +11,10 @@ place of the adjoint, and L the rays' path lengths, the step of each voxel is
 
 over the views of a subset: a separable quadratic surrogate, since A 1 = L. The proximal step solves
 the dual problem (Chambolle 2004) in that metric, starting from the dual of the previous update.
+
+Memory decides which grids are possible, so there are three and a half volumes and a few planes: x,
+z, and the dual in 16 bits. B W L is kept in voxels twice as large, and residuals as images of the
+subset's views, which are then added to z in place.
 """
 
 from __future__ import annotations
@@ -21,13 +25,12 @@ from typing import Any
 
 import numpy as np
 
+from twinct.geometry import Pose, VolumeGrid
 from twinct.recon.engine import Singles
 from twinct.recon.fista import LEAST_WEIGHT, Descent, Variation
 from twinct.recon.levels import Level
 from twinct.recon.order import subsets_of
-from twinct.recon.projector import Projector
-from twinct.recon.ray_weights import RayWeights, twice_as_large
-from twinct.recon.resolution import interpolated
+from twinct.recon.ray_weights import RayWeights
 from twinct.recon.steps import sum_of_squares
 
 SUBSETS = 10
@@ -41,7 +44,7 @@ of 3 and 5."""
 DUAL_STEPS = 3
 """Steps of the dual iteration in each update; 5 give the volume of 3 to a hundredth."""
 
-EACH = 4
+EACH = 8
 """The change of the volume is measured in each plane of so many, which saves a copy of the rest."""
 
 Notify = Callable[[float, int, Singles], bool]
@@ -63,14 +66,12 @@ class Minimiser:
         A = level.A
         self.level, self.weights, self.change = level, weights, math.inf
         self._views = subsets_of(A.geometry, subsets_for(len(A)))
-        curvature = self._curvature_of(A.on(twice_as_large(A.grid)))
+        curvature = self._curvature()
         seen = curvature[curvature > 0]
         self.mean = float(seen.mean(dtype=np.float64)) if seen.size else 1.0
-        del seen
         curvature /= np.float32(self.mean)
         np.maximum(curvature, np.float32(LEAST_WEIGHT), out=curvature)
         self._descent = Descent(x, curvature, Variation(A, 0.0, DUAL_STEPS, np.float32(floor)))
-        self._room = np.zeros_like(x)
 
     @property
     def x(self) -> Singles:
@@ -86,9 +87,9 @@ class Minimiser:
     def strength(self, value: float) -> None:
         self._descent.variation.strength = value
 
-    def restart(self) -> None:
-        """Forget the momentum."""
-        self._descent.restart()
+    def start(self, x: Singles) -> None:
+        """Go on from a volume, which is overwritten, without momentum."""
+        self._descent.start(x)
 
     def one_pass(self, notify: Notify | None = None) -> bool:
         """Update the volume with each subset; return True if ``notify`` ends it."""
@@ -103,30 +104,27 @@ class Minimiser:
         return False
 
     def _update(self, views: list[int]) -> tuple[float, int]:
-        step = self._room
-        square, rays = self._add_residuals(views, step)
-        step *= np.float32(len(self._views) / self.mean)
-        self._room = self._descent.update(step)
-        return square, rays
-
-    def _add_residuals(self, views: list[int], out: Singles) -> tuple[float, int]:
-        """Back project the weighted residuals of some views; return their squares, and the rays."""
-        A, square, rays = self.level.A, 0.0, 0
-        out[:] = 0.0
-        x, total = A.kernels.hold(self._descent.z), A.kernels.hold(out)
+        """Step with some views; return the sum of their squared residuals before, and the rays."""
+        A, descent, square, rays = self.level.A, self._descent, 0.0, 0
+        share = np.float32(len(self._views) / self.mean)
+        images: list[Singles] = []
         for view in views:
-            rest, weights = residual(self.level, self.weights, x, view)
+            rest, weights = residual(self.level, self.weights, descent.held, view)
             square += sum_of_squares((rest * (weights > 0))[None])
             rays += int(np.count_nonzero(weights))
-            A.add_image(rest * weights, view, total)
-        A.kernels.bring(total, out)
+            images.append(rest * weights * share)
+        total = descent.weighted()
+        for view, image in zip(views, images, strict=True):
+            A.add_image(image, view, total)
+        descent.settle()
         return square, rays
 
-    def _curvature_of(self, larger: Projector) -> Singles:
-        """Return B W L, the largest over the subsets times their number, (z, y, x).
+    def _curvature(self) -> Singles:
+        """Return B W L, the largest over the subsets times their number, in ``halved`` voxels.
 
-        It is as smooth as the rays' path lengths, so larger voxels suffice.
+        It is as smooth as the rays' path lengths.
         """
+        larger = self.level.A.on(halved(self.level.A.grid))
         most = np.zeros(larger.domain_shape, np.float32)
         for views in self._views:
             total = np.zeros_like(most)
@@ -137,7 +135,19 @@ class Minimiser:
             larger.kernels.bring(held, total)
             np.maximum(most, total, out=most)
         most *= np.float32(len(self._views))
-        return interpolated(most, larger.grid, self.level.A.grid)
+        return most
+
+
+def halved(grid: VolumeGrid) -> VolumeGrid:
+    """Return a grid of voxels twice as large, along axes of at least four, from one corner.
+
+    The last voxel of an odd number is twice as large, too.
+    """
+    factors = np.where(np.array(grid.shape_xyz) < 4, 1, 2)
+    numbers = -(-np.array(grid.shape_xyz) // factors)
+    beyond = (numbers * factors - grid.shape_xyz) * grid.voxel / 2
+    place = grid.world_from_grid @ Pose.from_matrix(beyond, np.eye(3))
+    return VolumeGrid(numbers[::-1].tolist(), factors * grid.voxel, place)
 
 
 def subsets_for(views: int) -> int:

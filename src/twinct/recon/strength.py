@@ -119,22 +119,21 @@ def tried(level: Level, x: Singles, weights: RayWeights, floor: float) -> Trial 
     found: dict[int, float] = {}
     allowed = 0.0
 
-    def misfit(power: int) -> tuple[float, float]:
+    def misfit(power: int, start: Singles) -> tuple[float, float]:
         minimiser.strength = forces.strength(2.0**power)
-        minimiser.restart()
+        minimiser.start(start)
         minimiser.one_pass()
         return _misfit(judges, own, minimiser.x)
 
     for power in range(FIRST, LAST + 1):
-        found[power], allowed = misfit(power)
+        found[power], allowed = misfit(power, minimiser.x)
         if found[power] > min(found.values()) + allowed:
             break
     power = FIRST
     while found[power] == min(found.values()) and power > -LAST:
         power -= 1
-        if power == FIRST - 1:
-            minimiser.x[:] = begun
-        found[power], allowed = misfit(power)
+        start = begun.copy() if power == FIRST - 1 else minimiser.x
+        found[power], allowed = misfit(power, start)
     powers = sorted(found)
     trial = Trial(2.0 ** np.array(powers, float), np.array([found[one] for one in powers]), allowed)
     text = ", ".join(f"{found[one]:.4g} (2^{one})" for one in powers)

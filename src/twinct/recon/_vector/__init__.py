@@ -15,22 +15,18 @@ from twinct.recon.blocks import EVERYWHERE
 with kernels_from_disk():
     from twinct.recon import _linear as _linear  # compiled with the others
     from twinct.recon import _plain
-    from twinct.recon._plain import bring, hold, leave_out, require, room
+    from twinct.recon._plain import ascend, bring, hold, leave_out, require, room, settle, weigh
     from twinct.recon._vector import adjoint as _adjoint
     from twinct.recon._vector.forward import forward as _forward
     from twinct.recon._vector.options import CUBE, IMAGE, MATRICES, STACK, kernel
     from twinct.recon._vector.rays import chords
     from twinct.recon._vector.update import update as _update
-    from twinct.recon._vector.variation import ascend
 
     # The plain engine's code is fast already; here it gets fast mathematics.
     ratio = kernel(
         f"({IMAGE}, {IMAGE}, {IMAGE}, f4, f4, {IMAGE}, {IMAGE}, i4[:, ::1])", parallel=False
     )(_plain.ratio.py_func)
     back_project = kernel(f"({STACK}, {MATRICES}, f8[::1], {CUBE})")(_plain.back_project.py_func)
-    primal = kernel(f"({CUBE}, {CUBE}, f4[:, :, :, ::1], f8[::1], f4, {CUBE})")(
-        _plain.primal.py_func
-    )
 
 __all__ = [
     "adjoint",
@@ -41,11 +37,12 @@ __all__ = [
     "forward",
     "hold",
     "leave_out",
-    "primal",
     "ratio",
     "require",
     "room",
+    "settle",
     "update",
+    "weigh",
 ]
 
 

@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 config: Any = numba_config  # its names are created at import
 
 _HERE = Path(__file__).parent
-OTHERS = ("recon/_linear", "recon/_plain", "rays/joseph")
+OTHERS = ("recon/_linear", "recon/_plain", "recon/_variation", "rays/joseph")
 """Modules of twinct whose functions the kernels call, beside their own folder."""
 
 _COMPILING = "TWINCT_COMPILING"

@@ -137,25 +137,73 @@ class WarpKernels:
         self._launch(self._voxels.back_project, out.shape, *arguments)
         self._finish(there, out)
 
-    def primal(
-        self, z: Held, q: Held, dual: Held, inverse: Floats, floor: np.float32, out: Held
-    ) -> None:
+    def weigh(self, z: Held, q: Held) -> None:
         """See ``Kernels``."""
-        there = self._room_like(out)
-        given = (self._on_card(one) for one in (z, q, dual))
-        steps = self._warp.vec3f(*map(float, inverse))
-        self._launch(self._voxels.primal, out.shape, *given, steps, float(floor), there)
-        self._finish(there, out)
+        there = self._on_card(z)
+        self._launch(self._voxels.weigh, z.shape, there, self._on_card(q))
+        self._finish(there, z)
 
     def ascend(
-        self, x: Held, q: Held, inverse: Floats, radius: float, step: float, dual: Held
+        self,
+        b: Held,
+        q: Held,
+        dual: Held,
+        radii: Floats,
+        known: Held,
+        seams: Held,
+        inverse: Floats,
+        floor: np.float32,
+        step: float,
+        blocks: Blocks = EVERYWHERE,
     ) -> None:
-        """See ``Kernels``."""
-        there, steps = self._on_card(dual), self._warp.vec3f(*map(float, inverse))
+        """See ``Kernels``; a card needs room for another volume meanwhile."""
+        there, weights, sizes = self._on_card(dual), self._on_card(q), self._radii(radii)
+        steps, filled = self._warp.vec3f(*map(float, inverse)), self._on_card(blocks.filled)
+        x = self._lowered(b, weights, there, sizes, steps, floor, filled)
         scale = float(step) / (4.0 * float(inverse.max()) * float(inverse.sum()))
-        given = self._on_card(x), self._on_card(q), steps, float(radius), scale
-        self._launch(self._voxels.ascend, x.shape, *given, there)
+        given = x, weights, self._on_card(known), self._on_card(seams), steps, sizes, scale, filled
+        self._launch(self._voxels.ascend, (len(radii), *b.shape), *given, there)
         self._finish(there, dual)
+
+    def settle(
+        self,
+        b: Held,
+        q: Held,
+        dual: Held,
+        radii: Floats,
+        inverse: Floats,
+        floor: np.float32,
+        share: np.float32,
+        x: Held,
+        blocks: Blocks = EVERYWHERE,
+    ) -> None:
+        """See ``Kernels``; a card needs room for another volume meanwhile."""
+        steps, filled = self._warp.vec3f(*map(float, inverse)), self._on_card(blocks.filled)
+        weights, duals, sizes = self._on_card(q), self._on_card(dual), self._radii(radii)
+        there, before = self._on_card(b), self._on_card(x)
+        new = self._lowered(there, weights, duals, sizes, steps, floor, filled)
+        self._launch(self._voxels.settle, b.shape, new, float(share), there, before)
+        self._finish(there, b)
+        self._finish(before, x)
+
+    def _radii(self, radii: Floats) -> Held:
+        return self._on_card(np.asarray(radii, np.float32))
+
+    def _lowered(
+        self,
+        b: Held,
+        q: Held,
+        dual: Held,
+        radii: Held,
+        inverse: Any,
+        floor: np.float32,
+        filled: Held,
+    ) -> Held:
+        """Return max((b - D^T p) / q, floor) on the card."""
+        out = self.room(b.shape)
+        given = self._on_card(b), q, dual, radii, inverse, float(floor), filled
+        self._launch(self._voxels.lower, b.shape, *given, out)
+        return out
 
     def _launch(self, kernel: Any, threads: tuple[int, ...], *arguments: Any) -> None:
         self._warp.launch(

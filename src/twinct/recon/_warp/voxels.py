@@ -125,55 +125,125 @@ def back_project(
     out[k, j, i] = total
 
 
+WHOLE = wp.constant(32767.0)
+"""Stored length of a dual vector as long as its radius."""
+
+
+@wp.func
+def _weight(q: wp.array3d(dtype=float), shape: wp.vec3i, k: int, j: int, i: int) -> float:
+    """Return the weight of a voxel, perhaps of one twice as large."""
+    if q.shape[0] != shape[0]:
+        k = k // 2
+    if q.shape[1] != shape[1]:
+        j = j // 2
+    if q.shape[2] != shape[2]:
+        i = i // 2
+    return q[k, j, i]
+
+
+@wp.func
+def _holds(filled: wp.array3d(dtype=wp.uint8), k: int, j: int, i: int) -> bool:
+    """Return True if a voxel may hold something."""
+    if filled.shape[0] == 0:
+        return True
+    return filled[k // 8, j // 8, i // 8] != wp.uint8(0)
+
+
 @wp.kernel
-def primal(
-    z: wp.array3d(dtype=float),
+def weigh(z: wp.array3d(dtype=float), q: wp.array3d(dtype=float)):
+    """Multiply a volume by its weights."""
+    k, j, i = wp.tid()
+    shape = wp.vec3i(z.shape[0], z.shape[1], z.shape[2])
+    z[k, j, i] = z[k, j, i] * _weight(q, shape, k, j, i)
+
+
+@wp.kernel
+def lower(
+    b: wp.array3d(dtype=float),
     q: wp.array3d(dtype=float),
-    dual: wp.array4d(dtype=float),
+    dual: wp.array4d(dtype=wp.int16),
+    radii: wp.array(dtype=float),
     inverse: wp.vec3f,
     floor: float,
+    filled: wp.array3d(dtype=wp.uint8),
     out: wp.array3d(dtype=float),
 ):
-    """Write max(z - (gradient^T dual) / q, floor), with gradients as forward differences."""
+    """Write max((b - D^T p) / q, floor) in filled blocks, with forward differences D."""
     k, j, i = wp.tid()
-    turned = -inverse[0] * dual[0, k, j, i] - inverse[1] * dual[1, k, j, i]
-    turned -= inverse[2] * dual[2, k, j, i]
-    if i > 0:
-        turned += inverse[0] * dual[0, k, j, i - 1]
-    if j > 0:
-        turned += inverse[1] * dual[1, k, j - 1, i]
-    if k > 0:
-        turned += inverse[2] * dual[2, k - 1, j, i]
-    out[k, j, i] = wp.max(z[k, j, i] - turned / q[k, j, i], floor)
+    if not _holds(filled, k, j, i):
+        out[k, j, i] = 0.0
+        return
+    value = b[k, j, i]
+    for n in range(radii.shape[0]):
+        turned = -inverse[0] * float(dual[3 * n, k, j, i]) - inverse[1] * float(
+            dual[3 * n + 1, k, j, i]
+        )
+        turned -= inverse[2] * float(dual[3 * n + 2, k, j, i])
+        if i > 0:
+            turned += inverse[0] * float(dual[3 * n, k, j, i - 1])
+        if j > 0:
+            turned += inverse[1] * float(dual[3 * n + 1, k, j - 1, i])
+        if k > 0:
+            turned += inverse[2] * float(dual[3 * n + 2, k - 1, j, i])
+        value -= radii[n] / WHOLE * turned
+    shape = wp.vec3i(b.shape[0], b.shape[1], b.shape[2])
+    out[k, j, i] = wp.max(value / _weight(q, shape, k, j, i), floor)
 
 
 @wp.kernel
 def ascend(
     x: wp.array3d(dtype=float),
     q: wp.array3d(dtype=float),
+    known: wp.array3d(dtype=float),
+    seams: wp.array3d(dtype=wp.uint8),
     inverse: wp.vec3f,
-    radius: float,
+    radii: wp.array(dtype=float),
     scale: float,
-    dual: wp.array4d(dtype=float),
+    filled: wp.array3d(dtype=wp.uint8),
+    dual: wp.array4d(dtype=wp.int16),
 ):
     """Step along the gradient of x, with a step for each voxel, then project into the ball."""
-    k, j, i = wp.tid()
+    n, k, j, i = wp.tid()
+    if radii[n] <= 0.0 or not _holds(filled, k, j, i):
+        return
+    shape = wp.vec3i(x.shape[0], x.shape[1], x.shape[2])
+    beside = wp.vec3i(
+        wp.min(i + 1, shape[2] - 1), wp.min(j + 1, shape[1] - 1), wp.min(k + 1, shape[0] - 1)
+    )
     value = x[k, j, i]
-    s = q[k, j, i]
-    step = wp.vec3f(0.0, 0.0, 0.0)
-    if i + 1 < x.shape[2]:
-        s = wp.min(s, q[k, j, i + 1])
-        step[0] = inverse[0] * (x[k, j, i + 1] - value)
-    if j + 1 < x.shape[1]:
-        s = wp.min(s, q[k, j + 1, i])
-        step[1] = inverse[1] * (x[k, j + 1, i] - value)
-    if k + 1 < x.shape[0]:
-        s = wp.min(s, q[k + 1, j, i])
-        step[2] = inverse[2] * (x[k + 1, j, i] - value)
-    rise = wp.vec3f(dual[0, k, j, i], dual[1, k, j, i], dual[2, k, j, i]) + scale * s * step
+    s = _weight(q, shape, k, j, i)
+    s = wp.min(s, _weight(q, shape, k, j, beside[0]))
+    s = wp.min(s, _weight(q, shape, k, beside[1], i))
+    s = wp.min(s, _weight(q, shape, beside[2], j, i))
+    ahead = wp.vec3f(x[k, j, beside[0]], x[k, beside[1], i], x[beside[2], j, i])
+    if n == 1:
+        value -= known[k, j, i]
+        ahead -= wp.vec3f(known[k, j, beside[0]], known[k, beside[1], i], known[beside[2], j, i])
+    rise = wp.vec3f(
+        float(dual[3 * n, k, j, i]),
+        float(dual[3 * n + 1, k, j, i]),
+        float(dual[3 * n + 2, k, j, i]),
+    )
+    step = ahead - wp.vec3f(value, value, value)
+    rise += scale / radii[n] * WHOLE * s * wp.cw_mul(inverse, step)
     square = wp.dot(rise, rise)
-    if square > radius * radius:
-        rise = rise * (radius / wp.sqrt(square))
-    dual[0, k, j, i] = rise[0]
-    dual[1, k, j, i] = rise[1]
-    dual[2, k, j, i] = rise[2]
+    if square > WHOLE * WHOLE:
+        rise = rise * (WHOLE / wp.sqrt(square))
+    if n == 1:
+        if seams[k, j, i] != wp.uint8(0):
+            rise = wp.vec3f(0.0, 0.0, 0.0)
+    for axis in range(3):
+        dual[3 * n + axis, k, j, i] = wp.int16(wp.rint(rise[axis]))
+
+
+@wp.kernel
+def settle(
+    x: wp.array3d(dtype=float),
+    share: float,
+    b: wp.array3d(dtype=float),
+    before: wp.array3d(dtype=float),
+):
+    """Write x + share (x - before) to b, and x to ``before``."""
+    k, j, i = wp.tid()
+    b[k, j, i] = x[k, j, i] + share * (x[k, j, i] - before[k, j, i])
+    before[k, j, i] = x[k, j, i]
