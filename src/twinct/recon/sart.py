@@ -68,7 +68,7 @@ def sart(
 ) -> Volume:
     """Reconstruct a volume from line integrals, one view per update.
 
-    Peak memory: 1 volume and a few images, besides the projections; with ``stop``, 10 volumes and
+    Peak memory: 1 volume and a few images, besides the projections; with ``stop``, 4 volumes and
     half of the projections.
 
     Args:

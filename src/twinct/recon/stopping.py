@@ -12,9 +12,9 @@ from twinct.recon.engine import Singles
 Estimate = Callable[[Singles], float]
 """Estimate of the error of a volume, (z, y, x)."""
 
-VOLUMES, PROJECTIONS = 9.0, 0.5
-"""Peak memory of ``error_estimate`` and ``BestPass``: the volume of ``fast``, the one before a pass
-and masks; half of the projections, while ``fast`` runs."""
+VOLUMES, PROJECTIONS = 3.0, 0.5
+"""Peak memory of ``error_estimate`` and ``BestPass``, beside the volume: that of ``fast`` while it
+runs, half of the projections included; later its volume, the one before a pass, and masks."""
 
 
 class BestPass:
