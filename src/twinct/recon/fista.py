@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,9 +174,8 @@ class Descent:
     def update(self, step: Singles) -> None:
         """Move by a step, the negative gradient, which is overwritten."""
         known, z = self.variation.known, self.z
-        curvature = self._curvature
         if known and known.closeness > 0:
-            curvature = curvature.copy()
+            curvature = self._curvature.copy()
             known.draw(z, step, curvature)
             self._weights = self._kernels.hold(curvature)
         for here, change, own in zip(z, step, self._curvature, strict=True):
@@ -187,8 +186,11 @@ class Descent:
     @property
     def z(self) -> Singles:
         """The volume with momentum, (z, y, x)."""
-        out = self._z if isinstance(self._z, np.ndarray) else np.empty_like(self._work.array)
-        self._kernels.bring(self._z, out)
+        held: Any = self._z
+        if isinstance(held, np.ndarray):
+            return cast(Singles, held)
+        out = np.empty_like(self._work.array)
+        self._kernels.bring(held, out)
         return out
 
 
