@@ -28,6 +28,8 @@ ENGINES = "vector", "plain"
 
 SINGLE = 2e-5
 """Float32 places and sums against float64, of the largest value. Measured 2e-7 to 4e-6."""
+STORED = 1 / 32767
+"""Step of a dual vector that is stored in 16 bits: rounding of sums may turn one into the next."""
 
 SHOWN = 1e-4
 """For sums of volumes during a reconstruction. Measured 1e-6 to 1e-5."""
@@ -258,7 +260,8 @@ def test_a_card_gives_the_volumes_of_the_processor(name, circle, monkeypatch):
         passes.append(seen)
     assert np.abs(volumes[0]).max() > 0.02
     # Coarse levels of ``fast`` can turn rounding into 1e-4 at single voxels, with any engine.
-    assert np.sqrt(np.mean((volumes[1] - volumes[0]) ** 2)) < SINGLE * np.abs(volumes[0]).max()
+    limit = SINGLE if name != "fast" else STORED
+    assert np.sqrt(np.mean((volumes[1] - volumes[0]) ** 2)) < limit * np.abs(volumes[0]).max()
     if name != "fast":
         np.testing.assert_allclose(passes[1], passes[0], rtol=SHOWN)
 
@@ -359,7 +362,7 @@ def test_kernels_on_disk_go_by_all_their_sources(tmp_path, monkeypatch):
     package = tmp_path / "recon" / "_vector"
     package.mkdir(parents=True)
     (tmp_path / "rays").mkdir()
-    others = (tmp_path / f"{name}.py" for name in ("recon/_linear", "recon/_plain", "rays/joseph"))
+    others = (tmp_path / f"{name}.py" for name in cache.OTHERS)
     engine = (package / "march.py", *others)
     for source in (*engine, package / "rays.py"):
         source.write_text("old")
