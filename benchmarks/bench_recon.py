@@ -14,8 +14,12 @@ memory of ours: the paper's 399 views at once, in a process of its own.
     python benchmarks/bench_recon.py --agreement 1 5 10 --sizes 128 --views 100
     python benchmarks/bench_recon.py --scaling 1 2 --sizes 512 --views 4
 
+    python benchmarks/bench_recon.py --roofline --sizes 512 --threads 1 --views 8
+
 The first gives the differences alone, after so many iterations; the second the seconds of our SART
-with so many threads.
+with so many threads; the third what bounds projection and back projection of a view: their
+processor time beside that of moving the volume through memory alone. Tiles that stay in the caches
+for a whole subset of views could save that at most.
 """
 
 import argparse
@@ -238,6 +242,35 @@ def scaling(size, views, threads):
         print(f"{size:4}  {count} threads: {np.median(updates(sart, A, p)[1]):.3f} s a view")
 
 
+def roofline(size, views):
+    """Print processor seconds of a view against those that memory alone would take."""
+    geometry, grid = setting(size, views)
+    image = np.ones(geometry.panel.shape, np.float32)
+
+    def times(A):
+        x = np.ones(A.domain_shape, np.float32)
+        found = []
+        for view in range(len(A)):
+            for call in (A.line_integrals_of, lambda x, view, A=A: A.add_image(image, view, x)):
+                clock = time.process_time()
+                call(x, view)
+                found.append(time.process_time() - clock)
+        return [np.median(found[kind::2]) for kind in (0, 1)], x
+
+    (forward, back), x = times(Projector(geometry, grid))
+    moves = []
+    for _ in range(5):
+        clock = time.process_time()
+        x *= np.float32(1)
+        moves.append(time.process_time() - clock)
+    move = min(moves)
+    print(f"{size:4}  memory: {2e-9 * x.nbytes / move:.1f} GB/s read and written, {views} views")
+    print(f"      projection: {forward:.3f} s, of which the volume's reading {move / 2:.3f} s")
+    print(f"      back projection: {back:.3f} s, of which reading and writing {move:.3f} s")
+    best = 1 - 1.5 * move / (forward + back)
+    print(f"      without any of it, a view would take at least {best:.2f} x its time")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--sizes", type=int, nargs="+", default=[128])
@@ -245,15 +278,18 @@ def main():
     parser.add_argument("--views-512", type=int, default=4)
     parser.add_argument("--agreement", type=int, nargs="+", metavar="ITERATIONS")
     parser.add_argument("--scaling", type=int, nargs="+", metavar="THREADS")
+    parser.add_argument("--roofline", action="store_true")
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--json")
     options = parser.parse_args()
     numba.set_num_threads(options.threads)
     os.environ["ITK_GLOBAL_DEFAULT_NUMBER_OF_THREADS"] = str(options.threads)
-    if options.agreement or options.scaling:
+    if options.agreement or options.scaling or options.roofline:
         for size in options.sizes:
-            if options.agreement:
+            if options.roofline:
+                roofline(size, options.views)
+            elif options.agreement:
                 agreement(size, options.views, options.agreement)
             else:
                 scaling(size, options.views, options.scaling)
