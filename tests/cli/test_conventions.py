@@ -12,6 +12,10 @@ from twinct.cli.commands import COMMANDS as NAMES
 from twinct.cli.commands import METHODS, command_named
 
 
+LINES = 75
+"""Of the help of twinct itself: three times a small terminal."""
+
+
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     run_command(arguments)
     told = capsys.readouterr()
@@ -32,8 +36,13 @@ def test_the_help_of_twinct_names_each_command_in_a_sentence(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     text = said(capsys, "--help")
-    assert all(f"• {name} " in text for name in NAMES)
-    assert len(text.splitlines()) < 75
+    words = " ".join(text.split())
+    assert all(f" {name} {summary}" in words for name, summary in NAMES.items())
+    first = text[text.index("start:") : text.index("look at a scene:")]
+    assert [line.split()[0] for line in first.splitlines()[1:] if line[2:3].strip()] == [
+        "demo", "init", "check", "run", "view"
+    ]  # fmt: skip
+    assert len(text.splitlines()) <= LINES
     assert said(capsys) == text, "and without arguments"
 
 

@@ -6,6 +6,7 @@ import atexit
 import logging
 import os
 import select
+import shutil
 import signal
 import sys
 import traceback
@@ -30,6 +31,9 @@ from twinct.version import __version__
 EXIT_DONE, EXIT_OTHER, EXIT_BAD_INPUT = 0, 1, 2
 EXIT_SIGNAL = 128
 """Added to the number of a signal, as shells do: 130 for Ctrl-C, 143 for SIGTERM."""
+
+WIDEST = 100
+"""Columns of the help of twinct itself, at most."""
 
 ZARR_S = 60.0
 """Longest wait for Zarr's event loop, which stops at once unless the machine is very busy."""
@@ -119,20 +123,15 @@ def _code_of(arguments: list[str]) -> int:
             arguments = take_ros_arguments(arguments)
         from twinct.cli import commands
 
-        alone = arguments in ([], ["-h"], ["--help"])
-        completion = arguments[:1] == ["--completion"]
-        if not (alone or completion):
+        if arguments in ([], ["-h"], ["--help"]):
+            width = min(shutil.get_terminal_size().columns, WIDEST)
+            sys.stdout.write(commands.overview(width))
+        elif arguments[:1] == ["--completion"]:
+            shell = ["--tyro-print-completion", *arguments[1:]]
+            commands.application().cli(prog="twinct", args=shell)
+        else:
             commands.check_names(arguments)
             commands.execute(arguments)
-            return EXIT_DONE
-        commands.application(overview=alone).cli(
-            prog="twinct",
-            description="Simulates a twin robotic CT system from one scenario file: two arms, "
-            "X-ray projections, ROS 2, reconstruction and evaluation.\n\n"
-            "twinct COMMAND --help explains a command, --version prints the version, and "
-            "--completion bash|zsh|fish prints what a shell needs to complete commands.",
-            args=["--help"] if alone else ["--tyro-print-completion", *arguments[1:]],
-        )
     except SystemExit as stop:  # tyro: 0 after --help, 2 after invalid arguments
         if isinstance(stop.__context__, BrokenPipeError):  # rich
             raise stop.__context__ from None

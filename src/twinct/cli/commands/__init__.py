@@ -1,9 +1,10 @@
-"""All commands, in the order of the help. A command is one module, loaded when it is chosen."""
+"""All commands, in groups and in the order of the help, each a module loaded when it is chosen."""
 
 from __future__ import annotations
 
 import difflib
 import keyword
+import textwrap
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
@@ -15,48 +16,68 @@ from twinct.cli.optional import mark_optional
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 
-COMMANDS = {
-    "demo": "Run the built-in scenario demo with the engines and the link that are installed.",
-    "init": "Write a scenario to start from, with a comment on each key.",
-    "check": "Validate a scenario, build its specimen, plan its motion and rehearse it, without "
-    "running it.",
-    "run": "Run a scenario: plan, move, expose, reconstruct, evaluate, report.",
-    "view": "Show a run in a browser: room, beam, images, volume, errors; also while it runs.",
-    "render": "Draw the operating room at one view.",
-    "reach": "Show which directions source and panel can reach, all over the sphere, at one or "
-    "more radii.",
-    "plan": "Choose views for the section task of a scenario, among the views that the arms can "
-    "reach.",
-    "uncertainty": "Compute the effects of a scenario's errors on poses and images, by cause, "
-    "without rendering.",
-    "place": "Find good positions of the arms for a scenario's trajectory, or for most of the "
-    "sphere.",
-    "node": "Start one simulation as a separate ROS 2 node, until it is interrupted.",
-    "urdf": "Write a robot description of the operating room, for ROS 2 and other readers of URDF.",
-    "schema": "Print the JSON Schema of the scenario file, for editors.",
-    "motion": "Plan the motion of a scenario, and write it for the controllers of real arms.",
-    "drive": "Send the plan of a scenario to controllers of arms, and record the messages of their "
-    "drivers.",
-    "arm": "Write the URDF of a vendor's arm into a folder of its own, with all meshes.",
-    "specimen": "Build the specimen only: a mesh for each part, the voxel truth and a picture.",
-    "export": "Write a scan in a form that another toolkit can reconstruct directly, or one of its "
-    "volumes.",
-    "import": "Import a measured scan, or a scan's recordings: DIR/scan.zarr and "
-    "DIR/scenario.yaml.",
-    "report": "Evaluate a finished run again and rewrite its metrics.json and report.html.",
-    "compare": "Compare finished runs on one page: slices, figures, pose errors, times, and their "
-    "scenarios.",
-    "verify": "Compare each file of a scan with its stored digest, and check its results.",
-    "reconstruct": "Reconstruct a finished run again, beside its volume, and show both in its "
-    "report.",
-    "predict": "Render a scan again and compare the result with its images, view by view.",
-    "geometry": "List the geometries of a scan, or derive a new one: poses that its robots would "
-    "report.",
-    "study": "Run a study: many trials of one scenario, which share their common steps.",
-    "calibrate": "Estimate the executed poses of source and detector, and add them as a geometry.",
-    "ctsimu": "Scenarios in the CTSimU format: render, export, qualify.",
+GROUPS = {
+    "start": {
+        "demo": "Run the built-in scenario demo with the engines and the link that are installed.",
+        "init": "Write a scenario to start from, with a comment on each key.",
+        "check": "Validate a scenario, build its specimen, plan its motion and rehearse it, "
+        "without running it.",
+        "run": "Run a scenario: plan, move, expose, reconstruct, evaluate, report.",
+        "view": "Show a run in a browser: room, beam, images, volume, errors; also while it runs.",
+    },
+    "look at a scene": {
+        "render": "Draw the operating room at one view.",
+        "reach": "Show which directions source and panel can reach, all over the sphere, at one or "
+        "more radii.",
+        "specimen": "Build the specimen only: a mesh for each part, the voxel truth and a picture.",
+        "uncertainty": "Compute the effects of a scenario's errors on poses and images, by cause, "
+        "without rendering.",
+    },
+    "plan": {
+        "plan": "Choose views for the section task of a scenario, among the views that the arms "
+        "can reach.",
+        "place": "Find good positions of the arms for a scenario's trajectory, or for most of the "
+        "sphere.",
+        "motion": "Plan the motion of a scenario, and write it for the controllers of real arms.",
+    },
+    "calibrate and correct": {
+        "calibrate": "Estimate the executed poses of source and detector, and add them as a "
+        "geometry.",
+        "geometry": "List the geometries of a scan, or derive a new one: poses that its robots "
+        "would report.",
+        "predict": "Render a scan again and compare the result with its images, view by view.",
+    },
+    "reconstruct and judge": {
+        "reconstruct": "Reconstruct a finished run again, beside its volume, and show both in its "
+        "report.",
+        "report": "Evaluate a finished run again and rewrite its metrics.json and report.html.",
+        "compare": "Compare finished runs on one page: slices, figures, pose errors, times, and "
+        "their scenarios.",
+        "verify": "Compare each file of a scan with its stored digest, and check its results.",
+    },
+    "exchange": {
+        "import": "Import a measured scan, or a scan's recordings: DIR/scan.zarr and "
+        "DIR/scenario.yaml.",
+        "export": "Write a scan in a form that another toolkit can reconstruct directly, or one of "
+        "its volumes.",
+        "ctsimu": "Scenarios in the CTSimU format: render, export, qualify.",
+        "schema": "Print the JSON Schema of the scenario file, for editors.",
+    },
+    "robots and ROS 2": {
+        "node": "Start one simulation as a separate ROS 2 node, until it is interrupted.",
+        "drive": "Send the plan of a scenario to controllers of arms, and record the messages of "
+        "their drivers.",
+        "arm": "Write the URDF of a vendor's arm into a folder of its own, with all meshes.",
+        "urdf": "Write a robot description of the operating room, for ROS 2 and other readers of "
+        "URDF.",
+    },
+    "many scans": {
+        "study": "Run a study: many trials of one scenario, which share their common steps.",
+    },
 }
-"""First sentences of the commands' help."""
+"""First sentences of the commands' help, by purpose; newcomers need the first group."""
+
+COMMANDS = {name: said for group in GROUPS.values() for name, said in group.items()}
 
 METHODS = {
     "calibrate": ("beads", "balls", "self", "circle", "kinematics"),
@@ -87,25 +108,38 @@ def execute(arguments: Sequence[str]) -> None:
         tyro.cli(command, prog=prog, args=rest)
 
 
-def application(*, overview: bool = False) -> tyro.extras.SubcommandApp:
-    """Return all commands, for what shells need to complete them.
-
-    Args:
-        overview: load no command; enough for the help of twinct itself.
-    """
+def application() -> tyro.extras.SubcommandApp:
+    """Return all commands, for what shells need to complete them."""
     made = tyro.extras.SubcommandApp()
     for name, summary in COMMANDS.items():
-        if overview:
-            made.command(name=name, help=summary)(_nothing)
-        elif isinstance(command := command_named(name), tyro.extras.SubcommandApp):
+        if isinstance(command := command_named(name), tyro.extras.SubcommandApp):
             made.command(command, name=name, help=summary)
         else:
             made.command(name=name)(command)
     return made
 
 
-def _nothing() -> None:
-    """Do nothing."""
+def overview(width: int) -> str:
+    """Return the help of twinct itself: all commands in groups, in lines of this width."""
+    column = max(map(len, COMMANDS)) + 4
+
+    def line(name: str, summary: str) -> str:
+        first = f"  {name}".ljust(column)
+        return textwrap.fill(summary, width, initial_indent=first, subsequent_indent=column * " ")
+
+    about = (
+        "Simulates a twin robotic CT system from one scenario file: two arms, X-ray projections, "
+        "ROS 2, reconstruction and evaluation."
+    )
+    more = (
+        "twinct COMMAND --help explains a command, --version prints the version, and --completion "
+        "bash|zsh|fish prints what a shell needs to complete commands."
+    )
+    parts = ["usage: twinct COMMAND ...", textwrap.fill(about, width)]
+    for group, commands in GROUPS.items():
+        lines = [line(name, summary) for name, summary in commands.items()]
+        parts.append("\n".join([f"{group}:", *lines]))
+    return "\n\n".join([*parts, textwrap.fill(more, width)]) + "\n"
 
 
 def check_names(arguments: Sequence[str]) -> None:
