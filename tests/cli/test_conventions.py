@@ -11,7 +11,6 @@ from twinct.cli import run_command
 from twinct.cli.commands import COMMANDS as NAMES
 from twinct.cli.commands import METHODS, command_named
 
-
 LINES = 75
 """Of the help of twinct itself: three times a small terminal."""
 
