@@ -53,6 +53,15 @@ def test_axes_are_crossed_the_last_and_the_seed_change_fastest(small) -> None:
     assert design.scenario(trials[0]).uncertainty.source.sigma_mm == 0
 
 
+def test_names_of_values_stand_in_tables(small) -> None:
+    paths = {"circle": {"kind": "circle", "views": 8}, "saddle": {"kind": "saddle", "views": 9}}
+    design = load_study(small(axes=[{"key": "trajectory", "label": "path", "values": paths}]))
+    trials = list(design.trials())
+    assert [trial.axes["path"] for trial in trials] == ["circle", "saddle"]
+    assert [trial.changes["trajectory"] for trial in trials] == [*paths.values()]
+    assert design.scenario(trials[1]).trajectory.views == 9
+
+
 def test_a_study_of_nothing_has_one_trial(small) -> None:
     (trial,) = load_study(small()).trials()
     assert trial == Trial(0, {}, {}) and str(trial) == "trial 0"

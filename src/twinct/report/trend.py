@@ -18,6 +18,8 @@ _MOST_SHAPES = 300
 """Largest number of dots drawn as shapes; more are one image, so that a page stays small."""
 _MOST_NAMES = 24
 """Largest number of names that fit below a picture."""
+SIZE_INCH = 5.1, 3.3
+"""Width and height of a picture."""
 _NARROWEST_PX = 32
 """Smallest distance between numbers below a picture, which is 510 px wide."""
 
@@ -40,9 +42,31 @@ def in_words(value: Any) -> str:
 def trend_picture(
     shown: Trend, axis: str, figure: str, others: Sequence[str], factor: float, log: bool
 ) -> Picture:
+    """Draw means with their intervals, see ``draw_trend``."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    from twinct.report.figures import svg
+
+    with mpl.rc_context(STYLE):
+        canvas = Figure(figsize=SIZE_INCH, layout="constrained")
+        draw_trend(canvas, shown, axis, figure, others, factor, log)
+        return svg(canvas)
+
+
+def draw_trend(
+    canvas: Any,
+    shown: Trend,
+    axis: str,
+    figure: str,
+    others: Sequence[str],
+    factor: float,
+    log: bool,
+) -> None:
     """Draw means with their intervals: joined on an axis of numbers, otherwise as points.
 
     Args:
+        canvas: an empty figure of matplotlib.
         shown: the trend to draw.
         axis: label of the axis, with its unit.
         figure: label of the figure, with its unit.
@@ -52,16 +76,12 @@ def trend_picture(
             other values, too.
     """
     import matplotlib as mpl
-    from matplotlib.figure import Figure
     from matplotlib.transforms import ScaledTranslation
-
-    from twinct.report.figures import svg
 
     values, many = shown.values, len(shown.lines)
     numbers = numeric(values)
     with mpl.rc_context(STYLE):
-        figure_ = Figure(figsize=(5.1, 3.3), layout="constrained")
-        axes: Any = figure_.subplots()
+        axes: Any = canvas.subplots()
         places: Any = {} if numbers else {json.dumps(v): place for place, v in enumerate(values)}
 
         def placed(points: Iterable[tuple[Any, Any]]) -> list[float]:
@@ -81,7 +101,7 @@ def trend_picture(
             bars = axes.errorbar(placed(line), y, half, **style)
             # Bars at the same value stand side by side, whatever the scale of the axis.
             shift = (index - (many - 1) / 2) * (3 if numbers else 8) / 72
-            beside = ScaledTranslation(shift, 0, figure_.dpi_scale_trans)
+            beside = ScaledTranslation(shift, 0, canvas.dpi_scale_trans)
             for artist in bars.get_children():
                 artist.set_transform(artist.get_transform() + beside)
         if numbers:
@@ -95,8 +115,7 @@ def trend_picture(
         if many > 1:
             title = textwrap.shorten(", ".join(others), 60, placeholder=" …")
             place: dict[str, Any] = {"loc": "outside upper left", "alignment": "left"}
-            figure_.legend(**place, ncols=min(many, 3), title=title, borderpad=0)
-        return svg(figure_)
+            canvas.legend(**place, ncols=min(many, 3), title=title, borderpad=0)
 
 
 def _draw_dots(axes: Any, x: Sequence[float], y: Sequence[float]) -> None:

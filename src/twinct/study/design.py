@@ -277,18 +277,25 @@ def _labels(axis: Axis) -> tuple[str, ...]:
 
 def _choices(axis: Axis, folder: Path) -> Iterator[Trial]:
     parts = axis.paired or (axis,)
-    for values in zip(*(_values(part) for part in parts), strict=True):
+    for values in zip(*(_named_values(part) for part in parts), strict=True):
         pairs = list(zip(parts, values, strict=True))
         yield Trial(
             0,
-            {part.name: _table_value(value) for part, value in pairs},
-            {key: _absolute(key, value, folder) for part, value in pairs for key in part.keys},
+            {part.name: name for part, (name, _) in pairs},
+            {key: _absolute(key, value, folder) for part, (_, value) in pairs for key in part.keys},
         )
+
+
+def _named_values(axis: Axis) -> Iterable[tuple[Any, Any]]:
+    """Return the values of an axis, each behind what tables call it."""
+    if isinstance(axis.values, dict):
+        return axis.values.items()
+    return ((_table_value(value), value) for value in _values(axis))
 
 
 def _values(axis: Axis) -> Iterable[Any]:
     if axis.values is not None:
-        return axis.values
+        return axis.values.values() if isinstance(axis.values, dict) else axis.values
     if span := axis.range:
         if span.scale == "log":
             numbers = np.geomspace(span.first, span.last, span.number)

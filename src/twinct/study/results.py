@@ -15,7 +15,7 @@ from twinct.core.foreign_text import quoted
 from twinct.study.journal import Journal, Row
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from twinct.study.table import StudyTable
 
 NAME = "results.parquet"
 
@@ -32,7 +32,7 @@ Version 1.0 wrote another key, and other names of figures: its table is made ane
 """
 
 
-def results_table(rows: Iterable[Row]) -> pd.DataFrame:
+def results_table(rows: Iterable[Row]) -> StudyTable:
     """Return a table with a line for each trial, sorted by number.
 
     Columns are the trial's number, its value on each axis, seed, status, figures by dotted name,
@@ -47,6 +47,8 @@ def results_table(rows: Iterable[Row]) -> pd.DataFrame:
     """
     require("study")
     import pandas as pd
+
+    from twinct.study.table import StudyTable
 
     rows = sorted(rows, key=lambda row: (row.trial, row.key))
     axes, figures, stages = (
@@ -65,7 +67,7 @@ def results_table(rows: Iterable[Row]) -> pd.DataFrame:
     names = [name for name, _ in columns]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise InputError(f"axis {quoted(twice[0])}: another column of the results has this name")
-    return pd.DataFrame(dict(columns))
+    return StudyTable(dict(columns))
 
 
 def _typed(values: Sequence[Any]) -> Any:
@@ -137,8 +139,11 @@ def _require_table(path: Path, whole: Any) -> None:
     require_unpacked(path.stat().st_size, stated, f"{path}: the table", copies=2)
 
 
-def load_results(folder: str | Path) -> pd.DataFrame:
+def load_results(folder: str | Path) -> StudyTable:
     """Load the results of a finished or running study as a pandas table; see ``results_table``.
+
+    ``summary()`` of the table returns means, intervals and paired differences over the seeds, and
+    ``plot("image.rmse_rel", path="picture.pdf")`` draws a figure over an axis.
 
     The table is read from ``results.parquet``, or made from the journal if the journal is newer.
 
@@ -149,6 +154,8 @@ def load_results(folder: str | Path) -> pd.DataFrame:
     require("study")
     import pyarrow as pa
     import pyarrow.parquet as pq
+
+    from twinct.study.table import StudyTable
 
     journal, path = Journal(Path(folder)), Path(folder) / NAME
     if not journal.path.is_file():
@@ -163,7 +170,7 @@ def load_results(folder: str | Path) -> pd.DataFrame:
         if stated == str(journal.whole_bytes()).encode():
             _require_table(path, whole)
             with path.open("rb") as stream:
-                return pq.read_table(stream).to_pandas()
+                return StudyTable(pq.read_table(stream).to_pandas())
     except (OSError, pa.ArrowException):
         pass  # absent or damaged: the journal is complete
     return results_table(journal.rows())

@@ -33,7 +33,7 @@ from twinct.workers import LocalPool, Pool
 from twinct.workers.cluster import RayPool
 
 if TYPE_CHECKING:
-    import pandas as pd
+    from twinct.study.table import StudyTable
 
 StudySource = str | Path | Mapping[str, Any]
 
@@ -55,7 +55,7 @@ class StudyRun:
     problem: str = ""
 
     @property
-    def results(self) -> pd.DataFrame:
+    def results(self) -> StudyTable:
         """Table of the results; see ``twinct.load_results``."""
         return load_results(self.folder.path)
 

@@ -98,7 +98,9 @@ class Axis(Section):
 
     key: Keys | None = setting(None, "Dotted key of the scenario; several get the same value.")
     label: str | None = setting(None, "Name in tables; default: the key.")
-    values: tuple[JsonValue, ...] | None = setting(None, "Values to try.", min_length=1)
+    values: tuple[JsonValue, ...] | dict[str, JsonValue] | None = setting(
+        None, "Values to try; or their names in tables, each with its value.", min_length=1
+    )
     range: Range | None = setting(None, "Alternatively: evenly spaced numbers.")
     draw: Draw | None = setting(None, "Alternatively: numbers drawn from a distribution.")
     paired: tuple[Axis, ...] | None = setting(
