@@ -41,6 +41,15 @@ def test_a_scan_is_shown_in_a_file(finished: Run, tmp_path: Path) -> None:
             finished.scan.show(tmp_path / "none.png", views=views)
 
 
+def test_a_run_and_its_scan_show_themselves_in_a_notebook(finished: Run) -> None:
+    page = finished._repr_html_()
+    assert page.count("data:image/png;base64,") == 1
+    figure = finished.figures["image"]["rmse_rel"]
+    assert f"<td>{100 * figure:.1f}" in page and "RMSE" in page
+    assert finished.settings.name in page and str(finished.paths.report) in page
+    assert finished.scan._repr_png_()[:4] == b"\x89PNG"
+
+
 def test_a_volume_is_evaluated_as_the_run_evaluated_it(finished: Run) -> None:
     figures = twinct.evaluate(finished.scan, finished.volume)
     told = finished.figures["image"]

@@ -161,12 +161,12 @@ class Volume(NDArrayOperatorsMixin):
         extras = f", extras {', '.join(self.extras)}" if self.extras else ""
         return f"Volume({voxels} voxels of {edges} mm, {values}{extras})"
 
-    def show(self, path: str | Path | None = None) -> None:
+    def show(self, path: str | Path | io.BytesIO | None = None) -> None:
         """Show the three sections through the grid's middle.
 
         Args:
-            path: file for the picture, such as ``volume.png``; None opens a window, or shows it in
-                the notebook.
+            path: file for the picture, such as ``volume.png``, or a buffer for PNG; None opens a
+                window, or shows it in the notebook.
 
         Raises:
             InputError: no path is given, and there is no window; or the file's ending is unknown.
@@ -176,7 +176,7 @@ class Volume(NDArrayOperatorsMixin):
     def _repr_png_(self) -> bytes:
         """Return a PNG image of the three sections, for a notebook."""
         picture = io.BytesIO()
-        show(self._draw, (10.4, 3.4), picture)
+        self.show(picture)
         return picture.getvalue()
 
     def _draw(self, figure: Any) -> None:

@@ -46,6 +46,7 @@ from twinct.runs.judgement import Judgement
 from twinct.runs.judging import ByTruth, WithoutTruth
 from twinct.runs.log import logged_to
 from twinct.runs.needs import require_memory
+from twinct.runs.notebook import run_in_notebook
 from twinct.runs.reconstruction_folder import check_files, stored_reconstructions
 from twinct.runs.repair import resumable
 from twinct.runs.repeated_figures import repeated_figures, repeats_asked
@@ -116,6 +117,10 @@ class Run:
     def __repr__(self) -> str:
         """Return name and folder in one line."""
         return f"Run({self.settings.name!r}, {str(self.paths.path)!r})"
+
+    def _repr_html_(self) -> str:
+        """Return the volume's sections, the figures of the image and the report, for a notebook."""
+        return run_in_notebook(self.settings.name, self.paths, self.volume, self.figures)
 
 
 def scan_of(folder: Folder, settings: ScanSettings) -> Scan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -333,12 +334,14 @@ class Scan:
             attrs={"scenario": self.settings.name, "geometry": which or self.reported.name},
         )
 
-    def show(self, path: str | Path | None = None, views: Sequence[int] | None = None) -> None:
+    def show(
+        self, path: str | Path | io.BytesIO | None = None, views: Sequence[int] | None = None
+    ) -> None:
         """Show projections as line integrals in one grey window, seen from the source.
 
         Args:
-            path: file for the picture, such as ``scan.png``; None opens a window, or shows it in
-                the notebook.
+            path: file for the picture, such as ``scan.png``, or a buffer for PNG; None opens a
+                window, or shows it in the notebook.
             views: which ones, at most 12; four spread over the scan if not given.
 
         Raises:
@@ -357,6 +360,12 @@ class Scan:
         width, height = panel.size_mm
         size = 10.4, rows * (2.4 * height / width + 0.4) + 0.3
         show(partial(_draw, chosen, images, (rows, columns), (width, height)), size, path)
+
+    def _repr_png_(self) -> bytes:
+        """Return a PNG image of four projections, for a notebook."""
+        picture = io.BytesIO()
+        self.show(picture)
+        return picture.getvalue()
 
 
 MOST_SHOWN = 12
