@@ -36,8 +36,8 @@ def _cut_off(scan: Coarse) -> bool:
     columns = np.flatnonzero(scan.counts.any(axis=(0, 1)))[[0, -1]]
     counts = scan.counts[:, :, columns]
     smooth = scipy.ndimage.uniform_filter(scan.p, (0, AIR_PIXELS, AIR_PIXELS))[:, :, columns]
-    # Beside the shadow, where scattered photons do not count.
-    level = float(np.percentile(smooth[counts], AIR_PERCENT))
+    # Flats of a brighter beam darken the air; scattered photons and noise brighten some of it.
+    level = max(float(np.percentile(smooth[counts], AIR_PERCENT)), 0.0)
     usual = float(scan.p[scan.counts].mean()) - level
     sides = (scan.p[:, :, side][counts[:, :, at]] for at, side in enumerate(columns))
     return usual > 0 and all(float(side.mean()) - level > MUCH * usual for side in sides)

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from twinct.geometry import ScanGeometry
 from twinct.measured.circle import Circle
-from twinct.measured.corrections import SATURATED, Corrected, Corrections
+from twinct.measured.corrections import Corrected, Corrections
 from twinct.measured.description import Measured
+from twinct.measured.fields import SATURATED
 from twinct.measured.looks import Looks
 from twinct.measured.order import ViewOrder, listed
 from twinct.scan.integrals import DARKEST
