@@ -17,6 +17,7 @@ from twinct.measured.bad_pixels import filled, unlike
 from twinct.measured.beam import FreeBeam
 from twinct.measured.description import Air, Images, Rings
 from twinct.measured.fields import FieldsByView, fields_of
+from twinct.measured.lag import Ghost, ghosts
 from twinct.measured.lines import AirOfLines, seams
 from twinct.measured.noise import DarkNoise, noise_of_dark
 from twinct.measured.pixels import Doubtful, Levels, ThreeViews, levels_of, singles, starved
@@ -78,6 +79,7 @@ class Corrections:
         lacks_fall: True if air falls off with the free beam although it should not.
         brighter: pixels brighter than air, in some view; None: there are none.
         seams: rows and columns at which tiles of the panel begin, and the steps there.
+        ghosts: ghosts in the first dark and flat images.
         air: pixels that show air in all views, (rows, columns); None: unknown.
         noise: noise of the dark image.
         levels: noise by brightness; None: single pixels are left as they are.
@@ -96,6 +98,7 @@ class Corrections:
     brighter: Brighter | None = None
     seams: dict[str, tuple[tuple[int, float], ...]] = field(default_factory=dict)
     air: Bools | None = None
+    ghosts: tuple[Ghost, ...] = ()
     noise: DarkNoise = DarkNoise(0.0, "unknown")
     levels: Levels | None = None
     gains: Floats | None = None
@@ -197,6 +200,11 @@ class Corrections:
         image = stored.astype(np.float64)
         if self.section.values == "line_integrals":
             return np.exp(-image, out=image)
+        if self.section.lag and view:
+            # Both images hold the dark image, which has no lag.
+            before = self.stack.image(view - 1).astype(np.float64)
+            share = self.section.lag / (1 - self.section.lag)
+            image += share * (image - before)
         if self.dark is not None:
             image -= self.dark.image(view)
         if self.flat is not None:
@@ -295,6 +303,7 @@ def _with_levels(corrected: Corrections) -> Corrections:
         brighter=brighter and brighter._replace(view=many[brighter.view]),
         seams={name: seams(found.mean, found.steady, name) for name in ("rows", "columns")},
         air=air,
+        ghosts=tuple(ghosts(section, corrected.stack, corrected.dark, corrected.flat)),
         noise=noise,
         levels=levels if section.single_pixels else None,
     )
