@@ -151,7 +151,6 @@ class Bench:
         x = sart(scan.A, scan.p, iterations=4, relaxation=0.5, nonnegative=True).array
         return float(np.sqrt(np.mean((x / scan.denser - truth)[near] ** 2))) / self.mu
 
-
     def moved_truth(self, taken: ScanGeometry) -> np.ndarray:
         """Return the truth where the believed geometry puts it, as closely as a motion can."""
         points = SPAN_MM / 3 * np.concatenate([np.eye(3), -np.eye(3), [[0.7, 0.7, -0.7]]])
@@ -277,11 +276,11 @@ def metal(bench: Bench, size: float) -> Injected:
     return bench.seen((np.exp(-t - HARDER * m) + np.exp(-t - m / HARDER)) / 2)
 
 
-def starved(bench: Bench, size: float) -> Injected:
+def starved(bench: Bench, size: float, readout: float = READOUT) -> Injected:
     """Make the object so dense that few photons are left, and read them out with noise."""
     denser = 1 + size
     beam = np.exp(-denser * bench.mu * bench.exact)
-    return replace(bench.seen(beam, readout=READOUT), denser=denser)
+    return replace(bench.seen(beam, readout=readout), denser=denser)
 
 
 def saturated(bench: Bench, size: float) -> Injected:
@@ -375,6 +374,8 @@ def sized(bench: Bench, name: str) -> tuple[Injected, float, float] | None:
         except (ValueError, InputError):  # no such geometry
             high, size = size, (low + size) / 2
             continue
+        if name == "starved":
+            clean = bench.error(starved(bench, size, 0.0))
         ratio = bench.error(scan, where) / clean
         if WORSE[0] <= ratio <= WORSE[1]:
             if best is None or abs(np.log(ratio / wish)) < abs(np.log(best[2] / wish)):

@@ -13,11 +13,11 @@ CLEAN = np.exp(-images(circle_of(VIEWS)))
 PHOTONS = 20000.0
 
 
-def balls() -> np.ndarray:
+def balls(views: int = 90, shape: tuple[int, int] = (40, 44)) -> np.ndarray:
     """Return transmissions of small sharp balls that turn in a parallel beam."""
-    rng, angle = np.random.default_rng(6), 2 * np.pi * np.arange(VIEWS) / VIEWS
-    row, column = np.indices(CLEAN.shape[1:]) - (np.array(CLEAN.shape[1:])[:, None, None] - 1) / 2
-    p = np.zeros(CLEAN.shape)
+    rng, angle = np.random.default_rng(6), 2 * np.pi * np.arange(views) / views
+    row, column = np.indices(shape) - (np.array(shape)[:, None, None] - 1) / 2
+    p = np.zeros((views, *shape))
     for x, y, z, radius in rng.uniform((-12, -12, -12, 2), (12, 12, 12, 4), (12, 4)):
         across = x * np.cos(angle) + y * np.sin(angle)
         square = (column - across[:, None, None]) ** 2 + (row - z) ** 2
@@ -39,11 +39,11 @@ def counted(beam: np.ndarray, lag: float) -> np.ndarray:
 def told_of(imported, stored, circle, tmp_path):
     """A function that imports views, flats and darks that were taken one after the other."""
 
-    def run(views, lag=0.0, first="flats", **keys):
+    def run(views, detector=0.0, first="flats", **keys):
         size = {"flats": 4, "darks": 4}
         beam = {"flats": np.ones((4, *views.shape[1:])), "darks": np.zeros((4, *views.shape[1:]))}
         order = ["views", first, *(set(size) - {first})]
-        taken = counted(np.concatenate([beam.get(name, views) for name in order]), lag)
+        taken = counted(np.concatenate([beam.get(name, views) for name in order]), detector)
         parts = np.split(taken, np.cumsum([size.get(name, len(views)) for name in order])[:-1])
         by_name = dict(zip(order, parts, strict=True))
         for name in size:

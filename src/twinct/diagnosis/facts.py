@@ -12,7 +12,7 @@ from twinct.diagnosis.coarse import Coarse
 AIR_PERCENT, AIR_PIXELS = 5.0, 3
 """Share of the outermost rays, in %, taken for air, as means of squares of so many pixels."""
 
-MUCH = 0.1
+MUCH = 0.05
 """Mean line integral of the outermost columns, relative to that of all rays."""
 
 STUCK = 1e-3
