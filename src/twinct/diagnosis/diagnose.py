@@ -21,7 +21,7 @@ LEAST_SHARE, LEAST_SIGMAS = 0.02, 3.0
 """Share, and its ratio to its standard error, from which a cause is named."""
 
 LEAST_EXPLAINED = 0.009
-"""Least that it then explains of the line integrals: coarse voxels leave as much of a sharp ball."""
+"""Least that it then explains of the line integrals: coarse voxels leave this of a sharp ball."""
 
 LARGE = 0.05
 """Share from which a cause is named in any case: none of 50 scans without errors had half of it."""
