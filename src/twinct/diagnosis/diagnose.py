@@ -17,14 +17,14 @@ from twinct.recon.checks import Mask
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 
-LEAST_SHARE, LEAST_SIGMAS = 0.02, 3.0
+LEAST_SHARE, LEAST_SIGMAS = 0.05, 3.0
 """Share, and its ratio to its standard error, from which a cause is named."""
 
-LEAST_EXPLAINED = 0.009
-"""Least that it then explains of the line integrals: coarse voxels leave this of a sharp ball."""
+LEAST_EXPLAINED = 0.006
+"""Least that it then explains of the line integrals: coarse voxels leave this of soft objects."""
 
-LARGE = 0.05
-"""Share from which a cause is named in any case: none of 50 scans without errors had half of it."""
+LARGE = 0.15
+"""Share from which a cause is named in any case, such as a motion in few of the views."""
 
 RIVAL = 0.5
 """Share relative to the first cause's, from which another one is named beside it."""
@@ -91,7 +91,9 @@ def ranked(rest: Residual, others: tuple[Share, ...], seen: Sequence[str]) -> Di
     named = _explaining(rest, every)
     shown = [one for one in every if one.name in seen]
     # Stuck pixels and missing parts change values, too: they come before causes that only infer it.
-    at = next((n for n, one in enumerate(named) if one.name in VALUES), len(named))
+    # But metal starves pixels.
+    inferred = [n for n, one in enumerate(named) if one.name in VALUES and one.name != "metal"]
+    at = min([*inferred, len(named)])
     later = [one for one in named[at:] if one.name not in seen]
     before = [one for one in named[:at] if one.name not in seen]
     return Diagnosis((*before, *shown, *later), tuple(every))
