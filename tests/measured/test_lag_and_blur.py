@@ -41,9 +41,13 @@ def told_of(imported, stored, circle, tmp_path):
 
     def run(views, detector=0.0, first="flats", **keys):
         size = {"flats": 4, "darks": 4}
-        beam = {"flats": np.ones((4, *views.shape[1:])), "darks": np.zeros((4, *views.shape[1:]))}
+        beam = {
+            "views": views,
+            "flats": np.ones((4, *views.shape[1:])),
+            "darks": np.zeros((4, *views.shape[1:])),
+        }
         order = ["views", first, *(set(size) - {first})]
-        taken = counted(np.concatenate([beam.get(name, views) for name in order]), detector)
+        taken = counted(np.concatenate([beam[name] for name in order]), detector)
         parts = np.split(taken, np.cumsum([size.get(name, len(views)) for name in order])[:-1])
         by_name = dict(zip(order, parts, strict=True))
         for name in size:
