@@ -6,7 +6,8 @@ Each cause is injected alone into scans of random objects (``random_objects.py``
 each seed, with a size that makes the error of a SART volume 1.3 to 3 times that of the clean scan.
 Order and sense of the views have no size. Prints one line for each scan, then a table: how often
 the first named cause is right, how often one of the first two is, what was named instead, and how
-many clean scans had a cause named. Seeds below 100 were used to tune, and clean scans of 300 to 336.
+many clean scans had a cause named. Seeds below 100 were used to tune, and clean scans from 300 to
+336.
 """
 
 from __future__ import annotations
