@@ -13,7 +13,7 @@ from soft_balls import circle_of, images
 
 from twinct.core.errors import InputError, ScenarioError
 from twinct.measured import import_measured, importing
-from twinct.measured.corrections import filled, unlike
+from twinct.measured.bad_pixels import filled, unlike
 from twinct.measured.description import Files
 from twinct.measured.stack import open_stack
 from twinct.scan import ScanStore

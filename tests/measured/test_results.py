@@ -13,6 +13,7 @@ from twinct.cli import run_command
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.recon.algorithms import algorithms
 from twinct.runs import StoredReconstruction, load_scan, reconstruct_run, run, simulate
+from twinct.runs.cures import cures_of
 from twinct.scan import Imported
 
 pytestmark = pytest.mark.usefixtures("measured")
@@ -52,6 +53,14 @@ def test_a_correction_that_needs_the_beam_says_so(measured):
     nmar = ["reconstruction.algorithm=fdk", "reconstruction.metal={method: nmar, metal: titanium}"]
     with pytest.raises(InputError, match="needs the beam of the scan, which is not known"):
         reconstruct_run(measured, nmar)
+
+
+def test_causes_in_the_geometry_come_first_with_their_commands(measured):
+    beam, roll, offset = (
+        cures_of(load_scan(measured), [name])[0] for name in ("beam", "roll", "offset")
+    )
+    assert cures_of(load_scan(measured), ["beam", "roll", "offset"]) == [roll, offset, beam]
+    assert "twinct calibrate circle" in roll and "twinct import --try" in offset
 
 
 @pytest.mark.tutorial

@@ -2,6 +2,7 @@
 
 from twinct.calibration.beads import BallCalibration, calibrated, calibrated_view
 from twinct.calibration.bundle import BundleAdjustment, bundled
+from twinct.calibration.circle_found import circle_found
 from twinct.calibration.circular import (
     CircleNumbers,
     CircularCalibration,
@@ -65,6 +66,7 @@ __all__ = [
     "calibrated",
     "calibrated_arms",
     "calibrated_view",
+    "circle_found",
     "circle_numbers",
     "circular_consistent",
     "epipolar_consistent",

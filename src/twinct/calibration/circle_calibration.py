@@ -7,7 +7,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from twinct.calibration.circular import CircularCalibration, CircularPrior, circular_consistent
+from twinct.calibration.circle_found import circle_found
+from twinct.calibration.circular import CircularCalibration, CircularPrior
 from twinct.core.errors import CalibrationError, InputError
 from twinct.core.files.lock import sole_owner
 from twinct.geometry.wire import PosePairs
@@ -44,14 +45,13 @@ class Circle:
         Raises:
             InputError: no scan, or no circle; nothing is written.
             ScanExistsError: another geometry has this name; nothing is written.
-            CalibrationError: no view shares an informative plane with another one, or the geometry
-                that was found explains the views no better than the believed one; nothing is
-                written.
+            CalibrationError: neither planes nor a slice tell the axis, or the geometry that was
+                found explains the views no better than the believed one; nothing is written.
         """
         prior = CircularPrior(self.sigma_px, self.sigma_sdd, self.sigma_deg)
         scan = load_scan(folder.path)
         with sole_owner(folder.lock):
-            calibration = circular_consistent(
+            calibration = circle_found(
                 line_integrals(scan.transmission),
                 scan.geometry(),
                 prior,

@@ -46,7 +46,7 @@ A panel with fewer pixels is not binned, and has no further round then.
 
 FINEST = ROUNDS[-1][0]
 
-_WHAT = "calibrate circle"
+WHAT = "calibrate circle"
 """Name of this calibration in messages."""
 
 SURE = 100
@@ -94,16 +94,19 @@ class CircularPrior:
         offset_px: of the panel along its columns and rows, or of the axis, px.
         sdd: of the distance from source to panel, as a share of it.
         turn_deg: of tilt, slant and roll of the panel against the axis, deg.
+        axis_px: of the panel along its columns, px, if it is known otherwise than its height.
     """
 
     offset_px: float = 5.0
     sdd: float = 0.005
     turn_deg: float = 1.0
+    axis_px: float | None = None
 
     def deviations(self, geometry: ScanGeometry) -> Floats:
         """Return the standard deviation of each of ``NUMBERS``, (6,), mm and rad."""
         panel = geometry.panel
-        shifts = self.offset_px * panel.pitch_u, self.offset_px * panel.pitch_v
+        axis_px = self.offset_px if self.axis_px is None else self.axis_px
+        shifts = axis_px * panel.pitch_u, self.offset_px * panel.pitch_v
         far = self.sdd * float(geometry.sdd.mean())
         return np.array([*shifts, far, *[np.radians(self.turn_deg)] * 3])
 
@@ -207,7 +210,7 @@ def circular_consistent(
             finite.
         CalibrationError: no view has enough usable planes.
     """
-    circle = fit_circle(believed, _WHAT)
+    circle = fit_circle(believed, WHAT)
     checks = Checks((len(believed), *believed.panel.shape))
     p, pixels = checks.projections(line_integrals, mask)
     checks.done()
@@ -435,7 +438,7 @@ def circle_numbers(geometry: ScanGeometry, circle: CircularOrbit | None = None) 
     Raises:
         InputError: the geometry is no circle.
     """
-    circle = circle or fit_circle(geometry, _WHAT)
+    circle = circle or fit_circle(geometry, WHAT)
     up = circle.axis * (1.0 if float((geometry.v @ circle.axis).mean()) > 0 else -1.0)
     beam = circle.centre - geometry.source
     beam = beam - np.outer(beam @ up, up)

@@ -17,13 +17,19 @@ from twinct.recon.checks import Mask
 from twinct.recon.engine import Singles
 from twinct.recon.projector import Projector
 
-LEAST_SHARE, LEAST_SIGMAS = 0.02, 3.0
+LEAST_SHARE, LEAST_SIGMAS = 0.05, 3.0
 """Share, and its ratio to its standard error, from which a cause is named."""
 
-LEAST_EXPLAINED = 0.009
-"""Least that it explains of the line integrals: coarse voxels leave as much of a sharp ball."""
+LEAST_EXPLAINED = 0.006
+"""Least that it then explains of the line integrals: coarse voxels leave this of soft objects."""
 
-ALIKE = 0.9
+LARGE = 0.15
+"""Share from which a cause is named in any case, such as a motion in few of the views."""
+
+RIVAL = 0.5
+"""Share relative to the first cause's, from which another one is named beside it."""
+
+ALIKE = 0.8
 """Ratio of two shares from which they are alike."""
 
 VALUES = tuple(cause.name for cause in CAUSES if not cause.geometric)
@@ -85,7 +91,9 @@ def ranked(rest: Residual, others: tuple[Share, ...], seen: Sequence[str]) -> Di
     named = _explaining(rest, every)
     shown = [one for one in every if one.name in seen]
     # Stuck pixels and missing parts change values, too: they come before causes that only infer it.
-    at = next((n for n, one in enumerate(named) if one.name in VALUES), len(named))
+    # But metal starves pixels.
+    inferred = [n for n, one in enumerate(named) if one.name in VALUES and one.name != "metal"]
+    at = min([*inferred, len(named)])
     later = [one for one in named[at:] if one.name not in seen]
     before = [one for one in named[:at] if one.name not in seen]
     return Diagnosis((*before, *shown, *later), tuple(every))
@@ -94,14 +102,18 @@ def ranked(rest: Residual, others: tuple[Share, ...], seen: Sequence[str]) -> Di
 def _explaining(rest: Residual, every: list[Share]) -> list[Share]:
     """Return the cause that explains most, and those that explain what it leaves."""
     sure = _sure(every)
-    if wrong := [one for one in sure if one.name == "order"]:
-        return wrong  # nothing else means anything then
     if not sure:
         return []
+    if max(sure, key=lambda one: one.explained).name == "order":
+        return [one for one in sure if one.name == "order"]  # nothing else means anything then
+    sure = [one for one in sure if one.name != "order"]
     first = _simplest([one for one in sure if one.share >= ALIKE * sure[0].share])
     linear = [cause.name for cause in CAUSES if not cause.by_view and cause.name != first.name]
     after = (first.name,) if first.name in rest.owners else ()
-    return [first, *_sure([rest.share(name, after) for name in linear])[:MORE]]
+    further = _sure([rest.share(name, after) for name in linear])
+    rivals = [one for one in sure if one is not first and one.share >= RIVAL * first.share]
+    others = {one.name: one for one in (*further, *rivals)}
+    return [first, *others.values()][: MORE + 1]
 
 
 def _sure(shares: list[Share]) -> list[Share]:
@@ -109,12 +121,13 @@ def _sure(shares: list[Share]) -> list[Share]:
 
     def is_sure(one: Share) -> bool:
         by_chance = one.share < LEAST_SHARE or one.sigmas < LEAST_SIGMAS
-        return not by_chance and one.explained >= LEAST_EXPLAINED
+        small = by_chance or one.explained < LEAST_EXPLAINED
+        return one.share >= LARGE or not small
 
     return sorted(filter(is_sure, shares), key=lambda one: -one.share)
 
 
 def _simplest(alike: list[Share]) -> Share:
-    """Return the first of the causes in their order; those that were tried have no numbers."""
-    order = [cause.name for cause in CAUSES]
-    return min(alike, key=lambda one: order.index(one.name) if one.name in order else -1)
+    """Return the first of the causes in their order; a wider grid explains many a little."""
+    order = [*(cause.name for cause in CAUSES), *(one.name for one in alike)]
+    return min(alike, key=lambda one: order.index(one.name))

@@ -12,7 +12,7 @@ from twinct.diagnosis.coarse import Coarse
 AIR_PERCENT, AIR_PIXELS = 5.0, 3
 """Share of the outermost rays, in %, taken for air, as means of squares of so many pixels."""
 
-MUCH = 0.1
+MUCH = 0.05
 """Mean line integral of the outermost columns, relative to that of all rays."""
 
 STUCK = 1e-3
@@ -36,8 +36,8 @@ def _cut_off(scan: Coarse) -> bool:
     columns = np.flatnonzero(scan.counts.any(axis=(0, 1)))[[0, -1]]
     counts = scan.counts[:, :, columns]
     smooth = scipy.ndimage.uniform_filter(scan.p, (0, AIR_PIXELS, AIR_PIXELS))[:, :, columns]
-    # Beside the shadow, where scattered photons do not count.
-    level = float(np.percentile(smooth[counts], AIR_PERCENT))
+    # Flats of a brighter beam darken the air; scattered photons and noise brighten some of it.
+    level = max(float(np.percentile(smooth[counts], AIR_PERCENT)), 0.0)
     usual = float(scan.p[scan.counts].mean()) - level
     sides = (scan.p[:, :, side][counts[:, :, at]] for at, side in enumerate(columns))
     return usual > 0 and all(float(side.mean()) - level > MUCH * usual for side in sides)

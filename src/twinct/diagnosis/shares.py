@@ -119,7 +119,8 @@ class Residual:
         parts = _parts_of(len(gains))
         whole = np.maximum(np.bincount(parts, left, FOLDS), 1e-30)
         each = np.bincount(parts, gains, FOLDS) / whole
-        sigmas = math.copysign(_sigmas_of_parts(each), share)
+        # Roots: a step of the object shows in few parts, which is no reason to doubt it.
+        sigmas = math.copysign(_sigmas_of_parts(np.sign(each) * np.sqrt(np.abs(each))), share)
         of_all = max(float(gains.sum()), 0.0) / max(float(self.squares.sum()), 1e-30)
         return Share(name, share, sigmas, self.size * math.sqrt(of_all))
 

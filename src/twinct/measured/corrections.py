@@ -2,44 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from twinct.core.errors import InputError
 from twinct.core.files.images import read_image
 from twinct.measured.air import Brighter, found_air, level_of
+from twinct.measured.bad_pixels import filled, unlike
 from twinct.measured.beam import FreeBeam
-from twinct.measured.description import Air, FieldImages, Images, Rings
+from twinct.measured.description import Air, Images, Rings
+from twinct.measured.fields import FieldsByView, fields_of
+from twinct.measured.lag import Ghost, ghosts
 from twinct.measured.lines import AirOfLines, seams
 from twinct.measured.noise import DarkNoise, noise_of_dark
 from twinct.measured.pixels import Doubtful, Levels, ThreeViews, levels_of, singles, starved
 from twinct.measured.rings import MeanView
-from twinct.measured.stack import Stack, open_stack
+from twinct.measured.stack import Stack
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-SATURATED = 0.001
-"""Largest share of the pixels of a flat image at the largest number of its bits."""
-
-BITS = 8, 10, 12, 14, 16
-"""Bits of the numbers of detectors, which may be stored in wider types."""
-
 DEAD = 0.05
 """Largest share of the pixels of a flat image that may be no brighter than the dark image."""
-
-UNLIKE = 8.0
-"""Robust standard deviations from the neighbours' median at which a pixel is bad."""
-
-LEAST_UNLIKE = 0.02
-"""Smallest relative deviation from the neighbours' median at which a pixel is bad."""
 
 MOST_FOR_MEAN = 24
 """Largest number of views in the mean image in which bad pixels are found."""
@@ -55,24 +44,6 @@ LIMITS = {
     "line_integrals": (50.0, "a line integral is at most about 15"),
 }
 """Largest median of the images' maxima, and what to say above it."""
-
-
-@dataclass(frozen=True)
-class FieldsByView:
-    """Dark and bright images by view; one image if they do not change."""
-
-    at: tuple[float, ...]
-    images: tuple[Floats, ...]
-
-    def image(self, view: int) -> Floats:
-        """Return the image of a view, interpolated between two of the measured ones."""
-        after = int(np.searchsorted(self.at, view))
-        if len(self.at) == 1 or after == 0:
-            return self.images[0]
-        if after == len(self.at):
-            return self.images[-1]
-        share = (view - self.at[after - 1]) / (self.at[after] - self.at[after - 1])
-        return (1 - share) * self.images[after - 1] + share * self.images[after]
 
 
 class Corrected(NamedTuple):
@@ -108,6 +79,7 @@ class Corrections:
         lacks_fall: True if air falls off with the free beam although it should not.
         brighter: pixels brighter than air, in some view; None: there are none.
         seams: rows and columns at which tiles of the panel begin, and the steps there.
+        ghosts: ghosts in the first dark and flat images.
         air: pixels that show air in all views, (rows, columns); None: unknown.
         noise: noise of the dark image.
         levels: noise by brightness; None: single pixels are left as they are.
@@ -126,6 +98,7 @@ class Corrections:
     brighter: Brighter | None = None
     seams: dict[str, tuple[tuple[int, float], ...]] = field(default_factory=dict)
     air: Bools | None = None
+    ghosts: tuple[Ghost, ...] = ()
     noise: DarkNoise = DarkNoise(0.0, "unknown")
     levels: Levels | None = None
     gains: Floats | None = None
@@ -227,6 +200,11 @@ class Corrections:
         image = stored.astype(np.float64)
         if self.section.values == "line_integrals":
             return np.exp(-image, out=image)
+        if self.section.lag and view:
+            # Both images hold the dark image, which has no lag.
+            before = self.stack.image(view - 1).astype(np.float64)
+            share = self.section.lag / (1 - self.section.lag)
+            image += share * (image - before)
         if self.dark is not None:
             image -= self.dark.image(view)
         if self.flat is not None:
@@ -261,10 +239,10 @@ def corrections(section: Images, stack: Stack, beam: FreeBeam) -> Corrections:
         InputError: fields or map are missing, unreadable, of other sizes, saturated or
             dark.
     """
-    dark = _fields(section.darks, "images.darks", stack)
+    dark = fields_of(section.darks, "images.darks", stack)
     if section.black is not None:
         dark = FieldsByView((0.0,), (np.full(stack.shape, section.black),))
-    flat = _fields(section.flats, "images.flats", stack, bright=True)
+    flat = fields_of(section.flats, "images.flats", stack, bright=True)
     bad = np.zeros(stack.shape, np.bool_)
     if flat is not None:
         if dark is not None:
@@ -325,6 +303,7 @@ def _with_levels(corrected: Corrections) -> Corrections:
         brighter=brighter and brighter._replace(view=many[brighter.view]),
         seams={name: seams(found.mean, found.steady, name) for name in ("rows", "columns")},
         air=air,
+        ghosts=tuple(ghosts(section, corrected.stack, corrected.dark, corrected.flat)),
         noise=noise,
         levels=levels if section.single_pixels else None,
     )
@@ -398,53 +377,6 @@ def _bright(image: NDArray[Any]) -> float:
     return float(np.percentile(finite, 99.5)) if finite.size else 0.0
 
 
-def _fields(
-    sections: tuple[FieldImages, ...], key: str, like: Stack, *, bright: bool = False
-) -> FieldsByView | None:
-    """Return the mean image of each section, by the views at which they were taken."""
-    fields: list[tuple[float, Floats]] = []
-    for index, section in enumerate(sections):
-        stack = open_stack(section, f"{key}.{index}")
-        if stack.shape != like.shape:
-            raise InputError(
-                f"{key}.{index}: {stack.where}: images of {stack.shape[0]} x {stack.shape[1]} "
-                f"pixels, but the projections have {like.shape[0]} x {like.shape[1]}"
-            )
-        if bright:
-            _refuse_saturated(stack, f"{key}.{index}")
-        images = (stack.image(i).astype(np.float64) for i in range(stack.count))
-        mean = next(images)
-        for image in images:
-            mean += image
-        if not -1 <= (at := section.view or 0.0) <= like.count:
-            raise InputError(
-                f"{key}.{index}.view: {at:g} is none of the views 0 to {like.count - 1}"
-            )
-        fields.append((at, mean / stack.count))
-    if not fields:
-        return None
-    fields.sort(key=lambda one: one[0])
-    if len({at for at, _ in fields}) < len(fields):
-        raise InputError(f"{key}: two of them have the same view")
-    return FieldsByView(tuple(at for at, _ in fields), tuple(image for _, image in fields))
-
-
-def _refuse_saturated(stack: Stack, key: str) -> None:
-    tops = {2**bits - 1: f"{bits} bits" for bits in BITS}
-    if np.issubdtype(stack.dtype, np.integer):
-        tops[np.iinfo(stack.dtype).max] = f"{stack.dtype}"
-    for index in range(stack.count):
-        image = stack.image(index)
-        most = float(np.nanmax(image, initial=0))
-        share = float((image == most).mean())
-        if most in tops and share > SATURATED:
-            raise InputError(
-                f"{key}: {stack.where}: image {index} is saturated: {share:.1%} of its pixels are "
-                f"{most:.0f}, the largest number of {tops[int(most)]}; at most {SATURATED:.1%} are "
-                "allowed"
-            )
-
-
 def _mean_image(corrected: Corrections) -> Floats:
     """Return the image in which bad pixels are found: flat, else the mean of some views."""
     if corrected.flat is not None:
@@ -452,42 +384,3 @@ def _mean_image(corrected: Corrections) -> Floats:
     count = corrected.stack.count
     few = np.unique(np.linspace(0, count - 1, min(count, MOST_FOR_MEAN)).round().astype(int))
     return np.mean([corrected._uncorrected(int(view)) for view in few], axis=0)
-
-
-def unlike(image: Floats, known: Bools) -> Bools:
-    """Return the pixels that differ from the median of their 5 x 5 neighbours.
-
-    Args:
-        image: a smooth image but for bad pixels, (rows, columns).
-        known: pixels that are bad anyway, and do not count.
-    """
-    image = np.where(known | ~np.isfinite(image), np.nanmedian(image[~known]), image)
-    smooth = scipy.ndimage.median_filter(image, 5, mode="nearest")
-    off = (image - smooth) / np.maximum(np.abs(smooth), 1e-12)
-    sigma = 1.4826 * float(np.median(np.abs(off - np.median(off))))
-    return ~known & (np.abs(off) > max(UNLIKE * sigma, LEAST_UNLIKE))
-
-
-def filled(image: Floats, bad: Bools) -> Floats:
-    """Return an image whose bad pixels have the mean of good pixels beside them.
-
-    Wider gaps are filled from their edges inwards.
-    """
-    if not bad.any():
-        return image
-    image, left = np.where(bad, 0.0, image), bad.copy()
-    for _ in _until(left):
-        weights = scipy.ndimage.convolve((~left).astype(np.float64), _AROUND, mode="constant")
-        sums = scipy.ndimage.convolve(image, _AROUND, mode="constant")
-        edge = left & (weights > 0)
-        image[edge] = sums[edge] / weights[edge]
-        left &= ~edge
-    return image
-
-
-_AROUND = np.array([[0.5, 1, 0.5], [1, 0, 1], [0.5, 1, 0.5]])
-
-
-def _until(left: Bools) -> Iterator[None]:
-    while left.any():
-        yield

@@ -120,6 +120,10 @@ class Images(Files):
         None, "Standard deviation of the dark image, in numbers of the files; null: from darks, or "
         "from values below 0.",
     )  # fmt: skip
+    lag: float = setting(
+        0.0, "Part of the image before that the detector still shows in each view (ghost).",
+        ge=0, lt=0.5,
+    )  # fmt: skip
     bad_pixels: BadPixels = setting(BadPixels(), "Bad pixels.")
     single_pixels: bool = setting(
         True, "Repair pixels that differ from all neighbours in row, column and view."
@@ -139,6 +143,8 @@ class Images(Files):
     @model_validator(mode="after")
     def _corrections_fit(self) -> Images:
         given = [k for k in ("flats", "darks", "white", "black") if getattr(self, k)]
+        if self.values == "line_integrals" and self.lag:
+            raise ValueError("lag: not allowed with values: line_integrals, which do not add up")
         if self.values != "intensities" and given:
             raise ValueError(f"{', '.join(given)}: allowed only with values: intensities")
         if self.flats and self.white is not None:

@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from twinct.geometry import ScanGeometry
 from twinct.measured.circle import Circle
-from twinct.measured.corrections import SATURATED, Corrected, Corrections
+from twinct.measured.corrections import Corrected, Corrections
 from twinct.measured.description import Measured
+from twinct.measured.fields import SATURATED
+from twinct.measured.lag import sentences as ghost_sentences
 from twinct.measured.looks import Looks
 from twinct.measured.order import ViewOrder, listed
+from twinct.measured.sharpness import Sharpness
 from twinct.scan.integrals import DARKEST
 
 OFF_AIR = 0.05
@@ -64,11 +67,13 @@ class Doubts:
     _columns: NDArray[np.float64] | float = 0.0
     _like_transmissions: int = 0
     _order: ViewOrder = field(default_factory=ViewOrder)
+    _sharpness: Sharpness = field(default_factory=Sharpness)
 
     def add(self, view: int, corrected: Corrected) -> None:
         """Count one more view, of a number in the stack."""
         transmission = corrected.image
         self._order.add(view, corrected.stored, transmission)
+        self._sharpness.add(view, transmission)
         p = -np.log(np.maximum(transmission, DARKEST))
         self._views.append(float(p.mean()))
         self._rows = self._rows + p.mean(axis=1)
@@ -95,7 +100,9 @@ class Doubts:
         # Images that are read wrongly show all other faults, too.
         if misread := self._doubts_of_reading():
             return (*result, *misread)
-        result += [f"{where}: {told}" for told in self._order.sentences(self.geometry)]
+        of_views = [*self._order.sentences(self.geometry), *self._sharpness.sentences]
+        result += [f"{where}: {told}" for told in of_views]
+        result += ghost_sentences(self.images.ghosts, self.images.section.lag)
         return (*result, *self._doubts_of_pixels())
 
     def _doubts_of_reading(self) -> list[str]:

@@ -94,8 +94,14 @@ AFTER_BEAM_HARDENING = Cure("scatter", "less of it: a larger distance or a grid 
 
 
 def cures_of(scan: Scan, names: Sequence[str]) -> list[str]:
-    """Return causes with their cures, in the given order."""
+    """Return causes with their cures, in the given order.
+
+    If files state the geometry, its causes come first: the others are judged by its volume, and a
+    command shows at once whether they apply.
+    """
     known = GEOMETRY | OTHERS
+    if STATED in scan.geometries:
+        names = sorted(names, key=lambda name: name not in GEOMETRY)
     if scan.settings.reconstruction.beam_hardening is not None:
         known["beam"] = AFTER_BEAM_HARDENING
     return [known[name].of(scan) for name in names]
