@@ -48,13 +48,17 @@ class Goal:
 
 
 class Goals:
-    """Maker of legal goals for a cell."""
+    """Maker of legal goals for a cell.
+
+    Attributes:
+        acceleration: largest acceleration, rad/s^2.
+    """
 
     def __init__(self, cell: CellModel, acceleration_deg_s2: float) -> None:
         """Use the limits of a cell."""
         self._names, self._ranges = cell.joint_names, cell.joint_ranges
         self._speeds, self._clearance = cell.speed_limits, Clearance(cell)
-        self._acceleration = np.radians(acceleration_deg_s2)
+        self.acceleration = float(np.radians(acceleration_deg_s2))
 
     def draw(self, rng: random.Random, here: np.ndarray) -> Goal:
         """Return a random goal from a configuration at rest, rad, (n,)."""
@@ -85,7 +89,7 @@ class Goals:
             # The corners of lines are rounded within the limit.
             np.zeros(1)
             if form == "line"
-            else np.sqrt(np.abs(between.derivative(2)(at)).max(axis=0) / self._acceleration),
+            else np.sqrt(np.abs(between.derivative(2)(at)).max(axis=0) / self.acceleration),
         ]
         slower = max(share.max() for share in shares) / rng.uniform(*SHARES)
         low, high = self._ranges[chosen].T

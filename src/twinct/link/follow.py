@@ -14,7 +14,7 @@ from twinct.core.files.plain_xml import xml_of
 from twinct.core.foreign_text import number, quoted
 from twinct.geometry import Floats
 from twinct.link.stamps import NANO, Stamp
-from twinct.robots.motion.gate import Gate, JointLimits
+from twinct.robots.motion.gate import Gate, JointLimits, in_unit
 from twinct.robots.programs import Program
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
@@ -183,7 +183,7 @@ def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float
     Args:
         course: the motion.
         heard: last position of each joint, rad.
-        tolerance_rad: largest difference.
+        tolerance_rad: largest difference, for a rail in m: an arm of 1 m turns its tool as far.
 
     Raises:
         InputError: no position of a joint was heard, or it is elsewhere.
@@ -198,9 +198,10 @@ def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float
     worst = int(np.abs(off).argmax())
     if not abs(off[worst]) <= tolerance_rad:
         raise InputError(
-            f"{course.action}: {course.joints[worst]} stands {np.degrees(off[worst]):.3f} deg from "
-            f"the start of the plan ({np.degrees(tolerance_rad):g} deg allowed): bring the arms to "
-            "the first configuration of the plan before"
+            f"{course.action}: {course.joints[worst]} stands "
+            f"{in_unit(course.joints[worst], abs(off[worst]), 3)} from the start of the plan "
+            f"({in_unit(course.joints[worst], tolerance_rad, 3)} allowed): bring the arms to the "
+            "first configuration of the plan before"
         )
 
 
