@@ -79,18 +79,20 @@ def overlapping(
 ) -> int:
     """Let goals replace each other, and print what was wrong."""
     overlaps, chains = Overlaps(robots, goals, cell), 0
-    stopped: list[str] = []
+    stopped, wrong = list[str](), list[str]()
     while overlaps.taken < count:
         rng, chains = random.Random(f"overlaps {seed} {chains}"), chains + 1
         robots.follow(plan)
         try:
             overlaps.play(rng, rng.randint(2, 6))
         except MotionError as error:  # a goal from the move may lead into a body
-            stopped.append(str(error))
+            stopped.append(f"chain {chains}: {error}")
+        overlaps.wrong, found = [], overlaps.wrong
+        wrong += [f"chain {chains}: {what}" for what in found]
     answer = {"goals": overlaps.taken, "refused": overlaps.refused, "chains": chains}
-    answer |= {"stopped": stopped, "wrong": len(overlaps.wrong), "first": overlaps.wrong[:10]}
-    print(json.dumps(answer, indent=2))
-    return 1 if overlaps.wrong else 0
+    answer |= {"stopped": stopped, "wrong": len(wrong), "first": wrong[:10]}
+    print(json.dumps(answer | {"trembled_deg": overlaps.trembled_deg}, indent=2))
+    return 1 if wrong else 0
 
 
 if __name__ == "__main__":

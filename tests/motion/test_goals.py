@@ -89,9 +89,7 @@ def test_a_goal_is_gone_over_to_without_a_stop(arms: PursuingSimulation, orders:
     at = float(arms.joints[column(arms)])
     first = arms.states(goal_of([JOINT], [4.0], [[[at + 0.4]], [], []]))
     half = len(first) // 2
-    for passed in arms.pursue(first):
-        if passed >= half:
-            break
+    passed = next(count for count in arms.pursue(first) if count >= half)
     onwards = [[[at + 0.5]], [[0.0]], [[0.0]]]
     stated = [*onwards[:orders], [], []][:3]
     states = arms.states(goal_of([JOINT], [3.0], stated), ahead=first[passed:])
@@ -129,9 +127,7 @@ def test_a_goal_that_starts_later_leaves_the_one_before_until_then(
 def test_a_goal_too_near_to_turn_to_is_refused(arms: PursuingSimulation) -> None:
     at = float(arms.joints[column(arms)])
     first = arms.states(goal_of([JOINT], [2.0], [[[at + 1.0]], [], []]))
-    for passed in arms.pursue(first):
-        if passed >= 500:
-            break
+    passed = next(count for count in arms.pursue(first) if count >= 500)
     here = first[passed - 1, 0, column(arms)]
     near = goal_of([JOINT], [0.01], [[[here]], [], []])
     with pytest.raises(GoalError, match="move too fast to turn|would move at|change its speed by"):

@@ -17,7 +17,7 @@ from twinct.robots.motion import GoalError, PursuingSimulation, goal_of
 OVER = 1.02
 """Share of a limit that the page allows: joints follow polynomials between points."""
 
-TREMBLE_RAD = np.radians(0.1)
+TREMBLE_RAD = np.radians(0.2)
 """Way of a joint beside its reference between two samples: errors of the servos in motion."""
 
 STILL_RAD = np.radians(0.01)
@@ -37,6 +37,7 @@ class Overlaps:
 
     Attributes:
         taken, refused: number of goals.
+        trembled_deg: largest distance of an unnamed joint from its reference, in motion.
         wrong: sentences on joints that moved unnamed, and on steps above the limits.
     """
 
@@ -47,6 +48,7 @@ class Overlaps:
         self._acceleration = goals.acceleration
         self.taken, self.refused = 0, 0
         self.wrong: list[str] = []
+        self.trembled_deg = 0.0
 
     def play(self, rng: random.Random, count: int) -> None:
         """Send goals, each at a random time of the one before; cancel some; then let all rest."""
@@ -110,6 +112,9 @@ class Overlaps:
             self._complain(moved > most + TREMBLE_RAD, "moves too far between two samples")
             was, passed = simulation.joints, count
             trembles = np.abs(simulation.joints - states[count - 1, 0])
+            self.trembled_deg = max(
+                self.trembled_deg, float(np.degrees(trembles[~named].max(initial=0.0)))
+            )
             self._complain((trembles > TREMBLE_RAD) & ~named, UNNAMED)
             if count >= stop:
                 break
