@@ -25,6 +25,7 @@ import trimesh
 import yaml
 from bench_vendor_arms import HEAD_SEMI_AXES_MM, LARGE, MOTION, SMALL, VIEWS, Arm, cell_of, followed
 
+from twinct.cli.commands.place import SECONDS
 from twinct.core.errors import InputError, TrajectoryError
 from twinct.geometry import Panel, Pose
 from twinct.geometry.wire import PosePairs
@@ -32,7 +33,7 @@ from twinct.robots.cell import CellModel, build_cell, mujoco
 from twinct.robots.cell.vendor import write_arm
 from twinct.robots.motion import plan_motion
 from twinct.robots.motion.branches import matrices
-from twinct.robots.reach import Bounds, TargetPoses, place
+from twinct.robots.reach import Bounds, SearchLimit, TargetPoses, place
 from twinct.scenario import Cell
 from twinct.trajectory import ArcTrajectory, commanded_views
 
@@ -53,12 +54,11 @@ def arms() -> list[dict[str, Any]]:
 def reach_mm(model: CellModel) -> float:
     """Return the distance that the flange of the source arm has from its first axis, mostly."""
     data, rng, far = mujoco.MjData(model.model), np.random.default_rng(0), []
-    body = model.model.body("source_flange").id if False else model.site_ids[0]
-    first = int(model.model.jnt_bodyid[0])
+    site, first = model.site_ids[0], int(model.model.jnt_bodyid[0])
     for _ in range(2000):
         data.qpos[:] = rng.uniform(*model.joint_ranges.T)
         mujoco.mj_kinematics(model.model, data)
-        far.append(np.linalg.norm(data.site_xpos[body] - data.xpos[first]))
+        far.append(np.linalg.norm(data.site_xpos[site] - data.xpos[first]))
     return 1000 * float(np.quantile(far, 0.99))
 
 
@@ -110,9 +110,11 @@ def figures(one: dict[str, Any], folder: Path, seed: int) -> dict[str, Any]:
             bounds = Bounds((-far, far), (-far, far), (-1100, 400), (100, 200))
             began = time.process_time()
             placed = place(
-                cell, build, MOTION, poses, roll_free=(False, False), bounds=bounds, seed=seed
-            )
+                cell, build, MOTION, poses, roll_free=(False, False), bounds=bounds, seed=seed,
+                limit=SearchLimit(SECONDS, time.process_time),
+            )  # fmt: skip
             found["place_s"] = round(time.process_time() - began, 1)
+            found |= {"places": placed.alone, "cells": placed.judged, "stopped": placed.stopped}
             found["held"] = int(placed.after.sum())
             targets = [
                 PosePairs.at(s, d)
