@@ -18,8 +18,8 @@ from unittest import mock
 
 import numpy as np
 
-from twinct.robots.motion import RobotSimulation
-from twinct.robots.motion import plan as planning
+from twinct.geometry.wire import targets_of
+from twinct.robots.motion import RobotSimulation, timing
 from twinct.robots.motion.path_search import find_joint_path
 from twinct.robots.motion.plan import timed
 from twinct.robots.motion.plan_check import RequestedViews, checked_plan
@@ -63,11 +63,11 @@ def of_room() -> dict[str, float]:
     """Return the duration of the closed room's plan, and of its longest way from view to view."""
     scenario = load_scenario(closed_room())
     builder, motion = SimulationBuilder(scenario), scenario.motion
-    views = builder.requested
-    way = find_joint_path(builder.cell, motion, views.targets, roll_free=views.roll_free)
-    plan = timed(builder.cell, motion, way, views.shutter)
-    with mock.patch.object(planning, "_detours", lambda *_: []):
-        before = timed(builder.cell, motion, way, views.shutter)
+    targets = targets_of(builder.requested)
+    way = find_joint_path(builder.cell, motion, targets, roll_free=builder.roll_free)
+    plan = timed(builder.cell, motion, way)
+    with mock.patch.object(timing, "OUT_OF_THE_WAY", np.inf):
+        before = timed(builder.cell, motion, way)
     found: dict[str, float] = {}
     for name, one in (("now", plan), ("that speed everywhere", before)):
         longest = float(np.diff(one.exposures_s).max())

@@ -11,10 +11,11 @@ import pytest
 import trimesh
 
 from twinct.core.errors import ScenarioError
-from twinct.geometry import Floats
+from twinct.geometry import Floats, Panel, Pose
+from twinct.robots.cell import build_cell
 from twinct.robots.cell.arms import ArmModel, load_arm
 from twinct.robots.cell.vendor import write_arm
-from twinct.scenario import SourceArm
+from twinct.scenario import Cell, SourceArm
 
 URDF = Path(__file__).with_name("six_axis.urdf")
 BALL = '<sphere radius="0.055"/>'
@@ -214,3 +215,14 @@ def test_what_lacks_is_that_of_the_arm_alone(tmp_path: Path) -> None:
     file = saved(tmp_path, text.replace("</robot>", camera + "</robot>"))
     lacking = write_arm(file, {}, tmp_path / "own").lacking
     assert lacking == {"joint_torque_nm": ("turn", "shoulder", "elbow", "roll", "bend", "spin")}
+
+
+def test_a_link_may_have_the_name_of_a_part_of_the_cell(tmp_path: Path) -> None:
+    file = saved(tmp_path, URDF.read_text().replace('"stand"', '"pedestal"'))
+    arms = {
+        side: {"model": None, "file": file, "base": "base_link", "base_position_mm": (x, 0, 0)}
+        for side, x in (("source_arm", 900), ("detector_arm", -900))
+    }
+    cell = build_cell(Cell.model_validate(arms), None, Pose.identity(), Panel(10, 10, 10.0, 10.0))
+    names = {cell.model.body(body).name for body in range(cell.model.nbody)}
+    assert {"source_pedestal", "source_pedestal_link"} <= names

@@ -21,6 +21,9 @@ from twinct.robots.sections import Arm
 if TYPE_CHECKING:
     import mujoco
 
+OF_THE_CELL = ("carriage", "pedestal", "tool_mount", "track", "turntable", "turntable_foot")
+"""Names of bodies that the cell gives an arm; a link of such a name gets another one."""
+
 DEFAULT_DENSITY = 1000.0
 """Density that MuJoCo assumes for a shape whose file states none, kg/m^3."""
 
@@ -70,6 +73,9 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
     alone = arm_alone(xml.text, arm.flange) if xml.is_urdf else Reduced(xml.text, ())
     try:
         spec = mujoco.MjSpec.from_string(alone.text)
+        for body in spec.bodies:
+            if body.name in OF_THE_CELL:
+                body.name += "_link"
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())

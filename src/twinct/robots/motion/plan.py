@@ -226,22 +226,8 @@ def _laws(
             own.append(len(knots) - 1)
         passed = [] if motion.trigger == "settled" else way.views[first : last + 1]
         views = [knot for knot, view in zip(own, passed, strict=False) if view >= 0]
-        laws.append((law.through(np.array(knots), views, _detours(way.views, own)), own))
+        laws.append((law.through(np.array(knots), views), own))
     return laws
-
-
-def _detours(views: NDArray[np.intp], own: list[int]) -> list[tuple[int, int]]:
-    """Return the first and last knot of the spline of each stretch of more than one line.
-
-    Args:
-        views: view of each knot of the path, -1 for none.
-        own: index of each of these knots among those of the spline, if they are all of the path.
-    """
-    if len(own) != len(views):  # a stretch from rest to rest, with no view in passing
-        return []
-    at = np.flatnonzero(views >= 0)
-    far = np.flatnonzero(np.diff(at) > 1)
-    return [(own[at[k]], own[at[k + 1]]) for k in far]
 
 
 def _compose(

@@ -57,6 +57,12 @@ STEP_SHARE = 0.9
 """Share of the trigger's tolerance that a tool may travel in a step of the control at a view."""
 
 
+OUT_OF_THE_WAY = 2.0
+"""Ratio of a tool's way from view to view to their distance above which it is a detour.
+
+From view to view of a trajectory it is 1.0 to 1.1, on ways into another configuration 9 and more.
+"""
+
 NOWHERE_RAD = 1e-9
 """Largest step of a joint that takes no motion."""
 
@@ -145,16 +151,12 @@ class TimeLaw:
         # A window of this length turns the largest jump of acceleration into the largest jerk.
         self._window = max(1, round(self._acceleration / self._jerk / FINE_S))
 
-    def through(
-        self, knots: Floats, views: Sequence[int] = (), detours: Sequence[tuple[int, int]] = ()
-    ) -> Law:
+    def through(self, knots: Floats, views: Sequence[int] = ()) -> Law:
         """Return the fastest law through some knots that this method finds.
 
         Args:
             knots: joint positions, rad, (knots, n); at least two, neighbours different.
             views: indices of the knots at which a view is taken in passing.
-            detours: indices of the first and last knot of stretches from view to view on which no
-                view is taken, and which may be faster.
 
         Raises:
             TrajectoryError: a joint cannot even hold the arm, or no law kept the limits.
@@ -168,7 +170,7 @@ class TimeLaw:
         way = scipy.interpolate.CubicSpline(passed, knots)
         share = np.arange(LOOK) / LOOK
         s = np.append((passed[:-1, None] + share * spans[:, None]).ravel(), passed[-1])
-        most, gain = self._allowed(way, s, [tuple(passed[list(ends)]) for ends in detours])
+        most, gain = self._allowed(way, s, passed[list(views)])
         passing = self._passing(way, passed, views)
         most = np.minimum(most, passing.most(s))
         law = self._law(way, s, most, gain, passed)
@@ -235,9 +237,7 @@ class TimeLaw:
             "torque": self._torque_shares(states) / TORQUE_SHARE,
         }
 
-    def _allowed(
-        self, way: CubicSpline, s: Floats, detours: Sequence[tuple[float, ...]]
-    ) -> tuple[Floats, Floats]:
+    def _allowed(self, way: CubicSpline, s: Floats, at_views: Floats) -> tuple[Floats, Floats]:
         """Return the largest speed of s at each value of s, and the acceleration left for s."""
         first, second, third = (np.abs(way(s, d)) for d in (1, 2, 3))
         with np.errstate(divide="ignore"):
@@ -246,7 +246,7 @@ class TimeLaw:
                     (self._speed / first).min(axis=1),
                     np.sqrt(CURVE_SHARE * self._acceleration / second.max(axis=1)),
                     np.cbrt(self._jerk / third.max(axis=1)),
-                    self._tool_m_s / self._tool_slopes(way, s, detours),
+                    self._tool_m_s / self._tool_slopes(way, s, at_views),
                 ],
                 axis=0,
             )
@@ -260,19 +260,34 @@ class TimeLaw:
             at_views = self._tool_at_view_m_s / self._slopes(way, passed[knots])
         return Passing(knots, passed[knots], at_views, self._interval_s)
 
-    def _tool_slopes(
-        self, way: CubicSpline, s: Floats, detours: Sequence[tuple[float, ...]]
-    ) -> Floats:
-        """Return ``_slopes`` where the tools' speed is limited, else zeros."""
+    def _tool_slopes(self, way: CubicSpline, s: Floats, at_views: Floats) -> Floats:
+        """Return ``_slopes`` where the tools' speed is limited, else zeros.
+
+        Args:
+            way: joints along s.
+            s: values at which the slopes are wanted.
+            at_views: values of s at the views.
+        """
         if not np.isfinite(self._tool_m_s):
             return np.zeros(len(s))
         slopes = self._slopes(way, s)
         travel_m = np.concatenate([[0.0], np.cumsum(np.diff(s) * (slopes[1:] + slopes[:-1]) / 2)])
-        for first, last in detours:
-            start_m, end_m = np.interp((first, last), s, travel_m)
+        at_m, places = np.interp(at_views, s, travel_m), self._places(way(at_views))
+        apart_m = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
+        for detour in np.flatnonzero(np.diff(at_m) > OUT_OF_THE_WAY * apart_m):
+            start_m, end_m = at_m[detour], at_m[detour + 1]
             free = (travel_m > start_m + self._exposing_m) & (travel_m < end_m - self._exposing_m)
             slopes[free] = 0.0
         return slopes
+
+    def _places(self, joints: Floats) -> Floats:
+        """Return the positions of both tools, m, (times, 2, 3)."""
+        places = np.zeros((len(joints), 2, 3))
+        for place, here in zip(places, joints, strict=True):
+            self._data.qpos[:] = here
+            mujoco.mj_kinematics(self._cell.model, self._data)
+            place[:] = self._data.site_xpos[list(self._cell.site_ids)]
+        return places
 
     def _slopes(self, way: CubicSpline, s: Floats) -> Floats:
         """Return the distance that the faster tool travels per unit of s, m."""
