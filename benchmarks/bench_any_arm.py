@@ -4,9 +4,10 @@
 
 FOLDER holds checkouts of the public repositories in ``vendor_arms.yaml``, which also has the list
 from which ten arms are drawn by seed; ``xacro`` is needed. Two arms of a kind scan 60 views on an
-arc of 120 deg, or of 90 deg if ``place`` finds no places that hold all views of the longer one. What a file lacks is stated by size: guesses, as a user would look it up. Nothing
-else is stated: no flange, and no pairs of links. The places are those of ``place``; processor
-seconds are of this process. One JSON line an arm, then a summary.
+arc of 120 deg, or of 90 deg if ``place`` finds no places that hold all views of the longer one.
+What a file lacks is stated by size: guesses, as a user would look it up. Nothing else is stated: no
+flange, and no pairs of links. The places are those of ``place``; processor seconds are of this
+process. One JSON line an arm, then a summary.
 """
 
 from __future__ import annotations
@@ -105,6 +106,7 @@ def figures(one: dict[str, Any], folder: Path, seed: int) -> dict[str, Any]:
             found["notes"] = len(build(cell).notes)
             far = 1.1 * min(reach, 2000.0)
             bounds = Bounds((-far, far), (-far, far), (-1100, 400), (100, 200))
+            views = placed = None
             for arc_deg in ARCS_DEG:
                 arc = ArcTrajectory(
                     kind="arc", views=VIEWS, longitude_range_deg=arc_deg, sod_mm=sod_mm,
@@ -123,6 +125,7 @@ def figures(one: dict[str, Any], folder: Path, seed: int) -> dict[str, Any]:
                 found |= {"arc_deg": arc_deg, "place_s": seconds, "held": int(placed.after.sum())}
                 if placed.after.all():
                     break
+            assert views is not None and placed is not None
             found |= {"places": placed.alone, "cells": placed.judged, "stopped": placed.stopped}
             targets = [
                 PosePairs.at(s, d)
