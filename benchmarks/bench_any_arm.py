@@ -46,6 +46,14 @@ LONG_MM, LIGHT_KG = 1000.0, 9.0
 
 ARCS_DEG = (120.0, 90.0)
 
+TORQUES_NM = (
+    (LONG_MM, SMALL),
+    (1900.0, LARGE),
+    (2600.0, (6000.0, 6000.0, 4000.0, 600.0, 600.0, 400.0)),
+    (np.inf, (15000.0, 15000.0, 9000.0, 2000.0, 2000.0, 1200.0)),
+)
+"""Torque limits up to some reach, mm: guesses, where neither file nor vendor states them."""
+
 
 def arms() -> list[dict[str, Any]]:
     """Return the named arms, then those drawn."""
@@ -65,13 +73,14 @@ def reach_mm(model: CellModel) -> float:
     return 1000 * float(np.quantile(far, 0.99))
 
 
-def missing(lacking: Mapping[str, tuple[str, ...]], long: bool) -> dict[str, Any]:
-    """Return guesses for the keys that a file needs."""
+def missing(lacking: Mapping[str, tuple[str, ...]], reach: float) -> dict[str, Any]:
+    """Return guesses for the keys that a file needs; torques grow with the arm's size."""
     keys: dict[str, Any] = {}
     if "link_density_kg_m3" in lacking:
         keys["link_density_kg_m3"] = 1500.0
     if names := lacking.get("joint_torque_nm"):
-        keys["joint_torque_nm"] = (LARGE if long else SMALL)[: len(names)]
+        torques = next(nm for far, nm in TORQUES_NM if reach < far)
+        keys["joint_torque_nm"] = torques[: len(names)]
     if "joint_speed_deg_s" in lacking:
         keys["joint_speed_deg_s"] = 120.0
     return keys
@@ -89,13 +98,13 @@ def figures(one: dict[str, Any], folder: Path, seed: int) -> dict[str, Any]:
             )
             found["write_s"] = round(time.process_time() - began, 1)
             found["lacking"] = sorted(written.lacking)
-            probe = Arm(one["name"], "", 1000.0, keys=missing(written.lacking, True))
+            probe = Arm(one["name"], "", 1000.0, keys=missing(written.lacking, LONG_MM))
             reach = reach_mm(build_cell(cell_of(probe, written.file), None, Pose.identity(), panel))
             long = reach > LONG_MM
             found["reach_mm"] = round(reach)
             heavy = long and one.get("payload_kg", LIGHT_KG) >= LIGHT_KG
             sod_mm, tool_kg = 300.0 if long else 250.0, (8.0, 4.0) if heavy else (2.0, 1.5)
-            keys = missing(written.lacking, long)
+            keys = missing(written.lacking, reach)
             arm = Arm(one["name"], "", reach, {}, keys, sod_mm, tool_kg)
             head.apply_scale(np.multiply(HEAD_SEMI_AXES_MM, sod_mm / 300))
             cell = cell_of(arm, written.file)
