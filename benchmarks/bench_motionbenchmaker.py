@@ -225,9 +225,9 @@ def length(knots: Floats) -> float:
 def tried(one: Problem, seed: int, seconds: float) -> dict[str, Any]:
     """Return what both find for a problem."""
     room, check = Feasible(one.cell, "both"), CollisionCheck(one.cell)
-    check.keep(0.0)
+    check.keep(LEAST_MM)
     ends = np.stack([one.start, one.goal])
-    found: dict[str, Any] = {"ends_clear": bool(room.clear(ends, 0.0).all())}
+    found: dict[str, Any] = {"ends_clear": bool(room.clear(ends, LEAST_MM).all())}
     for name, work in (
         ("ours", lambda: ours(one, room, seed)),
         ("plain", lambda: plain(one, check, seed, seconds)),
