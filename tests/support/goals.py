@@ -28,6 +28,9 @@ SHARES = (0.3, 0.95)
 CLEAR_MM = 5.0
 """Gap that a goal keeps: a joint that touches something may be pushed."""
 
+ROUNDING_MM = 0.5
+"""Way by which a gap may shrink at the start of a goal."""
+
 SETTLED_S = 0.5
 """Time after which servos at rest are off by less than 0.002 deg; they converge in 0.1 s."""
 
@@ -97,7 +100,9 @@ class Goals:
         on_way[:, chosen] = between(at)
         if not ((on_way[:, chosen] > low) & (on_way[:, chosen] < high)).all():
             return None
-        if self._clearance.over(on_way[::8]).distance_mm < CLEAR_MM:
+        # Arms that braked may stand nearer to something than any goal leads.
+        least_mm = min(CLEAR_MM, self._clearance.over(here[None]).distance_mm - ROUNDING_MM)
+        if self._clearance.over(on_way[::8]).distance_mm < least_mm:
             return None
         first = 0 if rng.random() < 0.3 else 1  # the present, stated or not
         orders = [order[first:] / slower**power for power, order in enumerate(path)]
