@@ -16,8 +16,8 @@ from twinct.robots.reach import Bounds
 from twinct.runs import reaching
 from twinct.scenario import write_scenario
 
-SECONDS = 20.0
-"""Time of a search for the views of a trajectory, unless another is given."""
+SECONDS = 15.0
+"""Time of a search for the views of a trajectory: an answer comes within 20 s with the rest."""
 
 
 def place(
@@ -49,7 +49,7 @@ def place(
         samples: Positions of each single arm that are tried first.
         seed: Seed of the search.
         seconds: Time after which the search ends with the best places so far; 0: no limit. Unless
-            it is given: 20 for the views of a trajectory, and no limit for the sphere.
+            it is given: 15 for the views of a trajectory, and no limit for the sphere.
     """
     bounds = Bounds(x, y, z, standoff, tool_rotation)
     if seconds is None:
