@@ -222,8 +222,8 @@ def length(knots: Floats) -> float:
     return float(np.linalg.norm(np.diff(knots, axis=0), axis=1).sum())
 
 
-def tried(one: Problem, seed: int, seconds: float) -> dict[str, Any]:
-    """Return what both find for a problem."""
+def tried(one: Problem, seed: int, seconds: float, judged: bool) -> dict[str, Any]:
+    """Return what both find for a problem; coal judges their paths if asked."""
     room, check = Feasible(one.cell, "both"), CollisionCheck(one.cell)
     check.keep(LEAST_MM)
     ends = np.stack([one.start, one.goal])
@@ -238,7 +238,8 @@ def tried(one: Problem, seed: int, seconds: float) -> dict[str, Any]:
         found[name] = knots is not None
         if knots is not None:
             found[f"{name}_rad"] = length(knots)
-            found[f"{name}_collides"] = collides(one, knots)
+            found[f"{name}_judged"] = judged
+            found[f"{name}_collides"] = judged and collides(one, knots)
     return found
 
 
@@ -252,6 +253,7 @@ def summary(name: str, found: list[dict[str, Any]]) -> dict[str, Any]:
     }
     for who in ("ours", "plain"):
         told[f"{who}_solved"] = sum(one[who] for one in found)
+        told[f"{who}_judged"] = sum(one.get(f"{who}_judged", False) for one in found)
         told[f"{who}_collide"] = sum(one.get(f"{who}_collides", False) for one in found)
     if both:
         told["ours_median_s"] = round(float(np.median([one["ours_s"] for one in both])), 3)
@@ -279,6 +281,7 @@ def main() -> None:
     parser.add_argument("--per-set", type=int, default=100)
     parser.add_argument("--seed", type=int, default=62)
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--judged", type=int, help="problems of each set that coal judges")
     parser.add_argument("--only", nargs="*", help="names of sets")
     args = parser.parse_args()
     everything = []
@@ -290,8 +293,13 @@ def main() -> None:
             if args.only and name not in args.only:
                 continue
             found = [
-                tried(problem(Path(scratch), name, number), args.seed, args.seconds)
-                for number in numbers
+                tried(
+                    problem(Path(scratch), name, number),
+                    args.seed,
+                    args.seconds,
+                    args.judged is None or k < args.judged,
+                )
+                for k, number in enumerate(numbers)
             ]
             everything += found
             print(json.dumps(summary(name, found)), flush=True)

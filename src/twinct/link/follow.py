@@ -197,11 +197,12 @@ def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float
     off = np.array([heard[name] for name in course.joints]) - course.state[0, 0]
     worst = int(np.abs(off).argmax())
     if not abs(off[worst]) <= tolerance_rad:
+        name = course.joints[worst]
+        allowed = in_unit(name, tolerance_rad, 3).partition(" ")
         raise InputError(
-            f"{course.action}: {course.joints[worst]} stands "
-            f"{in_unit(course.joints[worst], abs(off[worst]), 3)} from the start of the plan "
-            f"({in_unit(course.joints[worst], tolerance_rad, 3)} allowed): bring the arms to the "
-            "first configuration of the plan before"
+            f"{course.action}: {name} stands {in_unit(name, off[worst], 3)} from the start of the "
+            f"plan ({float(allowed[0]):g} {allowed[2]} allowed): bring the arms to the first "
+            "configuration of the plan before"
         )
 
 
