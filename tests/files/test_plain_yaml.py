@@ -113,3 +113,8 @@ def test_what_is_written_is_read_again() -> None:
 def test_scenarios_mean_the_same_to_another_reader() -> None:
     for file in sorted((Path(__file__).parents[2] / "scenarios").glob("*.yaml")):
         assert read_file(file, "scenario").value == yaml.safe_load(file.read_text(encoding="utf-8"))
+
+
+def test_a_value_that_occurs_twice_is_written_twice() -> None:
+    pair = [1.0, 2.0]
+    assert read_value(written({"a": pair, "b": pair}), "here") == {"a": pair, "b": pair}

@@ -188,13 +188,113 @@ def test_a_goal_is_cancelled_and_the_arms_brake(planner: Planner) -> None:
     }
     handle = planner.send(trajectory=trajectory)
     assert handle.accepted
-    assert not planner.send(trajectory=trajectory).accepted  # one at a time
     assert not planner.call(HOME).success
     planner.wait_for(handle.cancel_goal_async())
     got = planner.wait_for(handle.get_result_async())
     assert got.status == 5
     assert 0 < planner.robots.time_s < 600
     assert planner.call(HOME).success
+
+
+def slow(planner: Planner) -> dict[str, Any]:
+    """A goal of one joint that takes 600 s of simulated time."""
+    at = float(planner.robots.joints[0])
+    return {
+        "joint_names": [planner.robots.joint_names[0]],
+        "points": points((600.0, [at + 0.5])),
+    }
+
+
+def test_a_goal_replaces_the_one_that_runs(planner: Planner) -> None:
+    first = planner.send(trajectory=slow(planner))
+    refused = planner.run(trajectory={"joint_names": ["elbow"], "points": points((1.0, [0.0]))})
+    assert refused[:2] == (6, -2)  # and the first one goes on
+    name, at = planner.robots.joint_names[3], float(planner.robots.joints[3])
+    trajectory = {"joint_names": [name], "points": points((2.0, [at + 0.1]))}
+    assert planner.run(trajectory=trajectory)[:2] == (4, 0)
+    got = planner.wait_for(first.get_result_async())
+    assert (got.status, got.result.error_code) == (6, -1)
+    assert "replaced by a newer trajectory" in got.result.error_string
+    assert planner.robots.joints[3] == pytest.approx(at + 0.1, abs=2e-4)
+    assert 2 <= planner.robots.time_s < 600
+    assert not planner.node._arms.busy
+
+
+def test_a_cancel_of_the_goal_that_was_replaced_leaves_the_new_one(planner: Planner) -> None:
+    first = planner.send(trajectory=slow(planner))
+    at = float(planner.robots.joints[3])
+    name = planner.robots.joint_names[3]
+    second = planner.send(trajectory={"joint_names": [name], "points": points((60.0, [at + 0.1]))})
+    planner.wait_for(first.cancel_goal_async())
+    assert planner.wait_for(second.get_result_async()).status == 4
+    assert planner.robots.joints[3] == pytest.approx(at + 0.1, abs=2e-4)
+
+
+def test_the_error_is_the_desired_minus_the_actual(planner: Planner) -> None:
+    at = float(planner.robots.joints[2])
+    name = planner.robots.joint_names[2]
+    planner.run(trajectory={"joint_names": [name], "points": points((1.0, [at + 0.2]))})
+    assert len(planner.feedback) > 3
+    for told in (message.feedback for message in planner.feedback):
+        for order in ("positions", "velocities"):
+            desired, actual, error = (
+                np.array(getattr(part, order)) for part in (told.desired, told.actual, told.error)
+            )
+            np.testing.assert_array_equal(error, desired - actual)
+    lags = [message.feedback.error.positions[2] for message in planner.feedback]
+    assert max(np.abs(lags)) > 0
+    stamps = [Stamp.of(message.feedback.header.stamp).time_s for message in planner.feedback]
+    assert stamps == sorted(stamps) and stamps[-1] > 0.5
+
+
+def test_what_is_late_may_come_within_the_time_of_the_goal(planner: Planner) -> None:
+    """The servos need some cycles to come as near as 0.00005 rad."""
+    name, at = planner.robots.joint_names[2], float(planner.robots.joints[2])
+    near = [{"name": name, "position": 5e-5}]
+    lines = {"joint_names": [name], "points": points((0.5, [at + 0.2]))}
+    hurry = planner.run(
+        trajectory=lines, goal_tolerance=near, goal_time_tolerance={"sec": 0, "nanosec": 1}
+    )
+    assert hurry[:2] == (6, -5), hurry
+    assert "deg off" in hurry[2] and "after 1e-09 s more" in hurry[2]
+    back = {"joint_names": [name], "points": points((0.5, [at]))}
+    before = planner.robots.time_s
+    assert planner.run(trajectory=back, goal_tolerance=near)[:2] == (4, 0)
+    assert planner.robots.time_s - before < 2
+
+
+@pytest.mark.parametrize(
+    ("fields", "code", "told"),
+    [
+        ({"goal_tolerance": [{"name": "elbow"}]}, -2, "names the unknown joint elbow"),
+        ({"path_tolerance": [{"name": "?", "velocity": -2.0}]}, -1, "velocity -2.0 is neither"),
+        ({"goal_time_tolerance": {"sec": -3}}, -1, "goal_time_tolerance -3.0 s is neither"),
+    ],
+)
+def test_tolerances_that_mean_nothing_are_refused(
+    planner: Planner, fields: dict[str, Any], code: int, told: str
+) -> None:
+    name = planner.robots.joint_names[2]
+    for rows in fields.values():
+        for row in rows if isinstance(rows, list) else ():
+            row["name"] = row["name"].replace("?", name)
+    status, got, text = planner.run(trajectory=slow(planner), **fields)
+    assert (status, got) == (6, code)
+    assert told in text
+    assert planner.robots.time_s == 0
+
+
+def test_a_goal_that_began_before_goes_on_from_its_points_to_come(planner: Planner) -> None:
+    name, at = planner.robots.joint_names[2], float(planner.robots.joints[2])
+    rest = {"joint_names": [name], "points": points((3.0, [at]))}
+    assert planner.run(trajectory=rest)[:2] == (4, 0)
+    begun = {"header": {"stamp": {"sec": 1, "nanosec": 0}}, "joint_names": [name]}
+    over = begun | {"points": points((1.0, [at + 0.1]))}
+    assert planner.run(trajectory=over)[:2] == (6, -3)
+    left = begun | {"points": points((1.0, [at + 0.5]), (4.0, [at + 0.1]))}
+    assert planner.run(trajectory=left)[:2] == (4, 0)
+    assert planner.robots.joints[2] == pytest.approx(at + 0.1, abs=2e-4)
+    assert planner.robots.time_s == pytest.approx(5.0, abs=0.2)
 
 
 def test_an_image_is_taken_where_the_arms_stand(planner: Planner) -> None:

@@ -7,6 +7,7 @@ import random
 import numpy as np
 import pytest
 from goals import MOVED_DEG, SETTLED_S, Chain, Goals
+from overlaps import Overlaps
 
 from twinct.core.errors import TargetRefusedError
 from twinct.geometry import Floats
@@ -69,6 +70,77 @@ def test_random_goals_move_no_joint_that_they_do_not_name(
             if act == 1:
                 chain.expose()
         chain.end()
+
+
+def test_goals_that_replace_each_other_move_only_what_they_name_within_the_limits(
+    arms: PursuingSimulation, cell: CellModel, plan: MotionPlan
+) -> None:
+    overlaps = Overlaps(arms, Goals(cell, AS_IN_THE_PAPER.acceleration_deg_s2), cell)
+    for number in range(CHAINS):
+        arms.follow(plan)
+        overlaps.play(random.Random(f"overlaps {number}"), GOALS_A_CHAIN)
+    assert overlaps.taken > CHAINS
+    assert overlaps.wrong == []
+
+
+@pytest.mark.parametrize("orders", [1, 2, 3])
+def test_a_goal_is_gone_over_to_without_a_stop(arms: PursuingSimulation, orders: int) -> None:
+    """From a joint that moves at 0.1 rad/s, onwards to a point further on."""
+    at = float(arms.joints[column(arms)])
+    first = arms.states(goal_of([JOINT], [4.0], [[[at + 0.4]], [], []]))
+    half = len(first) // 2
+    passed = next(count for count in arms.pursue(first) if count >= half)
+    onwards = [[[at + 0.5]], [[0.0]], [[0.0]]]
+    stated = [*onwards[:orders], [], []][:3]
+    states = arms.states(goal_of([JOINT], [3.0], stated), ahead=first[passed:])
+    speeds = states[:, 1, column(arms)]
+    assert speeds[:500].min() > 0.08
+    assert speeds[0] == pytest.approx(0.1, abs=0.01)
+    list(arms.pursue(states))
+    arms.idle(SETTLED_S)
+    assert np.degrees(abs(arms.joints[column(arms)] - at - 0.5)) < MOVED_DEG
+
+
+def test_a_joint_that_the_new_goal_does_not_name_brakes(arms: PursuingSimulation) -> None:
+    at = float(arms.joints[column(arms)])
+    first = arms.states(goal_of([JOINT], [2.0], [[[at + 1.0]], [], []]))
+    passed = next(count for count in arms.pursue(first) if count >= 500)
+    other = arms.joint_names[0]
+    goal = goal_of([other], [2.0], [[[float(first[0, 0, 0]) + 0.1]], [], []])
+    position = arms.states(goal, ahead=first[passed:])[:, 0, column(arms)]
+    way = 0.5**2 / (2 * np.radians(AS_IN_THE_PAPER.acceleration_deg_s2))
+    assert position[-1] - first[passed - 1, 0, column(arms)] == pytest.approx(way, rel=0.05)
+
+
+def test_a_goal_that_starts_later_leaves_the_one_before_until_then(
+    arms: PursuingSimulation,
+) -> None:
+    at = float(arms.joints[column(arms)])
+    first = arms.states(goal_of([JOINT], [2.0], [[[at + 0.2]], [], []]))
+    states = arms.states(goal_of([JOINT], [3.0], [[[at]], [], []]), 0.5, first)
+    np.testing.assert_array_equal(states[:250], first[:250])
+    waited = arms.states(goal_of([JOINT], [3.0], [[[at]], [], []]), 9.0, first)
+    np.testing.assert_array_equal(waited[: len(first)], first)
+    assert len(waited) == pytest.approx(12.0 / TIMESTEP_S, abs=120)
+
+
+def test_a_goal_too_near_to_turn_to_is_refused(arms: PursuingSimulation) -> None:
+    at = float(arms.joints[column(arms)])
+    first = arms.states(goal_of([JOINT], [2.0], [[[at + 1.0]], [], []]))
+    passed = next(count for count in arms.pursue(first) if count >= 500)
+    here = first[passed - 1, 0, column(arms)]
+    near = goal_of([JOINT], [0.01], [[[here]], [], []])
+    with pytest.raises(GoalError, match="move too fast to turn|would move at|change its speed by"):
+        arms.states(near, ahead=first[passed:])
+
+
+def test_of_a_goal_that_began_before_the_points_to_come_are_left() -> None:
+    goal = goal_of([JOINT], [0.0, 1.0, 2.0], [[[0.0], [1.0], [2.0]], [], []])
+    late = goal.after(1.5)
+    assert late is not None
+    np.testing.assert_array_equal(late.time_s, [0.5])
+    np.testing.assert_array_equal(late.orders[0], [[2.0]])
+    assert goal.after(2.0) is None
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
@@ -179,6 +251,14 @@ def test_idle_arms_rest_and_are_told_once(arms: PursuingSimulation) -> None:
     assert [sample.time_s for sample in told] == pytest.approx([0.05])
     assert arms.time_s == pytest.approx(0.05)
     assert np.degrees(np.abs(arms.joints - before).max()) < MOVED_DEG
+
+
+def test_rails_are_told_in_metres() -> None:
+    limits = JointLimits(
+        ("source_rail",), np.array([[-1.0, 1.0]]), np.array([0.25]), np.array([5.0])
+    )
+    told = Gate(limits, 0.01).reason(np.zeros((2, 1)), np.array([[[1.25], [0.0]]]))
+    assert told == "source_rail would go to 1.2500 m; its range is -1.0000 to 1.0000 m"
 
 
 def gate(joints: int = 3) -> Gate:

@@ -93,6 +93,22 @@ def test_the_table_is_read_back(plan: MotionPlan) -> None:
     np.testing.assert_array_equal(states, plan.state)
 
 
+def test_a_rail_has_metres(plan: MotionPlan) -> None:
+    railed = replace(
+        plan,
+        joint_names=("source_rail", *plan.joint_names),
+        state=np.insert(plan.state, 0, 0.0, axis=2),
+    )
+    head = written(railed, "csv")["plan.csv"].splitlines()[0].split(",")
+    assert [name for name in head if "rail" in name] == [
+        "source_rail_m",
+        "source_rail_m_s",
+        "source_rail_m_s2",
+    ]
+    with pytest.raises(InputError, match="7 joints"):
+        written(railed, "urscript")
+
+
 @pytest.mark.parametrize("side", ["source", "detector"])
 def test_a_script_reaches_each_view_at_its_time(plan: MotionPlan, side: str) -> None:
     part = slice(0, 6) if side == "source" else slice(6, 12)

@@ -12,7 +12,7 @@ import trimesh
 from twinct.core.errors import InputError
 from twinct.geometry import Pose, fibonacci_directions
 from twinct.robots.cell import CellModel, build_cell
-from twinct.robots.reach import Bounds, Holder, Placement, place, poses_of
+from twinct.robots.reach import Bounds, Holder, Placement, SearchLimit, place, poses_of
 from twinct.scenario import Cell, Detector, DetectorArm, Motion, SourceArm
 
 MOTION = Motion(trigger="settled")
@@ -52,6 +52,25 @@ def test_it_serves_more_inside_its_bounds(build: Callable[[Cell], CellModel]) ->
             assert low <= value <= high
     assert searched(build).overrides == found.overrides
     assert found.overrides[0].startswith("cell.source_arm.base_position_mm=[")
+
+
+def test_a_search_whose_time_is_over_returns_what_it_has(
+    build: Callable[[Cell], CellModel],
+) -> None:
+    """The clock says that ten seconds pass at each look; a stage looks before each place."""
+    now = iter(range(0, 10_000, 10))
+    poses = poses_of(fibonacci_directions(4), 300, 300, np.zeros(3), Detector().panel)
+    limit = SearchLimit(30.0, lambda: next(now))
+    found = place(FIRST, build, MOTION, poses, bounds=BOUNDS, samples=40, limit=limit)
+    assert found.stopped and found.alone < 8
+    assert found.after.sum() >= found.before.sum()
+
+
+def test_the_first_round_is_enough_where_all_is_held(build: Callable[[Cell], CellModel]) -> None:
+    poses = poses_of(np.array([[1.0, 0.0, 0.0]]), 300, 300, np.zeros(3), Detector().panel)
+    found = place(FIRST, build, MOTION, poses, bounds=BOUNDS, samples=500)
+    assert found.after.all() and not found.stopped
+    assert found.alone < 60
 
 
 def test_a_base_is_never_placed_inside_the_table(build: Callable[[Cell], CellModel]) -> None:

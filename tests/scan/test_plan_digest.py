@@ -69,6 +69,11 @@ def test_scans_that_differ_in_what_a_plan_reads_do_not(override: str) -> None:
     assert digest(*ERRORS, override) != digest(*ERRORS)
 
 
+def test_the_speed_at_rest_counts_where_the_plan_waits_for_it() -> None:
+    settled, slower = "motion.trigger=settled", "motion.settle_speed_mm_s=0.1"
+    assert digest(settled, slower) != digest(settled)
+
+
 def test_a_focal_spot_counts_where_it_decides_whether_the_source_may_roll() -> None:
     square = "source.focal_spot={kind: square, size_mm: 0.5}"
     fixed, free = "motion.detector_roll=fixed", "motion.detector_roll=free"
@@ -118,4 +123,4 @@ def test_planning_reads_no_key_that_the_digest_leaves_out(
     assert keys - counted == ELSEWHERE
     # The two that ``plan_digest`` leaves out, although the executed poses depend on them:
     assert not {key for key in read if key.startswith(("uncertainty", "seed"))}
-    assert "motion.settle_speed_mm_s" not in read
+    assert ("motion.settle_speed_mm_s" in read) == (trigger == "settled")

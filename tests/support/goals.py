@@ -28,6 +28,9 @@ SHARES = (0.3, 0.95)
 CLEAR_MM = 5.0
 """Gap that a goal keeps: a joint that touches something may be pushed."""
 
+ROUNDING_MM = 0.5
+"""Way by which a gap may shrink at the start of a goal."""
+
 SETTLED_S = 0.5
 """Time after which servos at rest are off by less than 0.002 deg; they converge in 0.1 s."""
 
@@ -48,13 +51,17 @@ class Goal:
 
 
 class Goals:
-    """Maker of legal goals for a cell."""
+    """Maker of legal goals for a cell.
+
+    Attributes:
+        acceleration: largest acceleration, rad/s^2.
+    """
 
     def __init__(self, cell: CellModel, acceleration_deg_s2: float) -> None:
         """Use the limits of a cell."""
         self._names, self._ranges = cell.joint_names, cell.joint_ranges
         self._speeds, self._clearance = cell.speed_limits, Clearance(cell)
-        self._acceleration = np.radians(acceleration_deg_s2)
+        self.acceleration = float(np.radians(acceleration_deg_s2))
 
     def draw(self, rng: random.Random, here: np.ndarray) -> Goal:
         """Return a random goal from a configuration at rest, rad, (n,)."""
@@ -85,7 +92,7 @@ class Goals:
             # The corners of lines are rounded within the limit.
             np.zeros(1)
             if form == "line"
-            else np.sqrt(np.abs(between.derivative(2)(at)).max(axis=0) / self._acceleration),
+            else np.sqrt(np.abs(between.derivative(2)(at)).max(axis=0) / self.acceleration),
         ]
         slower = max(share.max() for share in shares) / rng.uniform(*SHARES)
         low, high = self._ranges[chosen].T
@@ -93,7 +100,9 @@ class Goals:
         on_way[:, chosen] = between(at)
         if not ((on_way[:, chosen] > low) & (on_way[:, chosen] < high)).all():
             return None
-        if self._clearance.over(on_way[::8]).distance_mm < CLEAR_MM:
+        # Arms that braked may stand nearer to something than any goal leads.
+        least_mm = min(CLEAR_MM, self._clearance.over(here[None]).distance_mm - ROUNDING_MM)
+        if self._clearance.over(on_way[::8]).distance_mm < least_mm:
             return None
         first = 0 if rng.random() < 0.3 else 1  # the present, stated or not
         orders = [order[first:] / slower**power for power, order in enumerate(path)]

@@ -1,12 +1,14 @@
 """FollowJointTrajectory for the simulated arms: a foreign planner drives them as it drives an arm.
 
-One goal is followed at a time, in pieces of simulated time, so that it can be cancelled. A
-trajectory that cannot be followed is aborted with a reason before anything moves.
+A goal is followed in pieces of simulated time, so that it can be cancelled, or replaced by another
+one, to which the arms go over as they move. A trajectory that cannot be followed is aborted with a
+reason before anything changes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,6 +21,7 @@ from twinct.link.messages import ros_message
 from twinct.link.node import NO_STAMP, Diagnostics
 from twinct.link.participant import Station
 from twinct.link.stamps import Stamp
+from twinct.link.tolerances import Tolerances, patience
 from twinct.robots.motion import GoalError, JointGoal, goal_of
 
 NAME = "/arms/follow_joint_trajectory"
@@ -29,6 +32,8 @@ PIECE = 5
 
 FARTHEST_S = 60.0
 """Latest start of a trajectory after the present of ``/clock``."""
+
+REPLACED = "replaced by a newer trajectory, to which the arms went over"
 
 _CODE = {name: code for code, name in CODES.items()}
 
@@ -51,8 +56,18 @@ class Followers(Protocol):
         """Positions of all joints, rad, (n,)."""
         ...
 
-    def states(self, goal: JointGoal, wait_s: float = 0.0) -> Floats:
-        """Return the states of all joints at each step, (steps, 3, n), after a time at rest."""
+    @property
+    def velocities(self) -> Floats:
+        """Velocities of all joints, rad/s, (n,)."""
+        ...
+
+    @property
+    def patience_s(self) -> float:
+        """Simulated time for which a motion may be late at its end."""
+        ...
+
+    def states(self, goal: JointGoal, wait_s: float = 0.0, ahead: Floats | None = None) -> Floats:
+        """Return the states of all joints at each step, (steps, 3, n), after a time of waiting."""
         ...
 
     def pursue(self, states: Floats) -> Iterator[int]:
@@ -74,12 +89,20 @@ class _Turn:
         yield
 
 
-class ArmServer:
-    """Server of the action.
+@dataclass(eq=False)
+class _Running:
+    """A goal that the arms follow: its states, (steps, 3, n), and how many of them passed."""
 
-    Attributes:
-        busy: True while a trajectory is followed.
-    """
+    states: Floats
+    start_s: float
+    off_path: Tolerances
+    off_goal: Tolerances
+    patience_s: float
+    passed: int = 0
+
+
+class ArmServer:
+    """Server of the action."""
 
     def __init__(
         self,
@@ -98,99 +121,129 @@ class ArmServer:
         """
         self._arms, self._diagnostics, self._advance = arms, diagnostics, advance
         self._station = station
-        self.busy = False
+        self._running: _Running | None = None
         self._action = follow_joint_trajectory()
-        self._server = station.action_server(self._action, NAME, self._execute, self._take)
+        self._server = station.action_server(self._action, NAME, self._execute, lambda _: True)
 
-    def _take(self, _: Any) -> bool:
-        """Return True if a goal can be taken: one at a time."""
-        if self.busy:
-            self._refuse("another trajectory is being followed")
-            return False
-        self.busy = True
-        return True
-
-    def _refuse(self, reason: str) -> None:
-        self._diagnostics.refuse(NO_STAMP, f"trajectory refused: {reason}", {"reason": reason})
+    @property
+    def busy(self) -> bool:
+        """True while a trajectory is followed."""
+        return self._running is not None
 
     async def _execute(self, handle: Any) -> Any:
         try:
-            code, text = await self._follow(handle)
-        finally:
-            self.busy = False
+            goal = self._admitted(handle.request)
+        except _TooLateError as late:
+            code, text = _CODE["OLD_HEADER_TIMESTAMP"], str(late)
+        except GoalError as error:
+            code, text = _CODE["INVALID_JOINTS" if error.unknown else "INVALID_GOAL"], str(error)
+        else:
+            code, text = await self._follow(handle, goal)
         if handle.is_cancel_requested:
             handle.canceled()
         elif code:
-            self._refuse(text)
+            if text == REPLACED:
+                self._diagnostics.tell(f"trajectory {text}")
+            else:
+                self._diagnostics.refuse(NO_STAMP, f"trajectory refused: {text}", {"reason": text})
             handle.abort()
         else:
             handle.succeed()
             self._diagnostics.tell(text)
         return self._action.Result(error_code=code, error_string=text)
 
-    async def _follow(self, handle: Any) -> tuple[int, str]:
+    async def _follow(self, handle: Any, goal: _Running) -> tuple[int, str]:
         """Follow a goal; return its error code, and a reason or what was reached."""
-        arms, request = self._arms, handle.request
+        arms = self._arms
+        if handle.is_cancel_requested:
+            return 0, "cancelled before it began"
+        self._running = goal  # whoever follows another one looks here after each piece
         try:
-            states = self._states(request)
-        except _TooLateError as late:
-            return _CODE["OLD_HEADER_TIMESTAMP"], str(late)
-        except GoalError as error:
-            return _CODE["INVALID_JOINTS" if error.unknown else "INVALID_GOAL"], str(error)
-        names = arms.joint_names
-        off_path = _tolerances(request.path_tolerance, names)
-        off_goal = _tolerances(request.goal_tolerance, names)
-        try:
-            for piece, count in enumerate(arms.pursue(states)):
+            for piece, state in enumerate(self._pieces(goal)):
                 self._advance(arms.time_s)
-                off = np.abs(arms.joints - states[count - 1, 0])
-                if (over := off > off_path).any():
+                errors = self._errors(state)
+                if broken := goal.off_path.broken(errors):
                     arms.brake()
-                    return _CODE["PATH_TOLERANCE_VIOLATED"], _off(names, off, off_path, over)
+                    return _CODE["PATH_TOLERANCE_VIOLATED"], broken
                 if piece % PIECE == 0:
-                    self._tell(handle, states[count - 1], off)
+                    self._tell(handle, goal, state, errors)
                     await _Turn(self._station)
+                if self._running is not goal:
+                    return _CODE["INVALID_GOAL"], REPLACED
                 if handle.is_cancel_requested:
                     arms.brake()
                     return 0, f"cancelled at simulated time {arms.time_s:.3f} s"
         except MotionError as error:
             return _CODE["PATH_TOLERANCE_VIOLATED"], str(error)
         finally:
-            self._advance(arms.time_s)
-        off = np.abs(arms.joints - states[-1, 0])
-        if (over := off > off_goal).any():
-            return _CODE["GOAL_TOLERANCE_VIOLATED"], _off(names, off, off_goal, over)
+            if self._running is goal:
+                self._advance(arms.time_s)
+                self._running = None
+        if broken := goal.off_goal.broken(self._errors(goal.states[-1])):
+            waited = f" after {goal.patience_s:g} s more" if goal.patience_s else ""
+            return _CODE["GOAL_TOLERANCE_VIOLATED"], broken + waited
         return 0, f"followed a trajectory: simulated time {arms.time_s:.3f} s"
 
-    def _states(self, request: Any) -> Floats:
-        """Return the states of a goal, after those of the time until it starts.
+    def _pieces(self, goal: _Running) -> Iterator[Floats]:
+        """Follow a goal; yield the state of the reference at each sample of the joints.
+
+        At its end the arms rest until they are as near as the goal asks, as long as it allows.
+        """
+        for count in self._arms.pursue(goal.states):
+            goal.passed = count
+            yield goal.states[count - 1]
+        rest, end_s = goal.states[-1:], self._arms.time_s
+        while (
+            goal.off_goal.broken(self._errors(rest[0]))
+            and self._arms.time_s < end_s + goal.patience_s
+        ):
+            for _ in self._arms.pursue(rest):
+                yield rest[0]
+
+    def _errors(self, state: Floats) -> Floats:
+        """Return the desired minus the actual positions and velocities, (2, n)."""
+        return state[:2] - np.stack([self._arms.joints, self._arms.velocities])
+
+    def _admitted(self, request: Any) -> _Running:
+        """Return a goal with its states, after those of the time until it starts.
 
         Raises:
             GoalError: the trajectory cannot be followed.
-            _TooLateError: its start is over, or on another clock.
+            _TooLateError: it is over, or on another clock.
         """
-        trajectory = request.trajectory
+        arms, trajectory = self._arms, request.trajectory
         orders = [[list(getattr(p, name)) for p in trajectory.points] for name in _ORDERS]
         times = [Stamp.of(point.time_from_start).time_s for point in trajectory.points]
-        goal = goal_of(trajectory.joint_names, times, orders)
-        stamp = Stamp.of(trajectory.header.stamp)
-        if stamp == NO_STAMP:
-            return self._arms.states(goal)
-        ahead_s = stamp.time_s - self._arms.time_s
-        if not 0 <= ahead_s <= FARTHEST_S:
-            raise _TooLateError(
-                f"header.stamp {stamp} is not within {FARTHEST_S:.0f} s after the present, "
-                f"{self._arms.time_s:.3f} s on /clock; 0 starts at once"
-            )
-        return self._arms.states(goal, ahead_s)
+        goal: JointGoal | None = goal_of(trajectory.joint_names, times, orders)
+        off_path = Tolerances.of("path_tolerance", request.path_tolerance, arms.joint_names)
+        off_goal = Tolerances.of("goal_tolerance", request.goal_tolerance, arms.joint_names)
+        late_s = patience(request.goal_time_tolerance, arms.patience_s)
+        stamp, ahead_s = Stamp.of(trajectory.header.stamp), 0.0
+        if stamp != NO_STAMP:
+            ahead_s = stamp.time_s - arms.time_s
+            if ahead_s < 0 and goal is not None:
+                goal = goal.after(-ahead_s)
+            if goal is None or ahead_s > FARTHEST_S:
+                raise _TooLateError(
+                    f"header.stamp {stamp} is not within {FARTHEST_S:.0f} s after the present, "
+                    f"{arms.time_s:.3f} s on /clock, and no point of the trajectory is to come; 0 "
+                    "starts at once"
+                )
+        running = self._running
+        left = None if running is None else running.states[running.passed :]
+        states = arms.states(goal, max(ahead_s, 0.0), left)
+        return _Running(states, arms.time_s + ahead_s, off_path, off_goal, late_s)
 
-    def _tell(self, handle: Any, state: Floats, off: Floats) -> None:
-        desired = dict(zip(_ORDERS, state.tolist(), strict=True))
-        feedback = {
-            "joint_names": list(self._arms.joint_names),
-            "desired": desired,
-            "actual": {"positions": self._arms.joints.tolist()},
-            "error": {"positions": off.tolist()},
+    def _tell(self, handle: Any, goal: _Running, state: Floats, errors: Floats) -> None:
+        arms = self._arms
+        since = Stamp.at(arms.time_s - goal.start_s)
+        actual = np.stack([arms.joints, arms.velocities])
+        points = {"desired": state, "actual": actual, "error": errors}
+        time = dict(zip(("sec", "nanosec"), since, strict=True))
+        now = dict(zip(("sec", "nanosec"), Stamp.at(arms.time_s), strict=True))
+        feedback = {"header": {"stamp": now}, "joint_names": list(arms.joint_names)} | {
+            name: dict(zip(_ORDERS, rows.tolist(), strict=False)) | {"time_from_start": time}
+            for name, rows in points.items()
         }
         handle.publish_feedback(ros_message(self._action.Feedback, feedback))
 
@@ -199,18 +252,4 @@ _ORDERS = ("positions", "velocities", "accelerations")
 
 
 class _TooLateError(Exception):
-    """A start that is over, or far ahead."""
-
-
-def _tolerances(data: Any, names: tuple[str, ...]) -> Floats:
-    """Return the largest distance of each joint; 0, -1 and joints that are not named: any."""
-    stated = {tolerance.name: tolerance.position for tolerance in data}
-    return np.array([stated.get(name, 0) if stated.get(name, 0) > 0 else np.inf for name in names])
-
-
-def _off(names: tuple[str, ...], off: Floats, allowed: Floats, over: Any) -> str:
-    parts = (
-        f"{names[j]} is {np.degrees(off[j]):.3f} deg off ({np.degrees(allowed[j]):.3f} allowed)"
-        for j in np.flatnonzero(over)
-    )
-    return ", ".join(parts)
+    """A trajectory that is over, or starts far ahead."""

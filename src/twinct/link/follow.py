@@ -14,7 +14,7 @@ from twinct.core.files.plain_xml import xml_of
 from twinct.core.foreign_text import number, quoted
 from twinct.geometry import Floats
 from twinct.link.stamps import NANO, Stamp
-from twinct.robots.motion.gate import Gate, JointLimits
+from twinct.robots.motion.gate import Gate, JointLimits, in_unit
 from twinct.robots.programs import Program
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
@@ -183,7 +183,7 @@ def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float
     Args:
         course: the motion.
         heard: last position of each joint, rad.
-        tolerance_rad: largest difference.
+        tolerance_rad: largest difference, for a rail in m: an arm of 1 m turns its tool as far.
 
     Raises:
         InputError: no position of a joint was heard, or it is elsewhere.
@@ -197,10 +197,12 @@ def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float
     off = np.array([heard[name] for name in course.joints]) - course.state[0, 0]
     worst = int(np.abs(off).argmax())
     if not abs(off[worst]) <= tolerance_rad:
+        name = course.joints[worst]
+        allowed = in_unit(name, tolerance_rad, 3).partition(" ")
         raise InputError(
-            f"{course.action}: {course.joints[worst]} stands {np.degrees(off[worst]):.3f} deg from "
-            f"the start of the plan ({np.degrees(tolerance_rad):g} deg allowed): bring the arms to "
-            "the first configuration of the plan before"
+            f"{course.action}: {name} stands {in_unit(name, off[worst], 3)} from the start of the "
+            f"plan ({float(allowed[0]):g} {allowed[2]} allowed): bring the arms to the first "
+            "configuration of the plan before"
         )
 
 

@@ -14,7 +14,15 @@ from twinct.core.files.writing import check_folder, storage_errors
 from twinct.geometry import Floats, fibonacci_directions
 from twinct.observers import Observers, audience_of
 from twinct.robots.cell import overlaps, tell_if_undrawable
-from twinct.robots.reach import Bounds, Holder, Placement, Reach, TargetPoses, poses_of
+from twinct.robots.reach import (
+    Bounds,
+    Holder,
+    Placement,
+    Reach,
+    SearchLimit,
+    TargetPoses,
+    poses_of,
+)
 from twinct.robots.reach import place as place_arms
 from twinct.robots.reach import reach as reach_of
 from twinct.robots.reach.results import draw_room, draw_sphere, write_tables
@@ -126,6 +134,7 @@ def place(
     bounds: Bounds = Bounds(),  # noqa: B008 - frozen
     samples: int = 128,
     seed: int = 0,
+    seconds: float | None = None,
     observers: Observers = (),
 ) -> Placed:
     """Search good places of the arms for a scenario's trajectory, or for most of the sphere.
@@ -136,6 +145,7 @@ def place(
         bounds: limits of the search.
         samples: positions of each single arm that are tried first.
         seed: seed of the search.
+        seconds: time after which the search returns the best places so far; None for no limit.
         observers: notified of the progress.
 
     Raises:
@@ -156,6 +166,7 @@ def place(
             bounds=bounds,
             samples=samples,
             seed=seed,
+            limit=SearchLimit(seconds),
             progress=audience,
         )
         before, after = (_share(builder, one, judged, free) for one in (cell, placement.cell))

@@ -60,7 +60,10 @@ OF_ARMS = ("motion", "cell.floor_z_mm")
 """Keys that only cells with arms read."""
 
 _AFTER_PLAN = ("settle_speed_mm_s",)
-"""Keys of the motion that count only when the arms move."""
+"""Keys of the motion that count only when the arms move, unless the plan waits for their rest."""
+
+_SINCE_REST = 2
+"""Version of the executed poses of ``trigger: settled``: since it, servos end their way at once."""
 
 _SINCE = {"fast": 4, "prior_tv": 3}
 """Versions of the volumes of these algorithms: the noise decides on their steps since 3, and
@@ -117,7 +120,8 @@ def plan_digest(scenario: Scenario) -> str:
     the nominal arms only. So scans that differ in their errors share one plan.
     """
     motion = scenario.motion
-    of_rest = {key: type(motion).model_fields[key].default for key in _AFTER_PLAN}
+    late = _AFTER_PLAN if motion.trigger == "on_entry" else ()
+    of_rest = {key: type(motion).model_fields[key].default for key in late}
     nominal = {"uncertainty": Uncertainty(), "motion": motion.model_copy(update=of_rest)}
     return stage_digests(scenario.model_copy(update=nominal))["executed"]
 
@@ -163,6 +167,12 @@ def _version(scenario: Scenario, stage: StageName) -> int:
         return _SINCE[algorithm]
     if stage == "volume" and _has_noise(scenario):
         return _SINCE_PHOTONS
+    if (
+        stage == "executed"
+        and scenario.cell.kind == "arms"
+        and scenario.motion.trigger == "settled"
+    ):
+        return _SINCE_REST
     return STAGES[stage].version
 
 

@@ -14,10 +14,14 @@ from twinct.robots.cell.vendor import write_arm
 from twinct.robots.programs import check_absent
 
 _SUPPLY = {
-    "joint_torque_nm": "no torque limit",
-    "joint_speed_deg_s": "no speed limit",
-    "link_density_kg_m3": "no inertia",
+    "joint_torque_nm": ("no torque limit", "manual of the arm: rated or maximum torques"),
+    "joint_speed_deg_s": ("no speed limit", "data sheet of the arm: maximum speeds"),
+    "link_density_kg_m3": (
+        "no inertia",
+        "data sheet: mass of the arm, over the volume of its links",
+    ),
 }
+"""What a file may lack, and where to look it up, by the key that supplies it."""
 
 
 def arm(
@@ -28,6 +32,8 @@ def arm(
     /,
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
+    srdf: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    collide_visuals: bool = False,
 ) -> None:
     """Write the URDF of a vendor's arm into a folder of its own, with all meshes.
 
@@ -38,15 +44,23 @@ def arm(
         file: URDF or xacro.
         arguments: Values of xacro's arguments.
         out: Folder to write, which must not exist.
+        srdf: SRDF of the arm (MoveIt): pairs of links that it disables are not checked.
+        collide_visuals: Let links without collision shapes collide by their pictures: decimated,
+            convex.
     """
     given = dict(_pair(text) for text in arguments)
     check_absent(out)
-    written = write_arm(file, given, out)
+    written = write_arm(file, given, out, srdf=srdf, collide_visuals=collide_visuals)
     say(f"wrote {written.file}: {len(written.links)} links, {written.meshes} meshes")
     for link, parts in written.parts.items():
         say(f"{link}: collides as {parts} convex parts")
+    if written.pictures:
+        say(f"collides by its pictures: {', '.join(written.pictures)}")
+    if written.disabled:
+        say(f"pairs of links that {srdf} disables, and that are not checked: {written.disabled}")
     for key, names in written.lacking.items():
-        say(f"{_SUPPLY[key]}: {', '.join(names)}: set {key} in the scenario")
+        lacks, source = _SUPPLY[key]
+        say(f"{lacks}: {', '.join(names)}: set {key} in the scenario (look it up: {source})")
     say(f"in the scenario: cell: {{source_arm: {{model: null, file: {written.file.resolve()}}}}}")
 
 

@@ -83,7 +83,11 @@ def read_value(text: str, where: str) -> Any:
 
 
 class _Writer(yaml.SafeDumper):
-    """Dumper that also quotes texts that are numbers only in YAML 1.2."""
+    """Dumper that also quotes texts that are numbers only in YAML 1.2, and writes no anchors."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Return True: a value that occurs twice is written twice."""
+        return True
 
 
 _resolvers: Any = _Writer

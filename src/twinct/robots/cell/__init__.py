@@ -20,10 +20,17 @@ from twinct.robots.cell.render import (
     tell_if_undrawable,
     whole_camera,
 )
-from twinct.robots.cell.scene import CellModel, GantryModel, build_cell, build_gantry
+from twinct.robots.cell.scene import (
+    BANDWIDTH_RAD_S,
+    CellModel,
+    GantryModel,
+    build_cell,
+    build_gantry,
+)
 from twinct.robots.cell.urdf import OPTICAL, cell_urdf
 
 __all__ = [
+    "BANDWIDTH_RAD_S",
     "BodyPlaces",
     "LinkFrames",
     "OPTICAL",

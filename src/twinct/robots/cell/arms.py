@@ -16,7 +16,8 @@ from twinct.core.foreign_text import counted, quoted
 from twinct.geometry import Floats, Pose
 from twinct.robots.arm_files import BUILT_IN
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.robots.cell.own_arms import FLANGE_SITES, OwnArm, read_own_arm
+from twinct.robots.cell.flanges import FLANGE_SITES
+from twinct.robots.cell.own_arms import OwnArm, read_own_arm
 from twinct.robots.sections import Arm
 from twinct.robots.sections.cell import known_arms
 

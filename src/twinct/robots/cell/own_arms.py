@@ -13,26 +13,19 @@ from twinct.core.files.arm_xml import read_arm_xml
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Pose
 from twinct.robots.cell._mujoco import mujoco_module
-from twinct.robots.cell.urdf_tree import FLANGE_LINKS, Reduced, arm_alone
+from twinct.robots.cell.flanges import flange_of
+from twinct.robots.cell.structural_pairs import exclude, exclude_stated, exclude_structural
+from twinct.robots.cell.urdf_tree import Reduced, arm_alone
 from twinct.robots.sections import Arm
 
 if TYPE_CHECKING:
     import mujoco
 
-FLANGE_SITES = ("flange", "attachment_site", "attachment")
-"""Names of the tool flange in MJCF models, in order of preference."""
-
-ALONG, ROUNDING_M = 0.99, 1e-6
-"""Limits for z of an unnamed flange: cosine to the last joint's axis, and offset inwards."""
-
-FLANGE_SITE = "twinct_flange"
-"""Name of the site that is added to a flange that is a body."""
+OF_THE_CELL = ("carriage", "pedestal", "tool_mount", "track", "turntable", "turntable_foot")
+"""Names of bodies that the cell gives an arm; a link of such a name gets another one."""
 
 DEFAULT_DENSITY = 1000.0
 """Density that MuJoCo assumes for a shape whose file states none, kg/m^3."""
-
-OVERLAPS_TRIED = 100
-"""Random configurations in which the hulls of two links must overlap to be excluded."""
 
 IN_SCALE = 1 / 300, 20.0
 """Least and largest ratio of the largest mesh to the arm's length, if they share a unit."""
@@ -77,25 +70,44 @@ def read_own_arm(arm: Arm, where: str) -> OwnArm:
     mujoco = mujoco_module()
     assert arm.file is not None
     xml = read_arm_xml(arm.file, where)
-    alone = arm_alone(xml.text, arm.flange, where) if xml.is_urdf else Reduced(xml.text, ())
+    alone = arm_alone(xml.text, arm.flange) if xml.is_urdf else Reduced(xml.text, ())
     try:
         spec = mujoco.MjSpec.from_string(alone.text)
-        balanced = _balanced(spec) if xml.is_urdf else ()
+        for body in spec.bodies:
+            if body.name in OF_THE_CELL:
+                body.name += "_link"
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split())
         raise ScenarioError(f"{where} is not a model that MuJoCo can read: {reason}") from None
     _check(model, where)
     _check_sizes(model, where)
-    within = _within_each_other(spec, model) if xml.is_urdf else ()
+    notes = (*alone.notes, *_unchecked(spec, model, arm, alone, where))
+    if xml.is_urdf:
+        notes += exclude_structural(spec, spec.compile())
     weighed, lacking = _weigh(spec, model, arm, xml.is_urdf, where)
-    notes = (*alone.notes, *balanced, *within, *weighed)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     base = _base(model, data, arm.base, where)
     _show_visuals(spec, model)
-    flange = _flange(spec, model, data, arm.flange, xml.is_urdf, where)
+    flange, told = flange_of(spec, model, data, arm.flange, xml.is_urdf, where)
+    notes = (*notes, *told, *weighed)
     return OwnArm(spec, flange, xml.speed_limits, base, notes, xml.files, lacking)
+
+
+def _unchecked(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, arm: Arm, alone: Reduced, where: str
+) -> tuple[str, ...]:
+    """Exclude pairs of links that file or scenario name, and linkages, from the checks."""
+    bodies = [model.body(body) for body in range(1, model.nbody)]
+    links = [body.name for body in bodies if model.body_weldid[body.id] == body.id]
+    for linkage in alone.linkages:
+        for link in links:
+            exclude(spec, model, model.body(linkage).id, model.body(link).id)
+    return (
+        *exclude_stated(spec, model, alone.disabled, "its disable_collisions", where),
+        *exclude_stated(spec, model, arm.ignore_pairs, "the key ignore_pairs", where),
+    )
 
 
 def _check(model: mujoco.MjModel, where: str) -> None:
@@ -133,18 +145,6 @@ def _check(model: mujoco.MjModel, where: str) -> None:
         )
 
 
-def _balanced(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Let MuJoCo mend moments of inertia that no body can have, and return a note about them."""
-    try:
-        spec.compile()
-    except (ValueError, mujoco_module().FatalError) as error:
-        if "balanceinertia" not in str(error):
-            raise
-        spec.compiler.balanceinertia = True
-        return ("moments of inertia that no body can have, made equal in each such link",)
-    return ()
-
-
 def _check_sizes(model: mujoco.MjModel, where: str) -> None:
     """Refuse meshes in another unit than m, which URDF and MJCF share."""
     mujoco = mujoco_module()
@@ -177,43 +177,6 @@ def check_scale(name: str, largest: float, arm: float, where: str) -> None:
             f"links are {arm:.3g} m long in total: the mesh is probably in {unit}. Set its scale "
             f'to "{factor} {factor} {factor}"'
         )
-
-
-def _within_each_other(spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[str, ...]:
-    """Exclude pairs of links that overlap in every configuration, and return a note about them.
-
-    The convex hull of a forked link contains the link in its fork. As such a pair can never be
-    clear, its overlap says nothing, which is how MoveIt's setup treats it, too.
-    """
-    mujoco = mujoco_module()
-    data, rng = mujoco.MjData(model), np.random.default_rng(0)
-    low, high = model.jnt_range.T
-    solid = np.flatnonzero((model.geom_contype | model.geom_conaffinity) != 0)
-    links = model.body_weldid[model.geom_bodyid]
-    above = model.body_weldid[model.body_parentid[links]]
-    pairs = [
-        (a, b)
-        for k, a in enumerate(solid.tolist())
-        for b in solid[k + 1 :].tolist()
-        if links[a] != links[b] and above[a] != links[b] and above[b] != links[a]
-    ]
-    always = {tuple(sorted((int(links[a]), int(links[b])))): False for a, b in pairs}
-    for _ in range(OVERLAPS_TRIED):
-        data.qpos[:] = rng.uniform(low, high)
-        mujoco.mj_kinematics(model, data)
-        touching = {
-            tuple(sorted((int(links[a]), int(links[b]))))
-            for a, b in pairs
-            if mujoco.mj_geomDistance(model, data, a, b, 0.001, None) < 0
-        }
-        always = {pair: True for pair in always if pair in touching}
-    named = [tuple(model.body(link).name for link in pair) for pair in always]
-    for one, other in named:
-        spec.add_exclude(bodyname1=one, bodyname2=other)
-    if not named:
-        return ()
-    in_words = ", ".join(f"{one} and {other}" for one, other in named)
-    return (f"not checked against each other, as their hulls overlap in every pose: {in_words}",)
 
 
 def _weigh(
@@ -282,43 +245,3 @@ def _show_visuals(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
     for geom, is_solid, body in zip(spec.geoms, solid, model.geom_bodyid, strict=True):
         if is_solid and body in seen:
             geom.group = _HIDDEN_GROUP
-
-
-def _flange(
-    spec: mujoco.MjSpec,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    wanted: str | None,
-    is_urdf: bool,
-    where: str,
-) -> str:
-    """Return the name of the flange site; add a site if the flange is a body."""
-    bodies = [model.body(b).name for b in range(1, model.nbody)]
-    sites = [model.site(s).name for s in range(model.nsite)]
-    usual, places = (FLANGE_LINKS, bodies) if is_urdf else (FLANGE_SITES, sites)
-    name = wanted or next((name for name in usual if name in places), None)
-    if name is None or name not in (*sites, *bodies):
-        lacks = f"no flange {quoted(name)}" if name else f"no flange, such as {' or '.join(usual)}"
-        raise ScenarioError(
-            f"{where} has {lacks}: set the key flange to one of "
-            f"{', '.join(filter(None, (*sites, *bodies)))}"
-        )
-    body = model.site(name).bodyid[0] if name in sites else model.body(name).id
-    place = data.site(name) if name in sites else data.body(name)
-    last = model.jnt_bodyid[-1]
-    if model.body_weldid[body] != last:
-        raise ScenarioError(
-            f"{where}: flange {quoted(name)} is not part of the last link, {model.body(last).name}"
-        )
-    z = place.xmat.reshape(3, 3)[:, 2]
-    outwards = (place.xpos - data.xanchor[-1]) @ z
-    if not wanted and (abs(data.xaxis[-1] @ z) < ALONG or outwards < -ROUNDING_M):
-        raise ScenarioError(
-            f"{where}: z of its flange {quoted(name)} does not point along the last joint's "
-            "axis, away "
-            "from the arm: set the key flange to a frame whose z points towards the tool"
-        )
-    if name in sites:
-        return name
-    spec.body(name).add_site(name=FLANGE_SITE)
-    return FLANGE_SITE

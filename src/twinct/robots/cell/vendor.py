@@ -27,7 +27,9 @@ from twinct.core.files.boundary import read_bytes
 from twinct.core.files.ros_packages import PATHS, package_folder
 from twinct.core.files.writing import complete, storage_errors
 from twinct.core.foreign_text import number, quoted, shortened
+from twinct.robots.cell.convex_parts import convex_parts
 from twinct.robots.cell.own_arms import check_scale
+from twinct.robots.cell.urdf_tree import way_to_flange
 
 if TYPE_CHECKING:
     import trimesh
@@ -35,8 +37,8 @@ if TYPE_CHECKING:
 FILE, MESHES = "arm.urdf", "meshes"
 """What the folder holds."""
 
-MOST_PARTS = 8
-"""Largest number of parts of a collision mesh; one of more parts counts as one convex hull."""
+LARGEST_FACES = 200
+"""Number of triangles to which the hull of a picture is decimated, if it collides."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class Written:
         links: names of all links.
         lacking: joints without torque limit, joints without speed limit, and moving links without
             inertia, by the scenario's key that supplies it.
+        disabled: number of pairs of links that an SRDF disables.
+        pictures: links that collide by their pictures.
     """
 
     file: Path
@@ -57,15 +61,26 @@ class Written:
     parts: Mapping[str, int]
     links: tuple[str, ...]
     lacking: Mapping[str, tuple[str, ...]]
+    disabled: int = 0
+    pictures: tuple[str, ...] = ()
 
 
-def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written:
+def write_arm(
+    file: Path,
+    arguments: Mapping[str, str],
+    folder: Path,
+    *,
+    srdf: Path | None = None,
+    collide_visuals: bool = False,
+) -> Written:
     """Expand a robot description, and write it with all of its meshes.
 
     Args:
         file: URDF, or xacro.
         arguments: values of xacro's arguments.
         folder: folder to write, which does not exist.
+        srdf: SRDF of the arm, or xacro of one, whose disabled collisions are not checked.
+        collide_visuals: whether links without collision shapes collide by their pictures.
 
     Raises:
         MissingExtraError: xacro is needed and not installed.
@@ -73,23 +88,14 @@ def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written
         StorageError: the folder cannot be written.
     """
     where, file = str(file), file.resolve()
-    text = read_bytes(file, where, LARGEST_BYTES, ScenarioError)
-    if b"xacro" in text:
-        text = _expanded(file, arguments, where).encode()
-    elif arguments:
-        raise ScenarioError(
-            f"{where} has no macros, but arguments are given: {', '.join(arguments)}"
-        )
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise ScenarioError(f"{where} is not readable XML: {shortened(str(error))}") from None
-    if root.tag != "robot":
-        raise ScenarioError(f"{where} is not a robot description: it begins with <{root.tag}>")
+    root = _robot(file, arguments, where)
     for name in ("gazebo", "transmission", "ros2_control"):
         for element in root.findall(name):
             root.remove(element)
-    meshes = _Meshes(file, where)
+    links = tuple(link.get("name", "") for link in root.findall("link"))
+    disabled = () if srdf is None else _disabled(srdf, arguments, links)
+    root.extend(ElementTree.Element("disable_collisions", pair) for pair in disabled)
+    meshes = _Meshes(file, where, collide_visuals)
     for link in root.findall("link"):
         meshes.place(link)
     meshes.check_scale(root)
@@ -101,8 +107,56 @@ def write_arm(file: Path, arguments: Mapping[str, str], folder: Path) -> Written
             for name, mesh in meshes.written.items():
                 mesh.export(draft / name)
             (draft / FILE).write_text(ElementTree.tostring(root, encoding="unicode") + "\n")
-    links = tuple(link.get("name", "") for link in root.findall("link"))
-    return Written(folder / FILE, len(meshes.written), meshes.parts, links, _lacking(root))
+    return Written(
+        *(folder / FILE, len(meshes.written), meshes.parts, links, _lacking(root)),
+        disabled=len(disabled),
+        pictures=tuple(meshes.pictures),
+    )
+
+
+def _robot(file: Path, arguments: Mapping[str, str], where: str) -> Any:
+    """Return a description without macros.
+
+    Raises:
+        MissingExtraError: xacro is needed and not installed.
+        ScenarioError: the file cannot be read.
+    """
+    text = read_bytes(file, where, LARGEST_BYTES, ScenarioError)
+    if b"xacro" in text:
+        text = _expanded(file, arguments, where).encode()
+    elif arguments and file.suffix != ".srdf":
+        raise ScenarioError(
+            f"{where} has no macros, but arguments are given: {', '.join(arguments)}"
+        )
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise ScenarioError(f"{where} is not readable XML: {shortened(str(error))}") from None
+    if root.tag != "robot":
+        raise ScenarioError(f"{where} is not a robot description: it begins with <{root.tag}>")
+    return root
+
+
+def _disabled(
+    srdf: Path, arguments: Mapping[str, str], links: tuple[str, ...]
+) -> list[dict[str, str]]:
+    """Return the pairs of links that an SRDF disables, as attributes.
+
+    Raises:
+        MissingExtraError: xacro is needed and not installed.
+        ScenarioError: the file cannot be read, or names links of another arm.
+    """
+    pairs = [
+        {key: element.get(key, "") for key in ("link1", "link2", "reason") if element.get(key)}
+        for element in _robot(srdf.resolve(), arguments, str(srdf)).findall("disable_collisions")
+    ]
+    named = {pair.get(key, "") for pair in pairs for key in ("link1", "link2")}
+    if unknown := sorted(named - set(links)):
+        raise ScenarioError(
+            f"{srdf} is of another arm: it names {', '.join(map(quoted, unknown))}, but the links "
+            f"are {', '.join(links)}"
+        )
+    return pairs
 
 
 def _expanded(file: Path, arguments: Mapping[str, str], where: str) -> str:
@@ -156,14 +210,17 @@ def _quiet() -> Iterator[None]:
 class _Meshes:
     """Mesh files of a robot description, as STL under names of their links."""
 
-    def __init__(self, main: Path, where: str) -> None:
+    def __init__(self, main: Path, where: str, collide_visuals: bool) -> None:
         self._main, self._where = main, where
+        self._collide_visuals, self.pictures = collide_visuals, list[str]()
         self.written, self.parts = dict[str, "trimesh.Trimesh"](), dict[str, int]()
         self._diagonals = dict[str, float]()
 
     def place(self, link: Any) -> None:
         """Replace the meshes of a link: pictures as they are, collision meshes by convex parts."""
         name = link.get("name", "")
+        if self._collide_visuals and link.find("collision") is None:
+            self._copy_visuals(link, name)
         for role in ("visual", "collision"):
             for order, element in enumerate(link.findall(role)):
                 mesh = element.find("geometry/mesh")
@@ -177,7 +234,9 @@ class _Meshes:
                         continue
                     raise
                 self._measure(mesh, read)
-                pieces = [read] if role == "visual" else _convex(read)
+                pieces = [read] if role == "visual" else convex_parts(read)
+                if role == "collision" and name in self.pictures:
+                    pieces = [_decimated(piece) for piece in pieces]
                 if len(pieces) > 1:
                     self.parts[name] = self.parts.get(name, 0) + len(pieces)
                 at = list(link).index(element)
@@ -187,6 +246,17 @@ class _Meshes:
                     stem = "_".join((name, role, str(order), *([str(part)] if part else [])))
                     copy.find("geometry/mesh").set("filename", self._kept(piece, stem))
                     link.insert(at + part, copy)
+
+    def _copy_visuals(self, link: Any, name: str) -> None:
+        """Let a link collide by its pictures."""
+        for visual in link.findall("visual"):
+            copy = deepcopy(visual)
+            copy.tag = "collision"
+            for material in copy.findall("material"):
+                copy.remove(material)
+            link.append(copy)
+        if link.find("collision") is not None:
+            self.pictures.append(name)
 
     def _measure(self, element: Any, mesh: trimesh.Trimesh) -> None:
         """Keep the diagonal of a mesh with the scale of its element, m."""
@@ -246,38 +316,6 @@ class _Meshes:
         return name
 
 
-def _convex(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
-    """Return the convex hulls of a mesh's connected pieces, or of the whole if they are many.
-
-    Pieces inside the hull of a larger one, such as screws, do not count.
-    """
-    hulls: list[trimesh.Trimesh] = []
-    whole = mesh.convex_hull
-    least = 1e-6 * whole.volume
-    pieces = sorted(mesh.split(only_watertight=False), key=lambda piece: -piece.bounding_box.volume)
-    for piece in pieces:
-        try:
-            hull = piece.convex_hull
-        except Exception:  # a flat piece has none
-            return [whole]
-        if hull.volume <= least:
-            continue
-        if any(_inside(hull, other) for other in hulls):
-            continue
-        hulls.append(hull)
-        if len(hulls) > MOST_PARTS:
-            return [whole]
-    return hulls or [whole]
-
-
-def _inside(hull: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
-    """Return True if one convex body lies in another."""
-    across = hull.vertices @ other.face_normals.T - (
-        other.face_normals * other.triangles_center
-    ).sum(axis=1)
-    return bool(np.max(across) <= 1e-6)
-
-
 def _number(text: str, joint: Any, name: str) -> float:
     try:
         return number(text)
@@ -286,12 +324,24 @@ def _number(text: str, joint: Any, name: str) -> float:
         raise ScenarioError(f"{told}: {error}") from None
 
 
+def _decimated(hull: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return the hull of few of a hull's points, those that are extreme in many directions."""
+    import trimesh
+
+    if len(hull.faces) <= LARGEST_FACES:
+        return hull
+    ways = trimesh.creation.icosphere(subdivisions=3).vertices
+    far = np.unique((hull.vertices @ ways.T).argmax(axis=0))
+    return hull if len(far) < 4 else trimesh.convex.convex_hull(hull.vertices[far])
+
+
 def _lacking(root: Any) -> dict[str, tuple[str, ...]]:
+    """Return what the arm lacks between root and flange, or any joint if it has no such chain."""
     moved, lacking = (
         set(),
         {"joint_torque_nm": [], "joint_speed_deg_s": [], "link_density_kg_m3": []},
     )
-    for joint in root.findall("joint"):
+    for joint in way_to_flange(root, None) or root.findall("joint"):
         if joint.get("type") not in ("revolute", "continuous"):
             continue
         child, limit = joint.find("child"), joint.find("limit")

@@ -107,7 +107,7 @@ class Gate:
             position = states[:, 0, joint]
             for value in (position.min(), position.max()):
                 if not self._low[0, joint] <= value <= self._high[0, joint]:
-                    ends = in_unit(name, low[joint], "{:.2f}", to=high[joint])
+                    ends = in_unit(name, low[joint], to=high[joint])
                     return f"{name} would go to {in_unit(name, value)}; its range is {ends}"
         changes = np.abs(np.diff(states, axis=0, prepend=before[None]))
         checks = (
@@ -133,17 +133,19 @@ def gate_of(cell: CellModel, motion: Motion) -> Gate:
     return Gate(limits, cell.model.opt.timestep)
 
 
-def in_unit(name: str, value: float, how: str = "{:.2f}", to: float | None = None) -> str:
-    """Return a value of a joint in words, in mm for a rail and else in deg.
+def in_unit(name: str, value: float, digits: int = 2, to: float | None = None) -> str:
+    """Return a value of a joint in words, in m for a rail and else in deg.
 
     Args:
         name: name of the joint.
         value: rad or m.
-        how: format of the number.
+        digits: digits behind the point of an angle; a length in m has two more.
         to: end of a range that begins with the value.
     """
-    unit, scale = ("mm", 1000.0) if name.endswith(RAIL_JOINT) else ("deg", 180 / np.pi)
-    ends = [how.format(scale * end) for end in (value, to) if end is not None]
+    rail = name.endswith(RAIL_JOINT)
+    unit, scale = ("m", 1.0) if rail else ("deg", 180 / np.pi)
+    digits += 2 * rail
+    ends = [f"{scale * end:.{digits}f}" for end in (value, to) if end is not None]
     return f"{' to '.join(ends)} {unit}"
 
 

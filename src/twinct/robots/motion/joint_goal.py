@@ -2,23 +2,26 @@
 
 Between points the joints follow a straight line, a cubic or a quintic, as the points state
 positions, velocities and accelerations, like the joint trajectory controller of ros2_control. The
-arms rest after the last point.
+arms may move when it begins; they rest after the last point.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
 from twinct.core.errors import MotionError
 from twinct.geometry import Floats
-from twinct.robots.motion.gate import OVER, Gate, in_unit
+from twinct.robots.motion.gate import OVER, Gate, brake, in_unit
 
 LONGEST_S = 3600.0
 """Longest trajectory; at steps of 2 ms its states take half a gigabyte."""
+
+WINDOWS = 20
+"""Most attempts at a window; each lengthens it, and the gate refuses what remains too sharp."""
 
 
 class GoalError(MotionError):
@@ -44,6 +47,18 @@ class JointGoal:
     joints: tuple[str, ...]
     time_s: Floats
     orders: tuple[Floats, ...]
+
+    def after(self, late_s: float) -> JointGoal | None:
+        """Return what is left a time after the start: the points to come; None if all are over.
+
+        Args:
+            late_s: time since the start.
+        """
+        left = self.time_s > late_s
+        if not left.any():
+            return None
+        times = self.time_s[left] - late_s
+        return replace(self, time_s=times, orders=tuple(order[left] for order in self.orders))
 
 
 def goal_of(
@@ -87,15 +102,15 @@ def goal_of(
     return JointGoal(names, times, tuple(parts))
 
 
-def states_of(goal: JointGoal, here: Floats, gate: Gate) -> Floats:
+def states_of(goal: JointGoal, now: Floats, gate: Gate) -> Floats:
     """Return the states of all joints at each cycle after the start, up to rest, (cycles, 3, n).
 
-    Joints that the trajectory does not name stay where they are. A first point at time 0 stands for
-    ``here``: it may be off by what a joint may move in a cycle.
+    Joints that the trajectory does not name stay where they are, or brake there. A first point at
+    time 0 stands for the present: it may be off by what a joint may move in a cycle.
 
     Args:
         goal: the trajectory.
-        here: positions of all joints at rest, rad, (n,).
+        now: position, velocity and acceleration of all joints, rad and s, (3, n).
         gate: gate of all joints.
 
     Raises:
@@ -108,24 +123,27 @@ def states_of(goal: JointGoal, here: Floats, gate: Gate) -> Floats:
         )
     columns = [names.index(name) for name in goal.joints]
     times, orders = goal.time_s, [order.copy() for order in goal.orders]
-    start = here[columns]
+    start = now[:, columns]
     if times[0] > 0:
         times = np.concatenate([[0.0], times])
-        rest = start, *np.zeros((2, len(columns)))
-        orders = [np.vstack([row, order]) for row, order in zip(rest, orders, strict=False)]
-    off, near = np.abs(orders[0][0] - start), gate.jumps[0, columns]
+        orders = [np.vstack([row, order]) for row, order in zip(start, orders, strict=False)]
+    off, near = np.abs(orders[0][0] - start[0]), gate.jumps[0, columns]
     if (off > near).any():
         worst = int((off / near).argmax())
         name = goal.joints[worst]
         raise GoalError(
-            f"{name} stands {in_unit(name, off[worst], '{:.3f}')} from the first point "
-            f"({in_unit(name, near[worst], '{:.3f}')} allowed)"
+            f"{name} stands {in_unit(name, off[worst], 3)} from the first point "
+            f"({in_unit(name, near[worst], 3)} allowed)"
         )
-    orders[0][0] = start
+    if start[1:].any():
+        for order, row in zip(orders, start, strict=False):
+            order[0] = row
+    orders[0][0] = start[0]
     moved = np.zeros((0, 3, len(columns)))
+    limits = gate.limits
     if len(times) > 1 and len(orders) == 1:
-        _check_speeds(goal.joints, times, orders[0], gate.limits.speeds[columns])
-        moved = _straight(times, orders[0], gate.limits.accelerations[columns], cycle_s)
+        speeds, most = limits.speeds[columns], limits.accelerations[columns]
+        moved = _straight(goal.joints, times, orders[0], start[1], speeds, most, cycle_s)
     elif len(times) > 1:
         path = scipy.interpolate.BPoly.from_derivatives(times, np.stack(orders, axis=1))
         cycles = int(np.ceil(times[-1] / cycle_s - 1e-9))
@@ -134,51 +152,85 @@ def states_of(goal: JointGoal, here: Floats, gate: Gate) -> Floats:
     rest = np.zeros((1, 3, len(columns)))
     rest[0, 0] = orders[0][-1]
     moved = np.concatenate([moved, rest])
-    rows = np.zeros((len(moved), 3, len(here)))
-    rows[:, 0] = here
-    rows[:, :, columns] = moved
-    if (reason := gate.reason(np.stack([here, np.zeros(len(here))]), rows)) is not None:
+    others = np.delete(np.arange(len(names)), columns)
+    slows = brake(now[:, others], gate.jumps[1, others] / cycle_s, cycle_s)
+    rows = np.zeros((max(len(moved), len(slows)), 3, len(names)))
+    rows[:, 0, others] = slows[-1, 0] if len(slows) else now[0, others]
+    rows[: len(slows), :, others] = slows
+    rows[:, 0, columns] = moved[-1, 0]
+    rows[: len(moved), :, columns] = moved
+    if (reason := gate.reason(now[:2], rows)) is not None:
         raise GoalError(reason)
     return rows
 
 
-def _check_speeds(names: Sequence[str], times: Floats, points: Floats, most: Floats) -> None:
+def _check_speeds(names: Sequence[str], slopes: Floats, most: Floats) -> None:
     """Check the speeds of straight lines between points, which rounded corners would hide.
 
     Raises:
         GoalError: a joint is too fast.
     """
-    speeds = (np.abs(np.diff(points, axis=0)) / np.diff(times)[:, None]).max(axis=0)
+    speeds = np.abs(slopes).max(axis=0)
     worst = int((speeds / most).argmax())
     if speeds[worst] > OVER * most[worst]:
+        name = names[worst]
         raise GoalError(
-            f"{names[worst]} would move at {in_unit(names[worst], speeds[worst])}/s; its limit is "
-            f"{in_unit(names[worst], most[worst])}/s"
+            f"{name} would move at {in_unit(name, speeds[worst])}/s; its limit is "
+            f"{in_unit(name, most[worst])}/s"
         )
 
 
-def _straight(times: Floats, points: Floats, most: Floats, cycle_s: float) -> Floats:
+def _straight(
+    names: Sequence[str],
+    times: Floats,
+    points: Floats,
+    speed: Floats,
+    speeds: Floats,
+    most: Floats,
+    cycle_s: float,
+) -> Floats:
     """Return the states along straight lines, whose corners are rounded, (cycles, 3, joints).
 
     The position is the mean of that on the lines over a window of time before. So speeds and
     positions stay within those of the lines, the acceleration is at most the change of speed over
-    the window, and the joints rest at the last point one window after its time.
+    the window, and the joints rest at the last point one window after its time. Joints that move at
+    the start come along a line, too: its mean over the window before is where they are.
 
     Args:
+        names: names of the joints.
         times: time of each point, from 0, (points,).
         points: positions, (points, joints).
+        speed: speeds at the start, (joints,).
+        speeds: largest speeds, (joints,).
         most: largest accelerations, (joints,).
         cycle_s: time of a cycle.
+
+    Raises:
+        GoalError: a joint is too fast.
     """
-    slopes = np.diff(points, axis=0) / np.diff(times)[:, None]
-    changes = slopes.max(axis=0, initial=0.0) - slopes.min(axis=0, initial=0.0)
-    window_s = max(1, int(np.ceil((changes / most).max() / cycle_s))) * cycle_s
     still = np.zeros((1, points.shape[1]))
-    speeds = np.concatenate([still, slopes, still])
-    # Rest before the first point and after the last, and positions from the first point.
+    window_s = 0.0
+    for _ in range(WINDOWS):
+        first = points[0] + speed * window_s / 2
+        slopes = np.diff(points, axis=0)
+        slopes[0] += points[0] - first
+        slopes /= np.diff(times)[:, None]
+        along = np.concatenate([speed[None], slopes, still])
+        changes = along.max(axis=0) - along.min(axis=0)
+        needs_s = max(1, int(np.ceil((changes / most).max() / cycle_s))) * cycle_s
+        if needs_s <= window_s:
+            break
+        window_s = needs_s
+    else:
+        raise GoalError(
+            f"the joints move too fast to turn to the first point in {times[1]:.3f} s: "
+            "cancel the trajectory that is being followed, or state a later time"
+        )
+    _check_speeds(names, slopes, speeds)
+    # The way here before the first point, and rest after the last.
     knots = np.concatenate([[-window_s], times, [times[-1] + window_s]])
-    bases = np.concatenate([points[:1], points]) - points[0]
-    line = scipy.interpolate.PPoly(np.stack([speeds, bases]), knots)
+    bases = np.concatenate([first[None] - speed * window_s, first[None], points[1:]]) - points[0]
+    line = scipy.interpolate.PPoly(np.stack([along, bases]), knots)
     total = line.antiderivative()
     end_s = times[-1] + window_s
     cycles = int(np.ceil(end_s / cycle_s - 1e-9))

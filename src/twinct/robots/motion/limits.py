@@ -47,7 +47,7 @@ def limiting(
     counts = Counter(
         shutter.limit
         if by_detector
-        else f"motion.settle_s = {motion.settle_s:g}"
+        else f"motion.settle_s = {'null' if motion.settle_s is None else f'{motion.settle_s:g}'}"
         if rests
         else by_arms
         for by_arms, by_detector, rests in zip(nearest, paced, resting, strict=True)

@@ -25,6 +25,7 @@ from twinct.robots.cell import CellModel, Clearance, Gap
 from twinct.robots.motion.follow import branch_path, gaps_along
 from twinct.robots.motion.path_search import JointPath, find_joint_path, required_gap_mm
 from twinct.robots.motion.refusals import late_problems, readable
+from twinct.robots.motion.rehearsal import Rehearsal
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.timing import FINE_S, Law, TimeLaw
 from twinct.robots.sections import Motion
@@ -190,7 +191,7 @@ def timed(
         TrajectoryError: the arms cannot follow the path within their limits and the clearance.
     """
     shutter = shutter or Shutter()
-    law = TimeLaw(cell, motion, shutter.interval_s(cell.model.opt.timestep))
+    law = TimeLaw(cell, motion, shutter.interval_s(cell.model.opt.timestep), shutter.open_s)
     # The view at the end of each segment of the path.
     leads_to = np.cumsum(way.views >= 0)[:-1]
     spacing = np.full(len(leads_to), KNOT_RAD)
@@ -214,6 +215,9 @@ def _laws(
     laws = []
     ordered = sorted(stops)
     for first, last in zip(ordered[:-1], ordered[1:], strict=True):
+        if motion.trigger == "settled" and last == first + 1:
+            laws.append((law.straight(way.joints[first], way.joints[last]), [0, 1]))
+            continue
         knots, own = [way.joints[first]], [0]
         for k in range(first, last):
             step = way.joints[k + 1] - way.joints[k]
@@ -238,6 +242,8 @@ def _compose(
     start, last_view_s, timestep_s = 0.0, -np.inf, cell.model.opt.timestep
     interval_s = shutter.interval_s(timestep_s)
     every = round(WAYPOINT_S / FINE_S)
+    waits = motion.trigger == "settled" and motion.settle_s is None
+    rehearsal = Rehearsal(cell, motion, way.joints[0]) if waits else None
     for law, own in laws:
         samples = np.unique(np.append(np.arange(0, len(law.time_s), every), len(law.time_s) - 1))
         times.append(start + law.time_s[samples])
@@ -245,9 +251,13 @@ def _compose(
         knots_s += (start + law.knots_s[own[1:]]).tolist()
         start = times[-1][-1]
         if motion.trigger == "settled":
-            settle_s = max(motion.settle_s, last_view_s + interval_s - start)
+            rest_s = shutter.open_s + _grace_s(timestep_s)
+            settle_s = least_s = last_view_s + interval_s - start
+            if rehearsal is not None:
+                settle_s = rehearsal.settles_s(law.state, least_s, rest_s)
+            settle_s = max(settle_s, least_s, motion.settle_s or 0.0)
             knots_s[-1] = last_view_s = start + settle_s
-            start += settle_s + shutter.open_s + _grace_s(timestep_s)
+            start += settle_s + rest_s
     exposed = way.views >= 0
     order, views_s = way.views[exposed], np.array(knots_s)[exposed]
     draft = MotionPlan(

@@ -141,7 +141,7 @@ def _limits(plan: MotionPlan, cell: CellModel, motion: Motion) -> list[str]:
     if beyond.max() > ROUNDING:
         worst = int(beyond.max(axis=0).argmax())
         far, name = float(beyond[:, worst].max()), cell.joint_names[worst]
-        problems.append(f"{name} goes {in_unit(name, far, '{:.1f}')} beyond its range")
+        problems.append(f"{name} goes {in_unit(name, far, 1)} beyond its range")
     shares = TimeLaw(cell, motion).shares(states)
     for what, share in shares.items():
         if share.max() > OVER:

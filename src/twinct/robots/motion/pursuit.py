@@ -22,12 +22,24 @@ class PursuingSimulation(RobotSimulation):
         """Present poses of source, specimen and panel."""
         return self._instant(None)
 
-    def states(self, goal: JointGoal, wait_s: float = 0.0) -> Floats:
+    @property
+    def velocities(self) -> Floats:
+        """Current joint velocities, rad/s, (n,)."""
+        return self._data.qvel.copy()
+
+    @property
+    def patience_s(self) -> float:
+        """Simulated time for which a motion may be late at its end."""
+        return self._motion.timeout_s
+
+    def states(self, goal: JointGoal, wait_s: float = 0.0, ahead: Floats | None = None) -> Floats:
         """Return the states of a foreign trajectory, from where the arms come to rest.
 
         Args:
             goal: the trajectory.
             wait_s: time until it starts, for which the arms rest.
+            ahead: states to come of the trajectory that it replaces, (steps, 3, n): the arms follow
+                these until it starts, and go over to it as they move. None: nothing is followed.
 
         Returns:
             States up to rest, (steps, 3, n).
@@ -35,11 +47,15 @@ class PursuingSimulation(RobotSimulation):
         Raises:
             GoalError: the gate refuses it; nothing is changed.
         """
-        lead = self._to_rest()
-        rest = self._rest_after(lead)
-        rows = states_of(goal, rest[0], self._gate)
-        waits = round(wait_s / self._model.opt.timestep) - len(lead)
-        return np.concatenate([lead, np.repeat(rest[None], max(waits, 0), axis=0), rows])
+        waits = round(wait_s / self._model.opt.timestep)
+        lead = self._to_rest() if ahead is None else ahead[:waits]
+        now = lead[-1] if len(lead) else self._reference_now.reshape(3, -1).copy()
+        if ahead is None:
+            now[1:] = 0.0
+        rows = states_of(goal, now, self._gate)
+        # Whoever waits beyond the end of the lead rests there.
+        waiting = np.repeat(now[None], max(waits - len(lead), 0), axis=0)
+        return np.concatenate([lead, waiting, rows])
 
     def _rest_after(self, lead: Floats) -> Floats:
         """Return the state of rest after the states of a reference that brakes, (3, n)."""

@@ -20,13 +20,11 @@ from twinct.robots.motion.kinematics import site_pose
 from twinct.robots.motion.plan import MotionPlan
 from twinct.robots.motion.reactive import Reactive
 from twinct.robots.motion.reference import Reference
+from twinct.robots.motion.servos import Servos, Standstill
 from twinct.robots.motion.shutter import Shutter
 from twinct.robots.motion.touch import Touch, touches
 from twinct.robots.sections import Motion
 from twinct.uncertainty import TrueCell
-
-BREAKAWAY_RAD_S = 0.002
-"""Speed above which a joint's dry friction is fully compensated."""
 
 STANDING = 1e-9
 """Speed and acceleration, rad and s, below which the reference stands still, up to rounding."""
@@ -112,12 +110,8 @@ class RobotSimulation:
         # Views into MuJoCo's memory, because looking them up takes as long as the gate's check.
         self._reference_now = self._data.userdata[: 3 * self._n]
         self._before = self._data.userdata[: 2 * self._n]
-        self._stiffness = self._model.actuator_gainprm[: self._n, 0].copy()
-        # Both the servo's damping and the joint's friction brake a moving joint.
-        self._drag = self._model.dof_damping - self._model.actuator_biasprm[: self._n, 2]
-        self._dry_friction = self._model.dof_frictionloss
-        self._jacobian = np.zeros((3, self._model.nv))
-        self._feedforward = np.zeros(self._model.nv)
+        self._servos = Servos(cell_model, homing=motion.trigger == "settled")
+        self._standstill = Standstill(cell_model, motion.settle_speed_mm_s / MM_PER_M)
         self.watch = self._new_watch()
         self._of_views: MotionPlan | None = None  # the plan of the views
         self._plan: MotionPlan | None = None  # the plan that owns the motion
@@ -294,7 +288,9 @@ class RobotSimulation:
                 f"{self._shutter.limit})"
             )
         if self._motion.trigger == "settled":
-            return f" (the arms were not at rest after motion.settle_s = {self._motion.settle_s:g})"
+            allowed_s = self._motion.settle_s
+            after = "the planned time" if allowed_s is None else f"motion.settle_s = {allowed_s:g}"
+            return f" (the arms were not at rest after {after})"
         return ""
 
     def _plan_from(self, make: Callable[[Floats], MotionPlan]) -> Floats:
@@ -464,12 +460,8 @@ class RobotSimulation:
     def _control(self, state: Floats) -> None:
         """Step the servos once towards a position, velocity and acceleration, (3, n)."""
         model, data = self._model, self._data
-        position, velocity, acceleration = state
-        mujoco.mj_mulM(model, data, self._feedforward, acceleration)
+        self._servos.command(data, state)
         self._reference_now[:] = state.ravel()
-        dry_friction = self._dry_friction * np.tanh(velocity / BREAKAWAY_RAD_S)
-        torque = self._feedforward + self._drag * velocity + dry_friction
-        data.ctrl[:] = position + torque / self._stiffness
         mujoco.mj_step2(model, data)
         mujoco.mj_step1(model, data)
 
@@ -486,12 +478,7 @@ class RobotSimulation:
         """Check that the reference has stopped and both end-effectors stand still."""
         if np.abs(self._data.userdata[self._n : 3 * self._n]).max() > STANDING:
             return False
-        limit = self._motion.settle_speed_mm_s / MM_PER_M
-        for site in self._cell.site_ids:
-            mujoco.mj_jacSite(self._model, self._data, self._jacobian, None, site)
-            if np.linalg.norm(self._jacobian @ self._data.qvel) > limit:
-                return False
-        return True
+        return self._standstill.at(self._data)
 
     def _instant(self, view: int | None) -> PosePairs:
         data, body = self._data, self._cell.specimen_body

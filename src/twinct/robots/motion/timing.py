@@ -7,7 +7,8 @@ over time, which bounds the jerk. Where the result still exceeds a limit, torque
 slowed down and computed again.
 
 Views that are taken in passing limit the speed, too: the detector needs its time from view to view,
-and a view must not pass between two steps of the control.
+and a view must not pass between two steps of the control. The limit of the tools' speed holds where
+views are taken; a detour from one view to the next has the limits of the joints alone.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell import CellModel, mujoco
+from twinct.robots.motion.line import line
 from twinct.robots.motion.refusals import weak_text
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.sections import Motion
@@ -53,6 +55,16 @@ INTERVAL_SHARE = 1.002
 
 STEP_SHARE = 0.9
 """Share of the trigger's tolerance that a tool may travel in a step of the control at a view."""
+
+
+OUT_OF_THE_WAY = 2.0
+"""Ratio of a tool's way from view to view to their distance above which it is a detour.
+
+From view to view of a trajectory it is 1.0 to 1.1, on ways into another configuration 9 and more.
+"""
+
+NOWHERE_RAD = 1e-9
+"""Largest step of a joint that takes no motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +127,16 @@ class Passing:
 class TimeLaw:
     """Computation of time laws for one cell."""
 
-    def __init__(self, cell: CellModel, motion: Motion, interval_s: float = 0.0) -> None:
+    def __init__(
+        self, cell: CellModel, motion: Motion, interval_s: float = 0.0, open_s: float = 0.0
+    ) -> None:
         """Store the limits of cell and motion.
 
         Args:
             cell: robot cell.
             motion: limits, and the tolerance of the trigger.
             interval_s: least time from view to view.
+            open_s: time for which the shutter is open in motion.
         """
         self._cell, self._interval_s = cell, INTERVAL_SHARE * interval_s
         step_s = cell.model.opt.timestep
@@ -131,6 +146,8 @@ class TimeLaw:
         self._acceleration = float(np.radians(motion.acceleration_deg_s2))
         self._jerk = float(np.radians(motion.jerk_deg_s3))
         self._tool_m_s = (motion.tool_speed_mm_s or np.inf) / MM_PER_M
+        # Way of a tool about a view in which the view may be exposed.
+        self._exposing_m = motion.tolerance_mm / MM_PER_M + self._tool_m_s * open_s
         # A window of this length turns the largest jump of acceleration into the largest jerk.
         self._window = max(1, round(self._acceleration / self._jerk / FINE_S))
 
@@ -153,7 +170,7 @@ class TimeLaw:
         way = scipy.interpolate.CubicSpline(passed, knots)
         share = np.arange(LOOK) / LOOK
         s = np.append((passed[:-1, None] + share * spans[:, None]).ravel(), passed[-1])
-        most, gain = self._allowed(way, s)
+        most, gain = self._allowed(way, s, passed[list(views)])
         passing = self._passing(way, passed, views)
         most = np.minimum(most, passing.most(s))
         law = self._law(way, s, most, gain, passed)
@@ -167,6 +184,42 @@ class TimeLaw:
             slower = np.where(along > 1.0, np.minimum(SLOWER * along, 2.0), 1.0)
             most, gain = most / slower, gain / slower
             law = self._law(way, s, most, gain, passed)
+        raise TrajectoryError(f"found no timing within the joints' limits in {ROUNDS} rounds")
+
+    def straight(self, start: Floats, end: Floats) -> Law:
+        """Return the fastest law along a straight line of the joints, from rest to rest.
+
+        A straight line needs no acceleration for following a curve, so all is left for speeding up
+        and braking.
+
+        Args:
+            start: joint positions, rad, (n,).
+            end: joint positions, rad, (n,), elsewhere.
+
+        Raises:
+            TrajectoryError: no law kept the limits.
+        """
+        way = end - start
+        if np.abs(way).max() < NOWHERE_RAD:
+            still = np.zeros((2, 3, len(start)))
+            still[:, 0] = start, end
+            return Law(np.array([0.0, FINE_S]), still, np.array([0.0, FINE_S]))
+        shares = np.linspace(0, 1, LOOK + 1)
+        slopes = self.tool_speeds_m_s(start + shares[:, None] * way, np.tile(way, (LOOK + 1, 1)))
+        with np.errstate(divide="ignore"):
+            speed = min((self._speed / np.abs(way)).min(), self._tool_m_s / slopes.max())
+        longest = np.abs(way).max()
+        most = np.array([speed, self._acceleration / longest, self._jerk / longest])
+        for _ in range(ROUNDS):
+            speed, acceleration, jerk = most.tolist()
+            time_s, moved = line(speed, acceleration, jerk, FINE_S)
+            state = moved[:, :, None] * way
+            state[:, 0] += start
+            state[-1, 0] = end
+            excess = float(np.sqrt(self._torque_shares(state).max() / TORQUE_SHARE))
+            if excess <= ALLOWED:
+                return Law(time_s, state, time_s[[0, -1]])
+            most = most / (SLOWER * excess) ** np.arange(1, 4)
         raise TrajectoryError(f"found no timing within the joints' limits in {ROUNDS} rounds")
 
     def shares(self, states: Floats) -> dict[str, Floats]:
@@ -184,7 +237,7 @@ class TimeLaw:
             "torque": self._torque_shares(states) / TORQUE_SHARE,
         }
 
-    def _allowed(self, way: CubicSpline, s: Floats) -> tuple[Floats, Floats]:
+    def _allowed(self, way: CubicSpline, s: Floats, at_views: Floats) -> tuple[Floats, Floats]:
         """Return the largest speed of s at each value of s, and the acceleration left for s."""
         first, second, third = (np.abs(way(s, d)) for d in (1, 2, 3))
         with np.errstate(divide="ignore"):
@@ -193,7 +246,7 @@ class TimeLaw:
                     (self._speed / first).min(axis=1),
                     np.sqrt(CURVE_SHARE * self._acceleration / second.max(axis=1)),
                     np.cbrt(self._jerk / third.max(axis=1)),
-                    self._tool_m_s / self._tool_slopes(way, s),
+                    self._tool_m_s / self._tool_slopes(way, s, at_views),
                 ],
                 axis=0,
             )
@@ -207,9 +260,34 @@ class TimeLaw:
             at_views = self._tool_at_view_m_s / self._slopes(way, passed[knots])
         return Passing(knots, passed[knots], at_views, self._interval_s)
 
-    def _tool_slopes(self, way: CubicSpline, s: Floats) -> Floats:
-        """Return ``_slopes`` if the tools' speed is limited, else zeros."""
-        return self._slopes(way, s) if np.isfinite(self._tool_m_s) else np.zeros(len(s))
+    def _tool_slopes(self, way: CubicSpline, s: Floats, at_views: Floats) -> Floats:
+        """Return ``_slopes`` where the tools' speed is limited, else zeros.
+
+        Args:
+            way: joints along s.
+            s: values at which the slopes are wanted.
+            at_views: values of s at the views.
+        """
+        if not np.isfinite(self._tool_m_s):
+            return np.zeros(len(s))
+        slopes = self._slopes(way, s)
+        travel_m = np.concatenate([[0.0], np.cumsum(np.diff(s) * (slopes[1:] + slopes[:-1]) / 2)])
+        at_m, places = np.interp(at_views, s, travel_m), self._places(way(at_views))
+        apart_m = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1, initial=0.0)
+        for detour in np.flatnonzero(np.diff(at_m) > OUT_OF_THE_WAY * apart_m):
+            start_m, end_m = at_m[detour], at_m[detour + 1]
+            free = (travel_m > start_m + self._exposing_m) & (travel_m < end_m - self._exposing_m)
+            slopes[free] = 0.0
+        return slopes
+
+    def _places(self, joints: Floats) -> Floats:
+        """Return the positions of both tools, m, (times, 2, 3)."""
+        places = np.zeros((len(joints), 2, 3))
+        for place, here in zip(places, joints, strict=True):
+            self._data.qpos[:] = here
+            mujoco.mj_kinematics(self._cell.model, self._data)
+            place[:] = self._data.site_xpos[list(self._cell.site_ids)]
+        return places
 
     def _slopes(self, way: CubicSpline, s: Floats) -> Floats:
         """Return the distance that the faster tool travels per unit of s, m."""

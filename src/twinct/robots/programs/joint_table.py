@@ -6,12 +6,13 @@ import csv
 import io
 from collections.abc import Mapping
 
+from twinct.robots.cell.rails import JOINT as RAIL_JOINT
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.programs.language import Language
 from twinct.robots.programs.program import TRIGGERS, Program, triggers
 
-KINDS = ("rad", "rad_s", "rad_s2")
-"""Endings of the columns of positions, velocities and accelerations."""
+KINDS = ("", "_s", "_s2")
+"""Endings of the units of positions, velocities and accelerations."""
 
 
 def _write(program: Program) -> Mapping[str, str]:
@@ -22,7 +23,9 @@ def _write(program: Program) -> Mapping[str, str]:
     ]
     stream = io.StringIO()
     rows = csv.writer(stream, lineterminator="\n")
-    rows.writerow(["time_s", "view", *(f"{name}_{kind}" for kind in KINDS for name in joints)])
+    units = ["m" if name.endswith(RAIL_JOINT) else "rad" for name in plan.joint_names]
+    named = [f"{name}_{unit}" for name, unit in zip(joints, units, strict=True)]
+    rows.writerow(["time_s", "view", *(f"{name}{kind}" for kind in KINDS for name in named)])
     for time_s, view, state in zip(
         plan.time_s.tolist(), plan.views.tolist(), plan.state, strict=True
     ):
@@ -31,4 +34,4 @@ def _write(program: Program) -> Mapping[str, str]:
     return {"plan.csv": stream.getvalue(), TRIGGERS: triggers(program)}
 
 
-JOINT_TABLE = Language("csv", "a table of times and joints, rad and s", _write)
+JOINT_TABLE = Language("csv", "a table of times and joints, rad, m and s", _write)

@@ -1,13 +1,14 @@
 """Placement of the arms: base positions and stand-offs from which they hold the most given views.
 
-The search has two stages and is deterministic for a given seed. The first stage treats each arm
-alone, independently of the other. It counts the views that the arm can hold from its own place and
-from the places of a Halton sequence over the bounds, and improves the best places on some of the
-views. Because the panel stands opposite the source, each arm also tries the best places of the
-other, mirrored at the middle of the bounds. The second stage evaluates the most promising pairs of
-places, and improves the best pairs. An improvement steps along one coordinate, of one arm or of
-both, and halves the step when no step helps (pattern search; Hooke and Jeeves, "Direct search
-solution of numerical and statistical problems", JACM 8, 1961).
+The search has two stages and is deterministic for a given seed, unless its time is limited. The
+first stage treats each arm alone, independently of the other. It counts the views that the arm can
+hold from its own place and from the places of a Halton sequence over the bounds, and improves the
+best places on some of the views. Because the panel stands opposite the source, each arm also tries
+the best places of the other, mirrored at the middle of the bounds. The second stage evaluates the
+most promising pairs of places, and improves the best pairs. An improvement steps along one
+coordinate, of one arm or of both, and halves the step when no step helps (pattern search; Hooke and
+Jeeves, "Direct search solution of numerical and statistical problems", JACM 8, 1961). A first round
+tries few places, and ends the search if both arms hold all views from one of its pairs.
 """
 
 from __future__ import annotations
@@ -24,10 +25,21 @@ from twinct.geometry import Floats
 from twinct.robots.cell import CellModel, overlaps
 from twinct.robots.motion.branches import SIDES
 from twinct.robots.reach.holding import Flags, Holder, TargetPoses
+from twinct.robots.reach.pattern_search import climbed
+from twinct.robots.reach.search_limit import SearchLimit
 from twinct.robots.sections import Cell, Motion
 
 SAMPLES = 128
 """Number of places of each arm alone, in addition to its own."""
+
+FIRST_SAMPLES = 16
+"""Number of places of each arm alone in the first round."""
+
+ROUNDS = (0.6, 1.0)
+"""Shares of the time at which the two rounds end."""
+
+STAGES = (0.4, 0.6, 0.7, 0.85, 1.0)
+"""Shares of a round at which its stages end: alone, improved, on the other arm, pairs, improved."""
 
 PAIRS = 24
 """Number of pairs of places that are evaluated."""
@@ -111,12 +123,16 @@ class Placement:
         before: flags of the views that both arms held before, (p,).
         after: flags of the views that both arms hold now, (p,).
         judged: number of cells that were evaluated.
+        alone: number of places at which one arm alone was evaluated.
+        stopped: whether the search ended because its time was over.
     """
 
     cell: Cell
     before: Flags
     after: Flags
     judged: int
+    alone: int = 0
+    stopped: bool = False
 
     @property
     def overrides(self) -> list[str]:
@@ -139,6 +155,7 @@ def place(
     bounds: Bounds | None = None,
     samples: int = SAMPLES,
     seed: int = 0,
+    limit: SearchLimit | None = None,
     progress: Progress = SILENT,
 ) -> Placement:
     """Find the placement of the arms from which they hold the most given views.
@@ -155,13 +172,15 @@ def place(
         bounds: bounds of the placement.
         samples: initial number of places for each arm.
         seed: seed of the search.
+        limit: time that it may take; a search that ends early returns the best places so far.
         progress: progress display.
 
     Raises:
         InputError: fixed bodies overlap at every place that was tried.
         MissingExtraError: mink is not installed.
     """
-    search = _Search(cell, build, motion, poses, roll_free, bounds or Bounds(), seed)
+    limit = limit or SearchLimit()
+    search = _Search(cell, build, motion, poses, roll_free, bounds or Bounds(), seed, limit)
     return search.run(samples, progress)
 
 
@@ -175,47 +194,93 @@ class _Search:
         roll_free: tuple[bool, bool],
         bounds: Bounds,
         seed: int,
+        limit: SearchLimit,
     ) -> None:
         self._cell, self._build, self._motion, self._poses = cell, build, motion, poses
         self._roll_free, self._ranges, self._seed = roll_free, bounds.ranges, seed
         self._middle = (poses.source[:, :3, 3] + poses.detector[:, :3, 3]).mean(axis=0) / 2
+        self._limit = limit
         self._known: dict[bytes, tuple[float, Flags]] = {}
+        self._held_alone: dict[tuple[int, int, bytes], Flags] = {}
         # With a free roll about the beam, the tool rotation is redundant.
         self._open = [slice(0, 4 if free else 5) for free in roll_free]
 
     def run(self, samples: int, progress: Progress) -> Placement:
         own = np.array([self._coordinates(arm) for arm in range(2)])
         places = [self._spread(own[arm], arm, samples) for arm in range(2)]
-        with progress.stage("places of each arm", 2 * (samples + 1)) as step:
-            alone = [
-                [self._reach_of(point, arm, step) for point in places[arm]] for arm in range(2)
-            ]
-        with progress.stage("improving each arm's best", 2 * IMPROVED_ALONE * len(STEPS)) as step:
-            better = [self._improved_alone(alone[arm], arm, step) for arm in range(2)]
-        across = [self._across(own[1 - arm], points, 1 - arm) for arm, points in enumerate(better)]
-        tried = [better[0] + across[1], better[1] + across[0]]
-        with progress.stage("trying the best on the other arm", sum(map(len, tried))) as step:
-            for arm in range(2):
-                alone[arm] += [self._reach_of(point, arm, step) for point in tried[arm]]
-        before = self._judged(own)
-        pairs = self._promising(alone)
-        with progress.stage("pairs of places", len(pairs)) as step:
-            for pair in pairs:
-                self._judged(pair)
-                step()
-                if self._judged(pair)[0] >= ALL_HELD:
-                    break
-        pairs = [pair for pair in pairs if pair.tobytes() in self._known]
-        best = sorted([own, *pairs], key=lambda pair: -self._judged(pair)[0])[:IMPROVED]
-        with progress.stage("improved", len(best) * len(STEPS)) as step:
-            best = [self._improved(pair, step) for pair in best]
-        best = max(best, key=lambda pair: self._judged(pair)[0])
+        before, best = self._judged(own), own
+        counts = (FIRST_SAMPLES, samples) if samples > FIRST_SAMPLES else (samples,)
+        began = 0.0
+        for count, ended in zip(counts, ROUNDS[-len(counts) :], strict=True):
+            shares = [began + share * (ended - began) for share in STAGES]
+            some = [of_arm[: count + 1] for of_arm in places]
+            best, began = self._round(own, best, some, shares, progress), ended
+            self._limit.until(1.0)
+            if self._judged(best)[0] >= ALL_HELD or self._limit.over():
+                break
         if self._judged(best)[0] == NOT_FREE:
             raise InputError(
                 "no place was found within the bounds at which bases and pillars stand outside "
                 "every other fixed body; widen the bounds, or try more samples"
             )
-        return Placement(self._as_cell(best), before[1], self._judged(best)[1], len(self._known))
+        return Placement(
+            *(self._as_cell(best), before[1], self._judged(best)[1], len(self._known)),
+            *(len({key[::2] for key in self._held_alone}), self._stopped(best)),
+        )
+
+    def _stopped(self, best: Floats) -> bool:
+        """Return True if the search ended because its time was over."""
+        return self._limit.stopped and self._judged(best)[0] < ALL_HELD
+
+    def _round(
+        self,
+        own: Floats,
+        best: Floats,
+        places: list[list[Floats]],
+        shares: list[float],
+        progress: Progress,
+    ) -> Floats:
+        """Return the best pair of places after all stages, each of which has its time."""
+        limit, (first, *later) = self._limit, shares
+        limit.until(first)
+        with progress.stage("places of each arm", sum(map(len, places))) as step:
+            alone = self._reached(places, step)
+        limit.until(later[0])
+        with progress.stage("improving each arm's best", 2 * IMPROVED_ALONE * len(STEPS)) as step:
+            better = [self._improved_alone(alone[arm], arm, step) for arm in range(2)]
+        across = [self._across(own[1 - arm], points, 1 - arm) for arm, points in enumerate(better)]
+        tried = [better[0] + across[1], better[1] + across[0]]
+        limit.until(later[1])
+        with progress.stage("trying the best on the other arm", sum(map(len, tried))) as step:
+            for of_arm, new in zip(alone, self._reached(tried, step), strict=True):
+                of_arm += new
+        limit.until(later[2])
+        pairs = self._promising(alone)
+        with progress.stage("pairs of places", len(pairs)) as step:
+            for pair in pairs:
+                self._judged(pair)
+                step()
+                if self._judged(pair)[0] >= ALL_HELD or limit.over():
+                    break
+        limit.until(later[3])
+        pairs = [pair for pair in pairs if pair.tobytes() in self._known]
+        best_pairs = sorted([own, best, *pairs], key=lambda pair: -self._judged(pair)[0])
+        with progress.stage("improved", IMPROVED * len(STEPS)) as step:
+            improved = [self._improved(pair, step) for pair in _distinct(best_pairs)[:IMPROVED]]
+        return max(improved, key=lambda pair: self._judged(pair)[0])
+
+    def _reached(
+        self, places: list[list[Floats]], step: Callable[[], None]
+    ) -> list[list[tuple[Floats, Flags]]]:
+        """Return the views that each arm holds alone from places, in turn, while there is time."""
+        reached: list[list[tuple[Floats, Flags]]] = [[], []]
+        for turn in range(max(map(len, places))):
+            for arm, points in enumerate(places):
+                if turn < len(points) and (not reached[arm] or not self._limit.over()):
+                    held = self._alone(points[turn], arm, self._poses)
+                    reached[arm].append((points[turn], held))
+                    step()
+        return reached
 
     def _spread(self, own: Floats, arm: int, samples: int) -> list[Floats]:
         """Return an arm's own place, and places spread over the bounds."""
@@ -236,25 +301,24 @@ class _Search:
         mirrored[:, self._open[arm].stop :] = own[self._open[arm].stop :]
         return list(mirrored)
 
-    def _reach_of(self, point: Floats, arm: int, step: Callable[[], None]) -> tuple[Floats, Flags]:
-        held = self._alone(point, arm, self._poses)
-        step()
-        return point, held
-
     def _improved_alone(
         self, alone: Sequence[tuple[Floats, Flags]], arm: int, step: Callable[[], None]
     ) -> list[Floats]:
-        some, known = self._poses[np.arange(0, len(self._poses), OF_VIEWS)], dict[bytes, int]()
+        some = self._poses[np.arange(0, len(self._poses), OF_VIEWS)]
 
         def held(point: Floats) -> float:
-            key = point.tobytes()
-            if key not in known:
-                known[key] = int(self._alone(point, arm, some).sum())
-            return known[key]
+            return int(self._alone(point, arm, some).sum())
 
         best = sorted(alone, key=lambda of: -of[1].sum())[:IMPROVED_ALONE]
         steps = [UNITS[k] for k in range(self._open[arm].stop)]
-        climb = partial(_climbed, steps=steps, ranges=self._ranges, most=len(some))
+        climb = partial(
+            climbed,
+            sizes=STEPS,
+            steps=steps,
+            ranges=self._ranges,
+            most=len(some),
+            over=self._limit.over,
+        )
         return [climb(point, score=held, step=step) for point, _ in best]
 
     def _coordinates(self, arm: int) -> Floats:
@@ -303,6 +367,12 @@ class _Search:
 
         The other arm's base and pillar count as obstacles, but may stand in a wrong place.
         """
+        key = arm, len(poses), point.tobytes()
+        if key not in self._held_alone:
+            self._held_alone[key] = self._judge_alone(point, arm, poses)
+        return self._held_alone[key]
+
+    def _judge_alone(self, point: Floats, arm: int, poses: TargetPoses) -> Flags:
         pair = np.array([self._coordinates(0), self._coordinates(1)])
         pair[arm] = point
         holder = self._holder(self._as_cell(pair), SIDES[1 - arm])
@@ -354,32 +424,8 @@ class _Search:
         def score(trial: Floats) -> float:
             return self._judged(trial)[0] if self._allowed(trial) else -np.inf
 
-        return _climbed(pair, steps, self._ranges, score, step, ALL_HELD)
+        return climbed(pair, STEPS, steps, self._ranges, score, step, ALL_HELD, self._limit.over)
 
 
-def _climbed(
-    start: Floats,
-    steps: Sequence[Floats],
-    ranges: Floats,
-    score: Callable[[Floats], float],
-    step: Callable[[], None],
-    most: float,
-) -> Floats:
-    """Return the best point of a pattern search with all step sizes from a start within ranges.
-
-    The search ends at a score of ``most``, than which there is none better.
-    """
-    best, (low, high) = start, ranges.T
-    for size in STEPS:
-        moved = score(best) < most
-        while moved:
-            moved = False
-            for direction in steps:
-                for sign in (1, -1):
-                    trial = best + sign * size * direction
-                    inside = (low <= trial) & (trial <= high)
-                    if inside[direction != 0].all() and score(trial) > score(best):
-                        best, moved = trial, True
-                        break
-        step()
-    return best
+def _distinct(pairs: list[Floats]) -> list[Floats]:
+    return list({pair.tobytes(): pair for pair in pairs}.values())

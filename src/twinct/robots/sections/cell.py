@@ -65,7 +65,7 @@ def _with_all_models(schema: dict[str, Any]) -> None:
     schema["pattern"] = rf"^({'|'.join(map(re.escape, arms))}|menagerie:[A-Za-z0-9_]+)$"
 
 
-_OF_FILE = ("base", "flange", "link_density_kg_m3", "joint_torque_nm")
+_OF_FILE = ("base", "flange", "ignore_pairs", "link_density_kg_m3", "joint_torque_nm")
 """Keys that only an arm from a file has."""
 
 
@@ -160,6 +160,11 @@ class Arm(Section):
         default=None,
         description="With file: the site, body or link at the tool flange, z pointing away from "
         "the arm; null: one of the usual names.",
+    )
+    ignore_pairs: Annotated[tuple[tuple[str, str], ...], ReadBy("plan")] = Field(
+        default=(),
+        description="With file: pairs of bodies or links of the arm that are not checked against "
+        "each other, such as those that its maker's SRDF disables.",
     )
     rail: Annotated[Rail | None, ReadBy("plan")] = Field(
         default=None,

@@ -75,12 +75,14 @@ class Motion(Section):
     )
     tool_speed_mm_s: Positive | None = setting(
         None,
-        "Largest speed of the faster tool in a plan; null: only the joints' limits apply.",
+        "Largest speed of the faster tool where a plan takes views; null: only the joints' limits "
+        "apply, as on detours.",
         read_by="executed",
     )
-    settle_s: Positive = setting(
-        0.35,
-        "Time at rest that a plan allows for each view with trigger: settled.",
+    settle_s: Positive | None = setting(
+        None,
+        "Time at rest that a plan allows for each view with trigger: settled. null: as long as the "
+        "servos of the simulation need; state a time for real arms.",
         read_by="executed",
     )
     acceleration_deg_s2: Positive = setting(
