@@ -1,0 +1,208 @@
+"""Bodies of voxels that photons travel through."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twinct.core.errors import InputError
+from twinct.geometry import VolumeGrid
+from twinct.specimen.materials import Material
+from twinct.transport._flight import Voxels
+from twinct.transport.cross_sections import MOST_MEDIA, TOTAL, Media, media_tables
+
+BRICK = 8
+"""Voxels along each edge of a brick with a majorant of its own: 4 to 16 differ by 10 % in time."""
+
+LEVELS = 255
+"""Steps of the density of a medium: half a step is 0.2 % of its largest density."""
+
+MOST_CODES = 2**16
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelBody:
+    """Voxels of a few media at many densities, on a grid.
+
+    Each voxel holds the row of a palette of pairs (medium, density).
+
+    Attributes:
+        grid: the voxels; their edges may differ.
+        codes: row of the palette, shape of the grid (z, y, x), uint16.
+        palette_media: index into ``materials`` of each row.
+        palette_densities: density of each row, g/cm^3.
+        materials: the media; only their compositions count here.
+    """
+
+    grid: VolumeGrid
+    codes: NDArray[np.uint16]
+    palette_media: NDArray[np.int64]
+    palette_densities: NDArray[np.float64]
+    materials: tuple[Material, ...]
+
+    @classmethod
+    def of_labels(
+        cls, grid: VolumeGrid, labels: ArrayLike, materials: Mapping[int, Material]
+    ) -> VoxelBody:
+        """Return a body of labels, each with a material at its density.
+
+        Args:
+            grid: the voxels.
+            labels: label of each voxel, shape of the grid.
+            materials: material of each label; several may share one.
+
+        Raises:
+            InputError: a label has no material, or shape or number of labels do not fit.
+        """
+        array = _on_grid(labels, grid, "labels")
+        top = int(array.max())
+        if int(array.min()) < 0 or top >= MOST_CODES:
+            raise InputError(
+                f"labels from {array.min()} to {top}: must be from 0 to {MOST_CODES - 1}"
+            )
+        used = np.flatnonzero(np.bincount(array.ravel(), minlength=top + 1)).tolist()
+        missing = [label for label in used if label not in materials]
+        if missing:
+            raise InputError(
+                f"label {missing[0]} has no material; materials are given for the labels "
+                f"{', '.join(map(str, sorted(materials))) or 'none'}"
+            )
+        kinds = list(dict.fromkeys(materials[label] for label in used))
+        media, densities = np.zeros(top + 1, np.int64), np.zeros(top + 1)
+        for label in used:
+            media[label] = kinds.index(materials[label])
+            densities[label] = materials[label].density_g_cm3
+        return cls(grid, _locked(array.astype(np.uint16)), media, densities, tuple(kinds))
+
+    @classmethod
+    def of_densities(
+        cls,
+        grid: VolumeGrid,
+        media: ArrayLike,
+        densities: ArrayLike,
+        materials: Sequence[Material],
+    ) -> VoxelBody:
+        """Return a body of media with a density in each voxel, such as a grey volume.
+
+        A voxel that a body fills in part has the body's medium at a share of its density.
+
+        Args:
+            grid: the voxels.
+            media: index into ``materials`` of each voxel, shape of the grid.
+            densities: g/cm^3, shape of the grid; rounded to ``LEVELS`` steps of each medium.
+            materials: the media; only their compositions count.
+
+        Raises:
+            InputError: an index has no material, a density is negative or not finite, or a shape
+                does not fit.
+        """
+        index = _on_grid(media, grid, "media")
+        density = _on_grid(densities, grid, "densities")
+        if int(index.min()) < 0 or int(index.max()) >= len(materials):
+            raise InputError(
+                f"media from {index.min()} to {index.max()}, but {len(materials)} materials: must "
+                f"be from 0 to {len(materials) - 1}"
+            )
+        if not (np.isfinite(density).all() and (density >= 0).all()):
+            bad = density[~(np.isfinite(density) & (density >= 0))]
+            raise InputError(f"density {bad[0]:g} g/cm^3: must be a finite number of at least 0")
+        codes = np.empty(grid.shape, np.uint16)
+        steps = np.zeros(len(materials))
+        for m in range(len(materials)):
+            here = index == m
+            if here.any():
+                steps[m] = max(float(density[here].max()), 1e-12) / LEVELS
+                levels = np.rint(density[here] / steps[m]).astype(np.int64)
+                codes[here] = m * (LEVELS + 1) + levels
+        level = np.arange(LEVELS + 1)
+        rows = np.repeat(np.arange(len(materials)), LEVELS + 1)
+        return cls(grid, _locked(codes), rows, np.outer(steps, level).ravel(), tuple(materials))
+
+    def __post_init__(self) -> None:
+        """Check the palette's size."""
+        if not 0 < len(self.materials) <= MOST_MEDIA:
+            raise InputError(f"{len(self.materials)} media: a body must have 1 to {MOST_MEDIA}")
+
+    def masses_g(self) -> NDArray[np.float64]:
+        """Return the mass of each voxel, g, shape of the grid."""
+        volume_cm3 = float(np.prod(self.grid.voxel)) / 1000
+        return self.palette_densities[self.codes] * volume_cm3
+
+    def tables(self) -> tuple[Voxels, Media]:
+        """Return voxels with their bricks, and the tables of the media, for the kernels."""
+        media = media_tables(self.materials)
+        brick = np.full(3, BRICK, np.int64)
+        bounds, densities, uniform = self._bricks(media)
+        voxels = Voxels(
+            np.ascontiguousarray(self.codes),
+            np.array(self.palette_media, np.int64),
+            np.array(self.palette_densities, np.float64),
+            np.array(self.grid.voxel),
+            brick,
+            bounds,
+            densities,
+            uniform,
+        )
+        return voxels, media
+
+    def _bricks(
+        self, media: Media
+    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int32]]:
+        """Return medium and density that bound each brick's attenuation, and its only row or -1.
+
+        Medium b at the density r_b bounds a voxel of medium a and density r_a if r_b is at least
+        r_a times the largest ratio of their mass attenuation over all energies. The bound holds
+        between the energies too, where both are linear. Of all media, the one with the lowest bound
+        at mid energy is taken.
+        """
+        total = media.coefficients[:, :, TOTAL].astype(np.float64)
+        ratio = (total[:, None] / total[None]).max(axis=2)
+        middle = total[:, total.shape[1] // 2]
+        shape = tuple(-(-n // BRICK) for n in self.grid.shape)
+        density = np.zeros((len(self.materials), *shape))
+        low, high = (np.empty(shape, np.int32) for _ in range(2))
+        for k in range(shape[0]):
+            layer = self.codes[k * BRICK : (k + 1) * BRICK]
+            low[k], high[k] = _reduced(layer, np.minimum), _reduced(layer, np.maximum)
+            media_here = self.palette_media[layer]
+            densities_here = self.palette_densities[layer]
+            for m in np.unique(media_here):
+                only = np.where(media_here == m, densities_here, 0.0)
+                density[m, k] = _reduced(only, np.maximum)
+        bounds = np.zeros(shape, np.uint8)
+        lowest = np.full(shape, np.inf)
+        needed = np.zeros(shape)
+        for b in range(len(self.materials)):
+            suffices = (ratio[:, b, None, None, None] * density).max(axis=0)
+            better = suffices * middle[b] < lowest
+            bounds[better] = b
+            needed[better] = suffices[better]
+            lowest[better] = suffices[better] * middle[b]
+        uniform = np.where(low == high, low, -1).astype(np.int32)
+        only = uniform >= 0
+        bounds[only] = self.palette_media[uniform[only]]
+        needed[only] = self.palette_densities[uniform[only]]
+        return bounds, needed, uniform
+
+
+def _reduced(layer: NDArray[Any], what: np.ufunc) -> NDArray[Any]:
+    """Return the minimum or maximum in each brick of a layer of bricks, (y, x)."""
+    flat = what.reduce(layer, axis=0)
+    flat = what.reduceat(flat, np.arange(0, flat.shape[0], BRICK), axis=0)
+    return what.reduceat(flat, np.arange(0, flat.shape[1], BRICK), axis=1)
+
+
+def _on_grid(values: ArrayLike, grid: VolumeGrid, name: str) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.shape != grid.shape:
+        raise InputError(f"{name} of shape {array.shape}: the grid has the shape {grid.shape}")
+    return array
+
+
+def _locked(codes: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    codes.setflags(write=False)
+    return codes
