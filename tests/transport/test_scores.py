@@ -33,8 +33,8 @@ def _simulation(**settings) -> Simulation:
 
 
 def _bytes(scores: Scores) -> list[bytes]:
-    arrays = (scores.voxels, scores.voxels_squared, scores.images, scores.regions, scores.totals)
-    return [array.tobytes() for array in arrays]
+    names = ("voxels", "voxels_squared", "images", "images_squared", "regions", "rows", "totals")
+    return [getattr(scores, name).tobytes() for name in names]
 
 
 @contextmanager
@@ -52,9 +52,46 @@ def test_energy_is_conserved_and_scored() -> None:
     scores = _simulation(expected=False).run(5000, 3)
     assert scores.imbalance < 1e-9  # rounding of 5000 sums
     assert scores.voxel_energy()[0].sum() == pytest.approx(scores.absorbed_kev, rel=1e-9)
+    assert scores.label_energy()[0].sum() == pytest.approx(scores.absorbed_kev, rel=1e-9)
     regions = scores.region_energy()
     assert sum(mean for mean, _ in regions.values()) == pytest.approx(scores.absorbed_kev)
     assert 0.2 < scores.absorbed_kev / 80.0 < 1
+
+
+def test_labels_hold_the_energy_of_their_voxels() -> None:
+    """The energy of a label is that of its voxels."""
+    body = _mixed_body()
+    scores = Simulation(body, beam_down(50.0)).run(3000, 2)
+    summed = np.bincount(body.codes.ravel(), scores.voxel_energy()[0].ravel())
+    np.testing.assert_allclose(scores.label_energy()[0], summed, rtol=1e-9)
+
+
+def test_a_medium_around_the_grid_attenuates_and_scatters() -> None:
+    """Lead around a grid stops the beam before it; air around is like air in a larger grid."""
+    beam = beam_down(20.0, 60.0)
+    grid = VolumeGrid((4, 4, 4), 20.0)
+    labels, water = np.zeros(grid.shape, int), {0: material("water")}
+    lead = VoxelBody.of_labels(grid, labels, water, material("lead"))
+    scores = Simulation(lead, beam).run(1000, 2)
+    assert scores.absorbed_kev == 0
+    assert scores.imbalance < 1e-12
+    larger = VolumeGrid((52, 12, 12), 20.0)
+    inner = np.zeros(larger.shape, int)
+    inner[24:28, 4:8, 4:8] = 1
+    gas = Material("dense air", 0.5, material("air").mass_fractions)
+    around = VoxelBody.of_labels(grid, labels, water, gas)
+    within = VoxelBody.of_labels(larger, inner, {0: gas, 1: material("water")})
+    geometry = view((0, 0, 500), (0, 0, -520))
+    results, primaries = [], []
+    for body, row in ((around, 0), (within, 1)):
+        simulation = Simulation(body, beam, dose=False, detector=Detector(geometry))
+        primaries.append(simulation.primary(samples=4))
+        energy, error = simulation.run(4000, 20, seed=1).label_energy()
+        results.append((energy[row], error[row]))
+    np.testing.assert_allclose(*primaries, rtol=1e-6)
+    (a, da), (b, db) = results
+    # Photons that pass beside the grid may return from the gas of the larger grid alone.
+    assert a == pytest.approx(b, abs=3 * np.hypot(da, db) + 0.04 * b)
 
 
 def test_expected_energy_has_the_mean_of_the_energy_that_happens() -> None:

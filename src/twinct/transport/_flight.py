@@ -30,7 +30,8 @@ class Voxels(NamedTuple):
         brick: voxels of a brick along (x, y, z).
         brick_media: medium that bounds each brick's attenuation, (z, y, x), uint8.
         brick_densities: density of that medium that suffices at all energies, float64.
-        uniform: row of the palette that fills a brick, or -1, (z, y, x), int32.
+        around: medium around the grid, or -1 for vacuum.
+        around_density: its density, g/cm^3.
     """
 
     codes: NDArray[np.uint16]
@@ -40,7 +41,8 @@ class Voxels(NamedTuple):
     brick: NDArray[np.int64]
     brick_media: NDArray[np.uint8]
     brick_densities: NDArray[np.float64]
-    uniform: NDArray[np.int32]
+    around: int
+    around_density: float
 
 
 @njit(**OPTIONS)
@@ -74,6 +76,17 @@ def voxel_at(x, y, z, voxels):
 
 
 @njit(**OPTIONS)
+def inside(x, y, z, voxels):
+    """Return True if a point lies in the grid."""
+    nz, ny, nx = voxels.codes.shape
+    return (
+        0.0 <= x <= nx * voxels.edges[0]
+        and 0.0 <= y <= ny * voxels.edges[1]
+        and 0.0 <= z <= nz * voxels.edges[2]
+    )
+
+
+@njit(**OPTIONS)
 def _axis(start, step, t, edge, number):
     """Return cell, increment, end of the cell on the ray, and length per cell."""
     cell = min(max(int((start + t * step) / edge), 0), number - 1)
@@ -85,28 +98,63 @@ def _axis(start, step, t, edge, number):
 
 
 @njit(**OPTIONS)
+def _walk(x, y, z, dx, dy, dz, t, edges, shape):
+    """Return cells (z, y, x) at ``t``, ends of their edges on the ray, increments and lengths."""
+    i, step_i, end_x, way_x = _axis(x, dx, t, edges[0], shape[2])
+    j, step_j, end_y, way_y = _axis(y, dy, t, edges[1], shape[1])
+    k, step_k, end_z, way_z = _axis(z, dz, t, edges[2], shape[0])
+    return (k, j, i), (end_z, end_y, end_x), (step_k, step_j, step_i), (way_z, way_y, way_x)
+
+
+@njit(**OPTIONS)
+def _next(cell, ends, steps, ways):
+    """Return the next cell, and the ends of its edges on the ray."""
+    k, j, i = cell
+    end_z, end_y, end_x = ends
+    if end_x <= end_y and end_x <= end_z:
+        return (k, j, i + steps[2]), (end_z, end_y, end_x + ways[2])
+    if end_y <= end_z:
+        return (k, j + steps[1], i), (end_z, end_y + ways[1], end_x)
+    return (k + steps[0], j, i), (end_z + ways[0], end_y, end_x)
+
+
+@njit(**OPTIONS)
+def _within(cell, shape):
+    """Return True if a cell is one of the grid's."""
+    return 0 <= cell[0] < shape[0] and 0 <= cell[1] < shape[1] and 0 <= cell[2] < shape[2]
+
+
+@njit(**OPTIONS)
 def fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media):
-    """Return state, and the length of the way to the next collision; -1 if the photon leaves."""
+    """Return state, and the length of the way to the next collision; -1 if the photon leaves.
+
+    A photon leaves if it does not head for the grid; before the grid it may collide.
+    """
     t, last = span(x, y, z, dx, dy, dz, voxels)
     if t >= last:
         return state, -1.0
-    bz, by, bx = voxels.brick_media.shape
-    i, step_i, end_x, way_x = _axis(x, dx, t, voxels.edges[0] * voxels.brick[0], bx)
-    j, step_j, end_y, way_y = _axis(y, dy, t, voxels.edges[1] * voxels.brick[1], by)
-    k, step_k, end_z, way_z = _axis(z, dz, t, voxels.edges[2] * voxels.brick[2], bz)
     state, u = draw(state)
     depth = -math.log(1.0 - u)
-    while True:
-        end = max(min(end_x, end_y, end_z, last), t)
-        majorant = voxels.brick_densities[k, j, i] * coefficient(
-            media, voxels.brick_media[k, j, i], index, fraction, TOTAL
+    if t > 0.0 and voxels.around >= 0:
+        mu = voxels.around_density * coefficient(media, voxels.around, index, fraction, TOTAL)
+        if depth < t * mu:
+            return state, depth / mu
+        depth -= t * mu
+    shape = voxels.brick_media.shape
+    edges = (
+        voxels.edges[0] * voxels.brick[0],
+        voxels.edges[1] * voxels.brick[1],
+        voxels.edges[2] * voxels.brick[2],
+    )
+    cell, ends, steps, ways = _walk(x, y, z, dx, dy, dz, t, edges, shape)
+    while t < last and _within(cell, shape):
+        end = max(min(ends[0], ends[1], ends[2], last), t)
+        majorant = voxels.brick_densities[cell] * coefficient(
+            media, voxels.brick_media[cell], index, fraction, TOTAL
         )
         while depth < (end - t) * majorant:
             t += depth / majorant
-            if voxels.uniform[k, j, i] >= 0:
-                return state, t
-            kk, jj, ii = voxel_at(x + t * dx, y + t * dy, z + t * dz, voxels)
-            code = voxels.codes[kk, jj, ii]
+            code = voxels.codes[voxel_at(x + t * dx, y + t * dy, z + t * dz, voxels)]
             mu = voxels.densities[code] * coefficient(
                 media, voxels.media[code], index, fraction, TOTAL
             )
@@ -117,45 +165,28 @@ def fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media):
             depth = -math.log(1.0 - u)
         depth -= (end - t) * majorant
         t = end
-        if t >= last:
-            return state, -1.0
-        if end_x <= end_y and end_x <= end_z:
-            i, end_x = i + step_i, end_x + way_x
-            inside = 0 <= i < bx
-        elif end_y <= end_z:
-            j, end_y = j + step_j, end_y + way_y
-            inside = 0 <= j < by
-        else:
-            k, end_z = k + step_k, end_z + way_z
-            inside = 0 <= k < bz
-        if not inside:
-            return state, -1.0
+        cell, ends = _next(cell, ends, steps, ways)
+    return state, -1.0
 
 
 @njit(**OPTIONS)
 def optical_depth(x, y, z, dx, dy, dz, length, index, fraction, voxels, media):
     """Return the line integral of mu along a ray up to a length."""
-    depth = 0.0
     t, last = span(x, y, z, dx, dy, dz, voxels)
     last = min(last, length)
-    if t >= last:
-        return depth
-    nz, ny, nx = voxels.codes.shape
-    i, step_i, end_x, way_x = _axis(x, dx, t, voxels.edges[0], nx)
-    j, step_j, end_y, way_y = _axis(y, dy, t, voxels.edges[1], ny)
-    k, step_k, end_z, way_z = _axis(z, dz, t, voxels.edges[2], nz)
-    while t < last and 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-        end = max(min(end_x, end_y, end_z, last), t)
-        code = voxels.codes[k, j, i]
+    depth = 0.0
+    if voxels.around >= 0:
+        mu = coefficient(media, voxels.around, index, fraction, TOTAL)
+        depth = (length - max(last - t, 0.0)) * voxels.around_density * mu
+    shape = voxels.codes.shape
+    cell, ends, steps, ways = _walk(x, y, z, dx, dy, dz, t, voxels.edges, shape)
+    while t < last and _within(cell, shape):
+        end = max(min(ends[0], ends[1], ends[2], last), t)
+        code = voxels.codes[cell]
         mu = coefficient(media, voxels.media[code], index, fraction, TOTAL)
         depth += (end - t) * voxels.densities[code] * mu
         t = end
-        if end_x <= end_y and end_x <= end_z:
-            i, end_x = i + step_i, end_x + way_x
-        elif end_y <= end_z:
-            j, end_y = j + step_j, end_y + way_y
-        else:
-            k, end_z = k + step_k, end_z + way_z
+        cell, ends = _next(cell, ends, steps, ways)
     return depth
 
 
@@ -164,20 +195,13 @@ def add_amounts(x, y, z, dx, dy, dz, length, voxels, amounts):
     """Add the line integral of each medium's density along a ray, mm g/cm^3."""
     t, last = span(x, y, z, dx, dy, dz, voxels)
     last = min(last, length)
-    if t >= last:
-        return
-    nz, ny, nx = voxels.codes.shape
-    i, step_i, end_x, way_x = _axis(x, dx, t, voxels.edges[0], nx)
-    j, step_j, end_y, way_y = _axis(y, dy, t, voxels.edges[1], ny)
-    k, step_k, end_z, way_z = _axis(z, dz, t, voxels.edges[2], nz)
-    while t < last and 0 <= i < nx and 0 <= j < ny and 0 <= k < nz:
-        end = max(min(end_x, end_y, end_z, last), t)
-        code = voxels.codes[k, j, i]
+    if voxels.around >= 0:
+        amounts[voxels.around] += (length - max(last - t, 0.0)) * voxels.around_density
+    shape = voxels.codes.shape
+    cell, ends, steps, ways = _walk(x, y, z, dx, dy, dz, t, voxels.edges, shape)
+    while t < last and _within(cell, shape):
+        end = max(min(ends[0], ends[1], ends[2], last), t)
+        code = voxels.codes[cell]
         amounts[voxels.media[code]] += (end - t) * voxels.densities[code]
         t = end
-        if end_x <= end_y and end_x <= end_z:
-            i, end_x = i + step_i, end_x + way_x
-        elif end_y <= end_z:
-            j, end_y = j + step_j, end_y + way_y
-        else:
-            k, end_z = k + step_k, end_z + way_z
+        cell, ends = _next(cell, ends, steps, ways)

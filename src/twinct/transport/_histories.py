@@ -17,7 +17,7 @@ from twinct.transport._angles import (
     scatter_rayleigh,
     turned,
 )
-from twinct.transport._flight import add_amounts, fly, optical_depth, voxel_at
+from twinct.transport._flight import add_amounts, fly, inside, optical_depth, voxel_at
 from twinct.transport._random import OPTIONS, draw, stream
 from twinct.transport.cross_sections import (
     COMPTON,
@@ -29,7 +29,10 @@ from twinct.transport.cross_sections import (
 )
 
 EMITTED, DEPOSITED, ESCAPED, COLLISIONS = range(4)
-"""Totals of a batch: three energies in keV, and a number."""
+"""Totals of a batch: three energies in keV, and a number.
+
+Energy that is deposited around the grid counts as escaped.
+"""
 
 SINGLE_COMPTON, SINGLE_RAYLEIGH, MULTIPLE = range(3)
 """Images of scatter by order."""
@@ -197,7 +200,7 @@ def _collide(state, x, y, z, dx, dy, dz, energy, place, medium, order, body, pix
 
 
 @njit(**OPTIONS)
-def _follow(state, field, voxels, media, pixels, deposits, expected, images, totals):
+def _follow(state, field, voxels, media, pixels, deposits, rows, expected, images, totals):
     """Follow one photon; add its deposits, its expected signals and its totals."""
     length = media.coefficients.shape[1]
     state, dx, dy, dz, energy = _emitted(state, field)
@@ -212,7 +215,9 @@ def _follow(state, field, voxels, media, pixels, deposits, expected, images, tot
             return
         x, y, z = x + t * dx, y + t * dy, z + t * dz
         k, j, i = voxel_at(x, y, z, voxels)
-        medium = voxels.media[voxels.codes[k, j, i]]
+        here = voxels.around < 0 or inside(x, y, z, voxels)
+        code = voxels.codes[k, j, i]
+        medium = voxels.media[code] if here else voxels.around
         totals[COLLISIONS] += 1.0
         total = coefficient(media, medium, index, fraction, TOTAL)
         place, body = (index, fraction, total), (voxels, media)
@@ -223,14 +228,17 @@ def _follow(state, field, voxels, media, pixels, deposits, expected, images, tot
         given = energy - left
         if left < LOWEST_KEV:
             mean, given, left = mean + left, energy, 0.0
-        totals[DEPOSITED] += given
-        if deposits.size:
-            deposits[k, j, i] += mean if expected else given
+        totals[DEPOSITED if here else ESCAPED] += given
+        scored = mean if expected else given
+        if here:
+            rows[code] += scored
+            if deposits.size:
+                deposits[k, j, i] += scored
         energy = left
 
 
 @njit(parallel=True, **OPTIONS)
-def follow(keys, photons, field, voxels, media, pixels, deposits, expected, images, totals):
+def follow(keys, photons, field, voxels, media, pixels, deposits, rows, expected, images, totals):
     """Follow the photons of some batches, each of them in one thread.
 
     Args:
@@ -242,6 +250,7 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, expected, imag
         pixels: the panel, if images are wanted.
         deposits: energy of each batch and voxel, (batches, z, y, x), keV; added to. Without
             elements, none is scored.
+        rows: energy of each batch and row of the palette, (batches, rows), keV; added to.
         expected: add the mean energy that a collision transfers, not what it happens to deposit.
         images: signal of each batch by order, (batches, 3, rows, columns); added to. Without
             elements, none is scored.
@@ -256,6 +265,7 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, expected, imag
                 media,
                 pixels,
                 deposits[batch],
+                rows[batch],
                 expected,
                 images[batch],
                 totals[batch],

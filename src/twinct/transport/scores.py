@@ -17,7 +17,7 @@ ORDERS = ("single Compton", "single Rayleigh", "multiple")
 """Scatter by its collisions: the first axis of the images."""
 
 _MOST_BYTES = 64 * 2**30
-_ARRAYS = ("voxels", "voxels_squared", "regions", "images", "images_squared", "totals")
+_ARRAYS = ("voxels", "voxels_squared", "regions", "rows", "images", "images_squared", "totals")
 
 
 @dataclass(eq=False)
@@ -35,6 +35,7 @@ class Scores:
         voxels: sum of the energies deposited in each voxel, keV, (z, y, x); empty without dose.
         voxels_squared: sum of their squares.
         regions: energy deposited in each region by batch, keV, (batches, regions).
+        rows: energy deposited in each row of the palette by batch, keV, (batches, rows).
         images: sum of the signals by order, (3, rows, columns); empty without a panel.
         images_squared: sum of their squares.
         totals: energies emitted, deposited and escaped in keV, and collisions, (batches, 4).
@@ -48,6 +49,7 @@ class Scores:
     images: NDArray[np.float64]
     images_squared: NDArray[np.float64]
     regions: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    rows: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     totals: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
 
     @property
@@ -58,12 +60,14 @@ class Scores:
     def add(
         self,
         regions: NDArray[np.float64],
+        rows: NDArray[np.float64],
         voxels: NDArray[np.float64],
         images: NDArray[np.float64],
         totals: NDArray[np.float64],
     ) -> None:
         """Add a batch; its voxels and images are squared in place."""
         self.regions = np.concatenate([self.regions, regions[None]])
+        self.rows = np.concatenate([self.rows, rows[None]])
         for total, squared, batch in (
             (self.voxels, self.voxels_squared, voxels),
             (self.images, self.images_squared, images),
@@ -82,11 +86,21 @@ class Scores:
 
     def region_energy(self) -> dict[str, tuple[float, float]]:
         """Return energy and standard error of each region, keV per photon."""
-        mean = self.regions.mean(axis=0) / self.photons
-        deviation = self.regions.std(axis=0, ddof=1) if self.batches > 1 else np.nan * mean
-        error = deviation / np.sqrt(self.batches) / self.photons
+        mean, error = self._of_batches(self.regions)
         pairs = zip(mean.tolist(), error.tolist(), strict=True)
         return dict(zip(self.region_names, pairs, strict=True))
+
+    def label_energy(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return energy and standard error of each label or row of the palette, keV per photon."""
+        return self._of_batches(self.rows)
+
+    def _of_batches(
+        self, sums: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return means and standard errors of sums by batch."""
+        mean = sums.mean(axis=0)
+        deviation = sums.std(axis=0, ddof=1) if self.batches > 1 else np.full_like(mean, np.nan)
+        return mean / self.photons, deviation / np.sqrt(self.batches) / self.photons
 
     @property
     def imbalance(self) -> float:

@@ -60,6 +60,7 @@ class _Sums:
     """Sums of the batches that are computed at once."""
 
     deposits: NDArray[np.float64]
+    rows: NDArray[np.float64]
     images: NDArray[np.float64]
     totals: NDArray[np.float64]
 
@@ -69,12 +70,12 @@ class _Sums:
         import numba
 
         number = max(min(numba.get_num_threads(), batches), 1)
-        shapes = (scores.voxels.shape, scores.images.shape, (4,))
+        shapes = (scores.voxels.shape, scores.rows.shape[1:], scores.images.shape, (4,))
         return cls(*(np.zeros((number, *shape)) for shape in shapes))
 
     def clear(self) -> None:
         """Set all to 0."""
-        for array in (self.deposits, self.images, self.totals):
+        for array in (self.deposits, self.rows, self.images, self.totals):
             array[:] = 0.0
 
 
@@ -96,7 +97,8 @@ class Simulation:
         Args:
             body: the voxels; around them is vacuum.
             beam: source and field.
-            dose: score the energy deposited in each voxel.
+            dose: score the energy deposited in each voxel; that in each row of the palette, such as
+                a label, is always scored.
             expected: each collision deposits the mean energy that it transfers to electrons
                 (collision kerma); False: the energy that it happens to deposit. Both have one mean;
                 the first has the smaller variance.
@@ -197,7 +199,10 @@ class Simulation:
         voxels, squared = np.zeros(shape), np.zeros(shape)
         images, images_squared = np.zeros(self._image_shape), np.zeros(self._image_shape)
         regions = np.zeros((0, len(names)))
-        return Scores(photons, inputs, names, voxels, squared, images, images_squared, regions)
+        rows = np.zeros((0, len(self._voxels.media)))
+        return Scores(
+            photons, inputs, names, voxels, squared, images, images_squared, regions, rows
+        )
 
     def _add_batches(self, scores: Scores, sums: _Sums, batches: int, seed: int, view: int) -> int:
         """Add as many batches as there are threads, and return their number."""
@@ -214,6 +219,7 @@ class Simulation:
             self._media,
             self._pixels,
             sums.deposits,
+            sums.rows,
             self._expected,
             sums.images,
             sums.totals,
@@ -222,7 +228,7 @@ class Simulation:
             for n in range(number):
                 energies = sums.deposits[n].ravel()
                 shares = np.zeros(0) if self._regions is None else self._regions.shares @ energies
-                scores.add(shares, sums.deposits[n], sums.images[n], sums.totals[n])
+                scores.add(shares, sums.rows[n], sums.deposits[n], sums.images[n], sums.totals[n])
         return number
 
     def _digest(self, photons: int, seed: int, view: int) -> str:

@@ -36,6 +36,8 @@ class VoxelBody:
         palette_media: index into ``materials`` of each row.
         palette_densities: density of each row, g/cm^3.
         materials: the media; only their compositions count here.
+        around: medium around the grid, from the source and to the panel; None for vacuum. Photons
+            that have left the grid do not return.
     """
 
     grid: VolumeGrid
@@ -43,10 +45,15 @@ class VoxelBody:
     palette_media: NDArray[np.int64]
     palette_densities: NDArray[np.float64]
     materials: tuple[Material, ...]
+    around: Material | None = None
 
     @classmethod
     def of_labels(
-        cls, grid: VolumeGrid, labels: ArrayLike, materials: Mapping[int, Material]
+        cls,
+        grid: VolumeGrid,
+        labels: ArrayLike,
+        materials: Mapping[int, Material],
+        around: Material | None = None,
     ) -> VoxelBody:
         """Return a body of labels, each with a material at its density.
 
@@ -54,6 +61,7 @@ class VoxelBody:
             grid: the voxels.
             labels: label of each voxel, shape of the grid.
             materials: material of each label; several may share one.
+            around: medium around the grid; None for vacuum.
 
         Raises:
             InputError: a label has no material, or shape or number of labels do not fit.
@@ -76,7 +84,8 @@ class VoxelBody:
         for label in used:
             media[label] = kinds.index(materials[label])
             densities[label] = materials[label].density_g_cm3
-        return cls(grid, _locked(array.astype(np.uint16)), media, densities, tuple(kinds))
+        codes = _locked(array.astype(np.uint16))
+        return cls(grid, codes, media, densities, tuple(kinds), around)
 
     @classmethod
     def of_densities(
@@ -85,6 +94,7 @@ class VoxelBody:
         media: ArrayLike,
         densities: ArrayLike,
         materials: Sequence[Material],
+        around: Material | None = None,
     ) -> VoxelBody:
         """Return a body of media with a density in each voxel, such as a grey volume.
 
@@ -95,6 +105,7 @@ class VoxelBody:
             media: index into ``materials`` of each voxel, shape of the grid.
             densities: g/cm^3, shape of the grid; rounded to ``LEVELS`` steps of each medium.
             materials: the media; only their compositions count.
+            around: medium around the grid; None for vacuum.
 
         Raises:
             InputError: an index has no material, a density is negative or not finite, or a shape
@@ -120,7 +131,8 @@ class VoxelBody:
                 codes[here] = m * (LEVELS + 1) + levels
         level = np.arange(LEVELS + 1)
         rows = np.repeat(np.arange(len(materials)), LEVELS + 1)
-        return cls(grid, _locked(codes), rows, np.outer(steps, level).ravel(), tuple(materials))
+        palette = np.outer(steps, level).ravel()
+        return cls(grid, _locked(codes), rows, palette, tuple(materials), around)
 
     def __post_init__(self) -> None:
         """Check the palette's size."""
@@ -134,9 +146,10 @@ class VoxelBody:
 
     def tables(self) -> tuple[Voxels, Media]:
         """Return voxels with their bricks, and the tables of the media, for the kernels."""
-        media = media_tables(self.materials)
+        around = self.around
+        media = media_tables([*self.materials, *([] if around is None else [around])])
         brick = np.full(3, BRICK, np.int64)
-        bounds, densities, uniform = self._bricks(media)
+        bounds, densities = self._bricks(media)
         voxels = Voxels(
             np.ascontiguousarray(self.codes),
             np.array(self.palette_media, np.int64),
@@ -145,34 +158,31 @@ class VoxelBody:
             brick,
             bounds,
             densities,
-            uniform,
+            -1 if around is None else len(self.materials),
+            0.0 if around is None else around.density_g_cm3,
         )
         return voxels, media
 
-    def _bricks(
-        self, media: Media
-    ) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int32]]:
-        """Return medium and density that bound each brick's attenuation, and its only row or -1.
+    def _bricks(self, media: Media) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+        """Return medium and density that bound each brick's attenuation.
 
         Medium b at the density r_b bounds a voxel of medium a and density r_a if r_b is at least
         r_a times the largest ratio of their mass attenuation over all energies. The bound holds
         between the energies too, where both are linear. Of all media, the one with the lowest bound
         at mid energy is taken.
         """
-        total = media.coefficients[:, :, TOTAL].astype(np.float64)
+        total = media.coefficients[: len(self.materials), :, TOTAL].astype(np.float64)
         ratio = (total[:, None] / total[None]).max(axis=2)
         middle = total[:, total.shape[1] // 2]
         shape = tuple(-(-n // BRICK) for n in self.grid.shape)
         density = np.zeros((len(self.materials), *shape))
-        low, high = (np.empty(shape, np.int32) for _ in range(2))
         for k in range(shape[0]):
             layer = self.codes[k * BRICK : (k + 1) * BRICK]
-            low[k], high[k] = _reduced(layer, np.minimum), _reduced(layer, np.maximum)
             media_here = self.palette_media[layer]
             densities_here = self.palette_densities[layer]
             for m in np.unique(media_here):
                 only = np.where(media_here == m, densities_here, 0.0)
-                density[m, k] = _reduced(only, np.maximum)
+                density[m, k] = _largest(only)
         bounds = np.zeros(shape, np.uint8)
         lowest = np.full(shape, np.inf)
         needed = np.zeros(shape)
@@ -182,18 +192,14 @@ class VoxelBody:
             bounds[better] = b
             needed[better] = suffices[better]
             lowest[better] = suffices[better] * middle[b]
-        uniform = np.where(low == high, low, -1).astype(np.int32)
-        only = uniform >= 0
-        bounds[only] = self.palette_media[uniform[only]]
-        needed[only] = self.palette_densities[uniform[only]]
-        return bounds, needed, uniform
+        return bounds, needed
 
 
-def _reduced(layer: NDArray[Any], what: np.ufunc) -> NDArray[Any]:
-    """Return the minimum or maximum in each brick of a layer of bricks, (y, x)."""
-    flat = what.reduce(layer, axis=0)
-    flat = what.reduceat(flat, np.arange(0, flat.shape[0], BRICK), axis=0)
-    return what.reduceat(flat, np.arange(0, flat.shape[1], BRICK), axis=1)
+def _largest(layer: NDArray[Any]) -> NDArray[Any]:
+    """Return the maximum in each brick of a layer of bricks, (y, x)."""
+    flat = layer.max(axis=0)
+    flat = np.maximum.reduceat(flat, np.arange(0, flat.shape[0], BRICK), axis=0)
+    return np.maximum.reduceat(flat, np.arange(0, flat.shape[1], BRICK), axis=1)
 
 
 def _on_grid(values: ArrayLike, grid: VolumeGrid, name: str) -> NDArray[Any]:
