@@ -111,9 +111,10 @@ def _transport() -> None:
     simulation.primary()
     # Called one by one in the tests of their distributions.
     voxels, media = body.tables()
+    scores = np.zeros(1), np.zeros((0, 0, 0)), False
     scatter_compton(np.uint64(1), media, 0, 60.0)
     scatter_rayleigh(np.uint64(1), media, 0, 60.0)
-    fly(np.uint64(1), 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0, 0.0, voxels, media)
+    fly(np.uint64(1), 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0, 0.0, voxels, media, scores)
 
 
 def _specimen():

@@ -133,6 +133,7 @@ def test_free_paths_are_exponential_in_mixed_voxels() -> None:
     names = ("air", "water", "bone", "titanium")
     body = VoxelBody.of_labels(grid, labels, {i: material(name) for i, name in enumerate(names)})
     voxels, media = body.tables()
+    scores = np.zeros(1), np.zeros((0, 0, 0)), False
     energy = 80.0
     index = round((energy - 1.0) / 0.05)
     mu = np.array([material(name).mu_per_mm(energy) for name in names])
@@ -143,7 +144,7 @@ def test_free_paths_are_exponential_in_mixed_voxels() -> None:
         start = np.array([0.5, rng.uniform(0, 66), rng.uniform(0, 50)])
         way = np.array([1.0, rng.normal(0, 0.3), rng.normal(0, 0.3)])
         way /= np.linalg.norm(way)
-        state, length = fly(np.uint64(state), *start, *way, index, 0.0, voxels, media)
+        state, length = fly(np.uint64(state), *start, *way, index, 0.0, voxels, media, scores)
         end = length if length >= 0 else 200.0
         points = start + np.arange(step / 2, end, step)[:, None] * way
         cells = np.floor(points / grid.voxel).astype(int)

@@ -35,6 +35,20 @@ def coefficient(media, medium, index, fraction, column):
 
 
 @njit(**OPTIONS)
+def line_energy(media, medium, index, fraction, u):
+    """Return the energy of the line that a photoelectric absorption emits, or 0.
+
+    ``u`` is uniform below the photoelectric coefficient.
+    """
+    sums = media.line_sums
+    for line in range(sums.shape[2]):
+        low = sums[medium, index, line]
+        if u < low + fraction * (sums[medium, index + 1, line] - low):
+            return media.line_energies[medium, line]
+    return 0.0
+
+
+@njit(**OPTIONS)
 def _cell(q):
     """Return cell and fraction of x^2, linear in sqrt(x)."""
     place = CELLS * math.sqrt(math.sqrt(q / _LARGEST_Q))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from twinct.transport._angles import coefficient
 from twinct.transport._random import OPTIONS, draw
-from twinct.transport.cross_sections import TOTAL
+from twinct.transport.cross_sections import TOTAL, TRANSFER
 
 
 class Voxels(NamedTuple):
@@ -125,11 +125,22 @@ def _within(cell, shape):
 
 
 @njit(**OPTIONS)
-def fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media):
+def add_energy(rows, deposits, code, voxel, energy):
+    """Add an energy to a row of the palette and, if there are any, to a voxel."""
+    rows[code] += energy
+    if deposits.size:
+        deposits[voxel] += energy
+
+
+@njit(**OPTIONS)
+def fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media, scores):
     """Return state, and the length of the way to the next collision; -1 if the photon leaves.
 
-    A photon leaves if it does not head for the grid; before the grid it may collide.
+    A photon leaves if it does not head for the grid; before the grid it may collide. ``scores``
+    has the sums of ``add_energy`` and whether to add to them: each tentative collision adds the
+    mean energy that the photon gives to electrons there, over the majorant.
     """
+    rows, deposits, expected = scores
     t, last = span(x, y, z, dx, dy, dz, voxels)
     if t >= last:
         return state, -1.0
@@ -154,7 +165,12 @@ def fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media):
         )
         while depth < (end - t) * majorant:
             t += depth / majorant
-            code = voxels.codes[voxel_at(x + t * dx, y + t * dy, z + t * dz, voxels)]
+            voxel = voxel_at(x + t * dx, y + t * dy, z + t * dz, voxels)
+            code = voxels.codes[voxel]
+            if expected:
+                given = coefficient(media, voxels.media[code], index, fraction, TRANSFER)
+                given *= voxels.densities[code] / majorant
+                add_energy(rows, deposits, code, voxel, given)
             mu = voxels.densities[code] * coefficient(
                 media, voxels.media[code], index, fraction, TOTAL
             )

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from twinct.transport._angles import (
     coefficient,
     compton_shape,
+    line_energy,
     place_of,
     scatter_compton,
     scatter_rayleigh,
     turned,
 )
-from twinct.transport._flight import add_amounts, fly, inside, optical_depth, voxel_at
+from twinct.transport._flight import add_amounts, add_energy, fly, inside, optical_depth, voxel_at
 from twinct.transport._random import OPTIONS, draw, stream
 from twinct.transport.cross_sections import (
     COMPTON,
@@ -25,7 +26,6 @@ from twinct.transport.cross_sections import (
     LOWEST_KEV,
     RAYLEIGH,
     TOTAL,
-    TRANSFER,
 )
 
 EMITTED, DEPOSITED, ESCAPED, COLLISIONS = range(4)
@@ -35,7 +35,7 @@ Energy that is deposited around the grid counts as escaped.
 """
 
 SINGLE_COMPTON, SINGLE_RAYLEIGH, MULTIPLE = range(3)
-"""Images of scatter by order."""
+"""Images of scatter by order; the last one has fluorescence too."""
 
 
 class Field(NamedTuple):
@@ -168,12 +168,13 @@ def _expect_flight(x, y, z, dx, dy, dz, energy, voxels, media, pixels, image):
 
 
 @njit(**OPTIONS)
-def _collide(state, x, y, z, dx, dy, dz, energy, place, medium, order, body, pixels, images):
+def _collide(
+    state, x, y, z, dx, dy, dz, energy, place, medium, order, voxels, media, pixels, images
+):
     """Return state, direction, energy left and order after a collision; add expected signals.
 
-    ``place`` has index, fraction and total coefficient of the energy, ``body`` voxels and media.
+    ``place`` has index, fraction and total coefficient of the energy.
     """
-    voxels, media = body
     index, fraction, total = place
     rayleigh = coefficient(media, medium, index, fraction, RAYLEIGH)
     compton = coefficient(media, medium, index, fraction, COMPTON)
@@ -196,7 +197,14 @@ def _collide(state, x, y, z, dx, dy, dz, energy, place, medium, order, body, pix
         state, c, left = scatter_compton(state, media, medium, energy)
         state, dx, dy, dz = turned(state, dx, dy, dz, c)
         return state, dx, dy, dz, energy * left, order
-    return state, dx, dy, dz, 0.0, order
+    line = line_energy(media, medium, index, fraction, u - rayleigh - compton)
+    if line > 0.0:
+        state, u = draw(state)
+        state, dx, dy, dz = turned(state, 0.0, 0.0, 1.0, 2.0 * u - 1.0)
+        if images.size:
+            image = images[MULTIPLE]
+            _expect_flight(x, y, z, dx, dy, dz, line, voxels, media, pixels, image)
+    return state, dx, dy, dz, line, MULTIPLE
 
 
 @njit(**OPTIONS)
@@ -207,34 +215,29 @@ def _follow(state, field, voxels, media, pixels, deposits, rows, expected, image
     x, y, z = field.source[0], field.source[1], field.source[2]
     totals[EMITTED] += energy
     order = MULTIPLE + 1
+    scores = rows, deposits, expected
     while energy > 0.0:
         index, fraction = place_of(energy, length)
-        state, t = fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media)
+        state, t = fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media, scores)
         if t < 0.0:
             totals[ESCAPED] += energy
             return
         x, y, z = x + t * dx, y + t * dy, z + t * dz
-        k, j, i = voxel_at(x, y, z, voxels)
         here = voxels.around < 0 or inside(x, y, z, voxels)
-        code = voxels.codes[k, j, i]
+        voxel = voxel_at(x, y, z, voxels)
+        code = voxels.codes[voxel]
         medium = voxels.media[code] if here else voxels.around
         totals[COLLISIONS] += 1.0
-        total = coefficient(media, medium, index, fraction, TOTAL)
-        place, body = (index, fraction, total), (voxels, media)
+        place = index, fraction, coefficient(media, medium, index, fraction, TOTAL)
         state, dx, dy, dz, left, order = _collide(
-            state, x, y, z, dx, dy, dz, energy, place, medium, order, body, pixels, images
+            state, x, y, z, dx, dy, dz, energy, place, medium, order, voxels, media, pixels, images
         )
-        mean = coefficient(media, medium, index, fraction, TRANSFER) / total
-        given = energy - left
-        if left < LOWEST_KEV:
-            mean, given, left = mean + left, energy, 0.0
+        rest = left if left < LOWEST_KEV else 0.0
+        given = energy - left + rest
         totals[DEPOSITED if here else ESCAPED] += given
-        scored = mean if expected else given
         if here:
-            rows[code] += scored
-            if deposits.size:
-                deposits[k, j, i] += scored
-        energy = left
+            add_energy(rows, deposits, code, voxel, rest if expected else given)
+        energy = left - rest
 
 
 @njit(parallel=True, **OPTIONS)
@@ -251,7 +254,7 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, rows, expected
         deposits: energy of each batch and voxel, (batches, z, y, x), keV; added to. Without
             elements, none is scored.
         rows: energy of each batch and row of the palette, (batches, rows), keV; added to.
-        expected: add the mean energy that a collision transfers, not what it happens to deposit.
+        expected: add mean energies along the flights, not what collisions happen to deposit.
         images: signal of each batch by order, (batches, 3, rows, columns); added to. Without
             elements, none is scored.
         totals: totals of each batch, (batches, 4); added to.

@@ -8,7 +8,8 @@ Coefficients and angular distributions are those of xraylib (Schoonjans et al., 
 
 with the cosine c of the scattering angle, the formula KN of Klein and Nishina, and F^2 and S summed
 over the atoms of a unit of mass. The free electron's formula gives the energy after Compton
-scattering. Electrons and fluorescence deposit their energy where they start.
+scattering. A photoelectric absorption may emit a K line. Other fluorescence and all electrons
+deposit their energy where they start.
 """
 
 from __future__ import annotations
@@ -47,6 +48,9 @@ LARGEST_X = HIGHEST_KEV / HC_KEV_ANGSTROM
 TOTAL, COMPTON, RAYLEIGH, TRANSFER, COMPTON_NORM, RAYLEIGH_NORM = range(6)
 """Columns of the coefficients."""
 
+LEAST_LINE_KEV = 5.0
+"""Least energy of a fluorescence line that is followed; water absorbs lower ones within 0.3 mm."""
+
 MOST_MEDIA = 256
 
 _LEAST_X = 1e-3
@@ -54,6 +58,9 @@ _LEAST_X = 1e-3
 
 _SMOOTH = 400
 """Energies of the integrals, which are smooth, in equal ratios: linear between within 1e-4."""
+
+_LIGHTEST = 20
+"""Lightest element whose K lines are looked up; its energies are below the least one."""
 
 _CM2_TO_MM2 = 100.0
 _G_PER_MM3 = 1e-3
@@ -70,12 +77,17 @@ class Media(NamedTuple):
         form: F^2 at the edges of the cells, (media, CELLS + 1), float64.
         form_sum: integral of F^2 over x^2 up to each edge, 1/Angstrom^2, (media, CELLS + 1).
         incoherent: S at the edges of the cells, (media, CELLS + 1), float64.
+        line_energies: energies of the K lines of each medium, keV, (media, lines); 0 without one.
+        line_sums: coefficients of their emission, summed up to each line, 1/mm per g/cm^3,
+            (media, energies, lines), float32.
     """
 
     coefficients: NDArray[np.float32]
     form: NDArray[np.float64]
     form_sum: NDArray[np.float64]
     incoherent: NDArray[np.float64]
+    line_energies: NDArray[np.float64]
+    line_sums: NDArray[np.float32]
 
 
 def energies_kev() -> NDArray[np.float64]:
@@ -113,6 +125,10 @@ def media_tables(materials: Sequence[Material]) -> Media:
     energies = energies_kev()
     coefficients = np.empty((len(materials), len(energies), 6), np.float32)
     form, incoherent = (np.zeros((len(materials), CELLS + 1)) for _ in range(2))
+    lines = [_lines(material) for material in materials]
+    most = max(len(own) for own in lines)
+    line_energies = np.zeros((len(materials), most))
+    line_sums = np.zeros((len(materials), len(energies), most), np.float32)
     for m, material in enumerate(materials):
         photo, compton, rayleigh, compton_norm, rayleigh_norm, given = np.zeros((6, len(energies)))
         for symbol, share in material.mass_fractions.items():
@@ -128,13 +144,18 @@ def media_tables(materials: Sequence[Material]) -> Media:
         coefficients[m, :, TOTAL] = photo + compton + rayleigh
         coefficients[m, :, COMPTON] = compton
         coefficients[m, :, RAYLEIGH] = rayleigh
-        coefficients[m, :, TRANSFER] = photo * energies + compton * given / compton_norm
+        emitted = np.zeros(len(energies))
+        for n, (energy, emission) in enumerate(lines[m]):
+            line_energies[m, n] = energy
+            line_sums[m, :, n:] += emission[:, None]
+            emitted += emission * energy
+        coefficients[m, :, TRANSFER] = photo * energies - emitted + compton * given / compton_norm
         coefficients[m, :, COMPTON_NORM] = compton_norm
         coefficients[m, :, RAYLEIGH_NORM] = rayleigh_norm
     steps = np.diff(momentum_transfers() ** 2)
     form_sum = np.zeros_like(form)
     np.cumsum((form[:, 1:] + form[:, :-1]) / 2 * steps, axis=1, out=form_sum[:, 1:])
-    return Media(coefficients, form, form_sum, incoherent)
+    return Media(coefficients, form, form_sum, incoherent, line_energies, line_sums)
 
 
 class _Element(NamedTuple):
@@ -146,12 +167,14 @@ class _Element(NamedTuple):
         incoherent: S at the edges of the cells.
         norms: integrals of the Compton and Rayleigh shapes over all directions, and that of the
             Compton shape times the electron's energy in keV, (3, energies).
+        lines: energy and emission coefficient of each K line that counts.
     """
 
     coefficients: NDArray[np.float64]
     form: NDArray[np.float64]
     incoherent: NDArray[np.float64]
     norms: NDArray[np.float64]
+    lines: list[tuple[float, NDArray[np.float64]]]
 
 
 @cache
@@ -175,7 +198,25 @@ def _element(symbol: str) -> _Element:
     compton = _compton_integrals(incoherent, energies)
     norms = np.array([compton[0], _rayleigh_norm(form, energies), compton[1]])
     units = _CM2_TO_MM2 * _G_PER_MM3
-    return _Element(table * units, form * atoms, incoherent * atoms, norms * atoms)
+    lines = [
+        (xraylib.LineEnergy(number, line), _emission(number, line, energies) * units)
+        for line in (xraylib.KA_LINE, xraylib.KB_LINE)
+        if number >= _LIGHTEST and xraylib.LineEnergy(number, line) >= LEAST_LINE_KEV
+    ]
+    return _Element(table * units, form * atoms, incoherent * atoms, norms * atoms, lines)
+
+
+def _emission(number: int, line: int, energies: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the cross section of the emission of a line, cm^2/g; 0 below the K edge."""
+    edge = xraylib.EdgeEnergy(number, xraylib.K_SHELL)
+    function = xraylib.CS_FluorLine_Kissel
+    return np.array([function(number, line, e) if e > edge else 0.0 for e in energies.tolist()])
+
+
+def _lines(material: Material) -> list[tuple[float, NDArray[np.float64]]]:
+    """Return the energies of a material's K lines, and the coefficients of their emission."""
+    shares = material.mass_fractions.items()
+    return [(e, share * emission) for s, share in shares for e, emission in _element(s).lines]
 
 
 def _compton_integrals(

@@ -144,8 +144,11 @@ class VoxelBody:
         volume_cm3 = float(np.prod(self.grid.voxel)) / 1000
         return self.palette_densities[self.codes] * volume_cm3
 
-    def tables(self) -> tuple[Voxels, Media]:
-        """Return voxels with their bricks, and the tables of the media, for the kernels."""
+    def tables(self, oversampling: float = 1.0) -> tuple[Voxels, Media]:
+        """Return voxels with their bricks, and the tables of the media, for the kernels.
+
+        Majorants are larger than needed by the factor ``oversampling``.
+        """
         around = self.around
         media = media_tables([*self.materials, *([] if around is None else [around])])
         brick = np.full(3, BRICK, np.int64)
@@ -157,7 +160,7 @@ class VoxelBody:
             np.array(self.grid.voxel),
             brick,
             bounds,
-            densities,
+            densities * oversampling,
             -1 if around is None else len(self.materials),
             0.0 if around is None else around.density_g_cm3,
         )
