@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,9 @@ BRICK = 8
 
 LEVELS = 255
 """Steps of the density of a medium: half a step is 0.2 % of its largest density."""
+
+MIXTURES = 8
+"""Steps of a mixture, from one material alone to equal masses of two."""
 
 MOST_CODES = 2**16
 
@@ -113,6 +117,10 @@ class VoxelBody:
         """
         index = _on_grid(media, grid, "media")
         density = _on_grid(densities, grid, "densities")
+        if not 0 < len(materials) <= MOST_MEDIA - 1:
+            raise InputError(
+                f"{len(materials)} media or mixtures: a body must have 1 to {MOST_MEDIA - 1}"
+            )
         if int(index.min()) < 0 or int(index.max()) >= len(materials):
             raise InputError(
                 f"media from {index.min()} to {index.max()}, but {len(materials)} materials: must "
@@ -134,10 +142,51 @@ class VoxelBody:
         palette = np.outer(steps, level).ravel()
         return cls(grid, _locked(codes), rows, palette, tuple(materials), around)
 
-    def __post_init__(self) -> None:
-        """Check the palette's size."""
-        if not 0 < len(self.materials) <= MOST_MEDIA:
-            raise InputError(f"{len(self.materials)} media: a body must have 1 to {MOST_MEDIA}")
+    @classmethod
+    def of_shares(
+        cls,
+        grid: VolumeGrid,
+        shares: Sequence[tuple[Material, ArrayLike]],
+        around: Material | None = None,
+    ) -> VoxelBody:
+        """Return a body of mixtures, such as the parts of a specimen.
+
+        Density and the two materials of the largest mass are those of the voxel. The second one's
+        share of their mass is rounded to 1 / ``2 MIXTURES``.
+
+        Args:
+            grid: the voxels.
+            shares: materials, and their amounts in each voxel, shape of the grid: 1 is a voxel full
+                of the material at its density.
+            around: medium around the grid; None for vacuum.
+
+        Raises:
+            InputError: there are no materials, too many mixtures, an amount is negative or not
+                finite, or a shape does not fit.
+        """
+        if not shares:
+            raise InputError("a body needs a material")
+        kinds = [kind for kind, _ in shares]
+        masses = np.zeros((2, *grid.shape))
+        first, second = (np.zeros(grid.shape, np.int64) for _ in range(2))
+        density = np.zeros(grid.shape)
+        for n, (kind, amounts) in enumerate(shares):
+            mass = np.asarray(_on_grid(amounts, grid, kind.name), np.float64) * kind.density_g_cm3
+            density += mass
+            larger, medium = mass > masses[0], (mass > masses[1]) & (mass <= masses[0])
+            second[larger], masses[1][larger] = first[larger], masses[0][larger]
+            first[larger], masses[0][larger] = n, mass[larger]
+            second[medium], masses[1][medium] = n, mass[medium]
+        whole = np.maximum(masses.sum(axis=0), 1e-300)
+        step = np.rint(masses[1] / whole * 2 * MIXTURES).astype(np.int64)
+        keys = (first * len(kinds) + np.where(step > 0, second, first)) * (MIXTURES + 1) + step
+        used, media = np.unique(keys, return_inverse=True)
+        mixtures = []
+        for key in used.tolist():
+            pair, step_here = divmod(key, MIXTURES + 1)
+            a, b = divmod(pair, len(kinds))
+            mixtures.append(_mixture(kinds[a], kinds[b], step_here / (2 * MIXTURES)))
+        return cls.of_densities(grid, media.reshape(grid.shape), density, mixtures, around)
 
     def masses_g(self) -> NDArray[np.float64]:
         """Return the mass of each voxel, g, shape of the grid."""
@@ -149,18 +198,23 @@ class VoxelBody:
 
         Majorants are larger than needed by the factor ``oversampling``.
         """
+        voxels, media = self._tables
+        larger = voxels.brick_densities * oversampling
+        return voxels._replace(brick_densities=larger), media
+
+    @cached_property
+    def _tables(self) -> tuple[Voxels, Media]:
         around = self.around
         media = media_tables([*self.materials, *([] if around is None else [around])])
-        brick = np.full(3, BRICK, np.int64)
         bounds, densities = self._bricks(media)
         voxels = Voxels(
             np.ascontiguousarray(self.codes),
             np.array(self.palette_media, np.int64),
             np.array(self.palette_densities, np.float64),
             np.array(self.grid.voxel),
-            brick,
+            np.full(3, BRICK, np.int64),
             bounds,
-            densities * oversampling,
+            densities,
             -1 if around is None else len(self.materials),
             0.0 if around is None else around.density_g_cm3,
         )
@@ -196,6 +250,17 @@ class VoxelBody:
             needed[better] = suffices[better]
             lowest[better] = suffices[better] * middle[b]
         return bounds, needed
+
+
+def _mixture(one: Material, other: Material, share: float) -> Material:
+    """Return a mixture of two materials with a share of the mass; its density has no meaning."""
+    if share == 0:
+        return one
+    elements = dict.fromkeys((*one.mass_fractions, *other.mass_fractions), 0.0)
+    for material, part in ((one, 1 - share), (other, share)):
+        for symbol, fraction in material.mass_fractions.items():
+            elements[symbol] += part * fraction
+    return Material(f"{one.name} with {share:.0%} {other.name}", one.density_g_cm3, elements)
 
 
 def _largest(layer: NDArray[Any]) -> NDArray[Any]:
