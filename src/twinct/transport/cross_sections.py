@@ -26,7 +26,7 @@ from twinct.core.errors import InputError
 from twinct.specimen.materials import Material
 
 LOWEST_KEV = 1.0
-"""Photons below it end: water absorbs them within 3 micrometres."""
+"""Photons below it end: their mean free path in water is below 3 micrometres."""
 
 HIGHEST_KEV = 150.0
 """An electron of this energy travels 0.3 mm in water, so that it still deposits locally."""
@@ -49,7 +49,7 @@ TOTAL, COMPTON, RAYLEIGH, TRANSFER, COMPTON_NORM, RAYLEIGH_NORM = range(6)
 """Columns of the coefficients."""
 
 LEAST_LINE_KEV = 5.0
-"""Least energy of a fluorescence line that is followed; water absorbs lower ones within 0.3 mm."""
+"""Least energy of a line that is followed; others have mean free paths below 0.3 mm in water."""
 
 MOST_MEDIA = 256
 

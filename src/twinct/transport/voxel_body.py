@@ -17,7 +17,10 @@ from twinct.transport._flight import Voxels
 from twinct.transport.cross_sections import MOST_MEDIA, TOTAL, Media, media_tables
 
 BRICK = 8
-"""Voxels along each edge of a brick with a majorant of its own: 4 to 16 differ by 10 % in time."""
+"""Voxels along each edge of a brick with a majorant of its own.
+
+In a head of 256^3 voxels, 8 and 16 take equal times, 4 and 32 up to 16 % more.
+"""
 
 LEVELS = 255
 """Steps of the density of a medium: half a step is 0.2 % of its largest density."""

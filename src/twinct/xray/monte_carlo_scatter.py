@@ -3,8 +3,8 @@
 Scatter is smooth over the panel, and changes slowly with source and panel. So it is simulated for
 nodes, views of the path that lie far from each other, on coarse pixels. Distance between two views
 is that of (S, D, h u, h v) in the frame of the specimen, with half the panel's diagonal h: it has
-no order of views, and serves free paths. A view takes the mean of its nearest nodes, weighted by
-the inverse square of the distance; a node takes its own image.
+no order of views, and serves free paths. Between the nodes, scatter is the radial basis function of
+the kernel -r plus a constant: piecewise linear along a line, and exact at the nodes.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from twinct.xray.response import PhotonResponse
 from twinct.xray.sections import MonteCarloScatter
 from twinct.xray.spectrum import PhotonSpectrum
 
-NEIGHBOURS = 3
-"""Nodes of a view: a path on a sphere has two directions, in which three points enclose a view."""
+LEAST_WEIGHT = 1e-6
+"""Weight of a node below which its image does not count; at another node, rounding gives 1e-15."""
 
 BATCHES = 16
 """A batch is the least share of the work of a thread."""
@@ -86,24 +86,28 @@ class ScatterNodes:
         Returns:
             Expected signal per mm^2 of the panel, for the photons of the spectrum.
         """
-        distances = np.linalg.norm(self._places[self._nodes] - self._places_of(view), axis=1)
-        nearest = np.argsort(distances, kind="stable")[:NEIGHBOURS]
-        least = float(distances[nearest[0]])
-        if least == 0:
-            weights = np.array([1.0])
-        else:
-            weights = (least / distances[nearest]) ** 2
-        weights /= weights.sum()
-        pairs = zip(weights.tolist(), nearest.tolist(), strict=False)
-        coarse = sum(weight * self._simulated(int(self._nodes[n])) for weight, n in pairs)
+        coarse = np.zeros(self._coarse.shape)
+        for node, weight in zip(self._nodes.tolist(), self._weights(view), strict=True):
+            if abs(weight) > LEAST_WEIGHT:
+                coarse += weight * self._simulated(node)
         panel, cells = self._panel, self._coarse
         rows, columns = (
             (np.arange(fine) + 0.5) * few / fine - 0.5
             for fine, few in zip(panel.shape, cells.shape, strict=True)
         )
         at = np.meshgrid(rows, columns, indexing="ij")
-        fine = scipy.ndimage.map_coordinates(np.asarray(coarse), at, order=1, mode="nearest")
+        fine = scipy.ndimage.map_coordinates(coarse, at, order=1, mode="nearest")
         return fine.astype(np.float32)
+
+    def _weights(self, view: ScanGeometry) -> list[float]:
+        """Return the weight of each node; they add up to 1."""
+        nodes = self._places[self._nodes]
+        number = len(nodes)
+        system = np.ones((number + 1, number + 1))
+        system[:-1, :-1] = -np.linalg.norm(nodes[:, None] - nodes, axis=2)
+        system[-1, -1] = 0.0
+        to_view = np.append(-np.linalg.norm(nodes - self._places_of(view), axis=1), 1.0)
+        return np.linalg.solve(system, to_view)[:-1].tolist()
 
     def _places_of(self, views: ScanGeometry) -> Floats:
         half = math.hypot(*self._panel.size_mm) / 2
