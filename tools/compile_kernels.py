@@ -58,6 +58,7 @@ def compile_rest() -> None:
     _cross()
     _expose()
     _judge()
+    _transport()
 
 
 def compile_card() -> None:
@@ -91,6 +92,29 @@ def _reconstruct(engine: str) -> None:
     still = Deformation(np.zeros_like, Pose.identity())
     moving = MovingProjector(geometry, projector.grid, [still] * 4, engine)
     moving.T(moving(np.ones(moving.domain_shape, np.float32)))
+
+
+def _transport() -> None:
+    from twinct.geometry import Panel, ScanGeometry, VolumeGrid
+    from twinct.specimen.materials import material
+    from twinct.transport import Beam, Detector, Simulation, VoxelBody
+    from twinct.transport._angles import scatter_compton, scatter_rayleigh
+    from twinct.transport._flight import fly
+
+    source, detector = np.array([[0.0, 0.0, 100.0]]), np.array([[0.0, 0.0, -100.0]])
+    u, v = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]])
+    geometry = ScanGeometry(source, detector, u, v, Panel(2, 2, 50.0, 50.0))
+    grid = VolumeGrid((2, 2, 2), 10.0)
+    body = VoxelBody.of_labels(grid, np.zeros(grid.shape, np.uint8), {0: material("water")})
+    simulation = Simulation(body, Beam.of_view(geometry, 0, 60.0), detector=Detector(geometry))
+    simulation.run(1, 1)
+    simulation.primary()
+    # Called one by one in the tests of their distributions.
+    voxels, media = body.tables()
+    scores = np.zeros(1), np.zeros((0, 0, 0)), False
+    scatter_compton(np.uint64(1), media, 0, 60.0)
+    scatter_rayleigh(np.uint64(1), media, 0, 60.0)
+    fly(np.uint64(1), 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0, 0.0, voxels, media, scores)
 
 
 def _specimen():

@@ -62,6 +62,8 @@ class ImagingChain:
         panel: physical pixels, before binning.
         spot: points of the focal spot in the source frame's x and y, (points, 2), mm.
         samples: samples along each edge of a physical pixel.
+        spectrum: photons of the free beam.
+        response: signal of a photon.
         free: expected signal of a physical pixel and its variance, in the free beam at the middle
             of the first commanded view's panel, at ``source.mas``, (2,).
     """
@@ -92,14 +94,15 @@ class ImagingChain:
         self.panel = physical_panel(detector)
         self.samples = detector.pixel_samples
         self._detector, self._seed = detector, seed
-        self._signal = Signal(spectrum, materials, build_response(detector))
+        self.spectrum, self.response = spectrum, build_response(detector)
+        self._signal = Signal(spectrum, materials, self.response)
         unit = source.mas if spectrum.absolute else 1.0
         self._scale = np.float32(unit * self.panel.pitch_u * self.panel.pitch_v)
         self._commanded = self.physical(commanded)
         at_middle = np.mean([_at_middle(seen) for seen in self.from_spot(commanded[0])])
         self.free: Floats = self._signal.free * float(self._scale) * float(at_middle)
         self._kernel: ScatterKernel | None = None
-        if detector.scatter is not None:
+        if isinstance(detector.scatter, sections.Scatter):
             energy = effective_energy_kev(source, detector)
             self._kernel = ScatterKernel(energy, detector.scatter.scale)
             self._compton = np.array([compton_per_mm(m, energy) for m in materials], np.float32)
@@ -153,6 +156,18 @@ class ImagingChain:
         if before is not None:
             optical = binned(np.tensordot(self._compton, paths, axes=1), self.samples)
             out[2] += (out[0] - before) * optical
+
+    def add_scatter(self, per_mm2: Image, out: Image, share: float = 1.0) -> None:
+        """Add scatter to an exposure, as the photons of the free beam on average.
+
+        Args:
+            per_mm2: expected signal per mm^2 for the photons of the spectrum, (rows, columns).
+            out: accumulator of the exposure.
+            share: weight, as in ``add``.
+        """
+        scatter = per_mm2 * (self._scale * np.float32(share))
+        out[0] += scatter
+        out[1] += np.float32(self.free[1] / self.free[0]) * scatter
 
     def frame(
         self,

@@ -23,10 +23,11 @@ from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.inserts import Insertion
 from twinct.xray.own_rays import OwnRays, room_rays
 from twinct.xray.paths import LARGEST_TILE, PathRenderer, materials_of
-from twinct.xray.sections import Detector, Source
+from twinct.xray.sections import Detector, MonteCarloScatter, Source
 
 if TYPE_CHECKING:
     from twinct.specimen.moving_voxels import MovingVoxels
+    from twinct.xray.monte_carlo_scatter import ScatterNodes
 
 _NEAREST_MM = 150.0
 """Distance from source to specimen if there are no commanded views."""
@@ -84,6 +85,8 @@ class Imager(SceneOwner):
         self._paths: PathRenderer | None = None
         self._exposure_s = source.exposure_ms / 1000
         self._chain: ImagingChain | None = None
+        self._specimen = specimen
+        self._scatter: ScatterNodes | None = None
         edge = longest_edge(_nearest_mm(specimen, commanded))
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
             self._open_ideal(specimen, edge, engine, objects)
@@ -351,11 +354,21 @@ class Imager(SceneOwner):
                     lengths = insertion.attenuation(objects[k].inverse() @ seen, chain.samples)
                     paths[material] += lengths / per_mm
                 chain.add(paths, seen, expected, share)
+        if self._scatter is not None:
+            middle = len(path) // 2
+            scatter = self._scatter.image(objects[middle].inverse() @ path[middle])
+            chain.add_scatter(scatter, expected, chain.load(index))
         return expected
 
     def _new_chain(self, commanded: ScanGeometry) -> ImagingChain:
         sections = self._source, self._detector
-        return ImagingChain(*sections, self._materials, commanded, self._seed, self._mas)
+        chain = ImagingChain(*sections, self._materials, commanded, self._seed, self._mas)
+        if isinstance(settings := self._detector.scatter, MonteCarloScatter):
+            from twinct.xray.monte_carlo_scatter import ScatterNodes
+
+            model = chain.spectrum, chain.response, chain.panel
+            self._scatter = ScatterNodes(settings, self._specimen, *model, commanded)
+        return chain
 
     def _ideal(
         self,

@@ -58,12 +58,12 @@ def scatter_doubts(
 
     Args:
         source: source section of the scenario.
-        detector: detector section; without ``scatter`` there is no warning.
+        detector: detector section; without a scatter kernel there is no warning.
         specimen: the specimen at its place.
         views: commanded views, in the world.
         objects: objects of the room that the beam sees.
     """
-    if detector.scatter is None:
+    if not isinstance(detector.scatter, sections.Scatter):
         return []
     energy = effective_energy_kev(source, detector)
     doubts: list[str] = []

@@ -219,6 +219,25 @@ class Scatter(Section):
     )
 
 
+class MonteCarloScatter(Section):
+    """Scattered radiation of all orders, from photons that are followed through the specimen.
+
+    It is simulated for a few views on coarse pixels, and interpolated. It has random numbers of its
+    own, so that scans of any seed share it. Details: ``twinct.xray.monte_carlo_scatter``.
+    """
+
+    kind: Literal["monte_carlo"]
+    photons: int = setting(
+        1_000_000, "Photons of each simulated view.", ge=1000, le=10**12, unit="photons"
+    )
+    views: int = setting(16, "Views that are simulated; fewer if the scan has fewer.", ge=1)
+    voxel_mm: Length = setting(2.0, "Edge of the voxels that stand for the specimen.")
+    pixel_mm: Length = setting(20.0, "Edge of the coarse pixels, about.")
+
+
+AnyScatter = Annotated[Scatter | MonteCarloScatter, Field(discriminator="kind")]
+
+
 class Detector(Section):
     """Flat panel; a lattice of ideal pixels by default."""
 
@@ -272,7 +291,7 @@ class Detector(Section):
     correction: Correction = setting(
         Correction(), "Correction that turns raw images into transmission."
     )
-    scatter: Scatter | None = setting(None, "Scattered radiation; null: none.")
+    scatter: AnyScatter | None = setting(None, "Scattered radiation; null: none.")
     keep: tuple[Literal["raw", "flat", "dark"], ...] = setting(
         (),
         "Images that the scan store keeps for each view beside the transmission, in grey "

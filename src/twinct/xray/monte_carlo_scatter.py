@@ -1,0 +1,159 @@
+"""Scattered radiation by Monte Carlo: a few views and coarse pixels, interpolated to all.
+
+Scatter is smooth over the panel, and changes slowly with source and panel. So it is simulated for
+nodes, views of the path that lie far from each other, on coarse pixels. Distance between two views
+is that of (S, D, h u, h v) in the frame of the specimen, with half the panel's diagonal h: it has
+no order of views, and serves free paths. Between the nodes, scatter is the radial basis function of
+the kernel -r plus a constant: piecewise linear along a line, and exact at the nodes.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+
+import numpy as np
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from twinct.core.errors import InputError
+from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.specimen import BuiltSpecimen
+from twinct.transport import Beam, Detector, Simulation, VoxelBody
+from twinct.xray.response import PhotonResponse
+from twinct.xray.sections import MonteCarloScatter
+from twinct.xray.spectrum import PhotonSpectrum
+
+LEAST_WEIGHT = 1e-6
+"""Weight of a node below which its image does not count; at another node, rounding gives 1e-15."""
+
+BATCHES = 16
+"""A batch is the least share of the work of a thread."""
+
+MOST_VOXELS = 2**28
+_KEY = "detector.scatter"
+_MM2_PER_SR_AT_1_M = 1e6
+
+
+class ScatterNodes:
+    """Scatter of a specimen on one panel, from simulated views.
+
+    The specimen is at rest, in its reference state, and alone: objects of the room and air do not
+    scatter. The beam covers just the panel.
+    """
+
+    def __init__(
+        self,
+        settings: MonteCarloScatter,
+        specimen: BuiltSpecimen,
+        spectrum: PhotonSpectrum,
+        response: PhotonResponse,
+        panel: Panel,
+        commanded: ScanGeometry,
+    ) -> None:
+        """Choose the nodes; each is simulated when a view needs it.
+
+        Args:
+            settings: ``detector.scatter``.
+            specimen: the specimen, in its frame.
+            spectrum: photons of the free beam.
+            response: signal of a photon.
+            panel: physical pixels.
+            commanded: commanded views, in the world.
+
+        Raises:
+            InputError: a photon energy is outside the tables, or there are too many voxels.
+        """
+        self._settings, self._specimen = settings, specimen
+        self._spectrum, self._response, self._panel = spectrum, response, panel
+        width, height = panel.size_mm
+        columns, rows = (max(round(n / settings.pixel_mm), 1) for n in (width, height))
+        self._coarse = Panel(rows, columns, width / columns, height / rows)
+        views = specimen.world_from_specimen.inverse() @ commanded
+        self._views = ScanGeometry(views.source, views.detector, views.u, views.v, self._coarse)
+        self._places = self._places_of(self._views)
+        self._nodes = _far_apart(self._places, settings.views)
+        self._images: dict[int, Floats] = {}
+        self._body  # noqa: B018 - now, to report unusable input at once
+        Beam.of_view(self._views, 0, spectrum.energies_kev, spectrum.photons)
+
+    def image(self, view: ScanGeometry) -> NDArray[np.float32]:
+        """Return the scatter in one view, (rows, columns).
+
+        Args:
+            view: exactly one view, in the frame of the specimen.
+
+        Returns:
+            Expected signal per mm^2 of the panel, for the photons of the spectrum.
+        """
+        coarse = np.zeros(self._coarse.shape)
+        for node, weight in zip(self._nodes.tolist(), self._weights(view), strict=True):
+            if abs(weight) > LEAST_WEIGHT:
+                coarse += weight * self._simulated(node)
+        panel, cells = self._panel, self._coarse
+        rows, columns = (
+            (np.arange(fine) + 0.5) * few / fine - 0.5
+            for fine, few in zip(panel.shape, cells.shape, strict=True)
+        )
+        at = np.meshgrid(rows, columns, indexing="ij")
+        fine = scipy.ndimage.map_coordinates(coarse, at, order=1, mode="nearest")
+        return fine.astype(np.float32)
+
+    def _weights(self, view: ScanGeometry) -> list[float]:
+        """Return the weight of each node; they add up to 1."""
+        nodes = self._places[self._nodes]
+        number = len(nodes)
+        system = np.ones((number + 1, number + 1))
+        system[:-1, :-1] = -np.linalg.norm(nodes[:, None] - nodes, axis=2)
+        system[-1, -1] = 0.0
+        to_view = np.append(-np.linalg.norm(nodes - self._places_of(view), axis=1), 1.0)
+        return np.linalg.solve(system, to_view)[:-1].tolist()
+
+    def _places_of(self, views: ScanGeometry) -> Floats:
+        half = math.hypot(*self._panel.size_mm) / 2
+        return np.hstack([views.source, views.detector, half * views.u, half * views.v])
+
+    @cached_property
+    def _body(self) -> VoxelBody:
+        """The specimen in voxels."""
+        low, high = self._specimen.bounds
+        shape = np.ceil((high - low) / self._settings.voxel_mm).astype(int)
+        if math.prod(shape.tolist()) > MOST_VOXELS:
+            raise InputError(
+                f"{_KEY}.voxel_mm {self._settings.voxel_mm:g}: the specimen would have "
+                f"{' x '.join(map(str, shape))} voxels; at most {MOST_VOXELS} are allowed"
+            )
+        middle = Pose.from_matrix((low + high) / 2, np.eye(3))
+        grid = VolumeGrid(shape[::-1].tolist(), self._settings.voxel_mm, middle)
+        shares = [
+            pair for part in self._specimen.parts for pair in part.shares(grid, Pose.identity())
+        ]
+        return VoxelBody.of_shares(grid, shares)
+
+    def _simulated(self, node: int) -> Floats:
+        """Return the scatter of a node on the coarse pixels, as ``image`` does."""
+        if node not in self._images:
+            spectrum = self._spectrum
+            beam = Beam.of_view(self._views, node, spectrum.energies_kev, spectrum.photons)
+            simulation = Simulation(
+                self._body,
+                beam,
+                dose=False,
+                detector=Detector(self._views, node, self._response.mean),
+            )
+            photons = -(-self._settings.photons // BATCHES)
+            scatter, _ = simulation.run(photons, BATCHES, view=node).scatter()
+            in_field = float(spectrum.photons.sum()) * _MM2_PER_SR_AT_1_M * beam.solid_angle
+            area = self._coarse.pitch_u * self._coarse.pitch_v
+            self._images[node] = scatter.sum(axis=0) * (in_field / area)
+        return self._images[node]
+
+
+def _far_apart(places: Floats, number: int) -> NDArray[np.int64]:
+    """Return rows that lie far from each other: each next one is the farthest from all before."""
+    chosen = [0]
+    nearest = np.linalg.norm(places - places[0], axis=1)
+    while len(chosen) < min(number, len(places)) and nearest.max() > 0:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return np.array(chosen)
