@@ -81,7 +81,8 @@ def test_reach_in_numbers(capsys: pytest.CaptureFixture[str]) -> None:
 def test_places_in_numbers(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = Mock(before=0, after=1, judged=3, overrides=("cell.table.height_mm=1",))
+    overrides = ("cell.table.height_mm=1",)
+    found = Mock(before=0, after=1, judged=3, alone=9, stopped=False, overrides=overrides)
     monkeypatch.setattr("twinct.runs.reaching.place_arms", Mock(return_value=found))
     monkeypatch.setattr("twinct.runs.reaching._share", Mock(side_effect=[0.5, np.float64(0.75)]))
     placed, _ = answer(capsys, "place", "demo", "--set", "trajectory.views=4")
@@ -90,6 +91,7 @@ def test_places_in_numbers(
         "share_after": 0.75,
         "judged_on": 4,
         "cells": 3,
+        "stopped": False,
         "seed": 0,
         "set": ["cell.table.height_mm=1"],
     }

@@ -97,12 +97,16 @@ def test_a_late_volatile_subscriber_hears_each_beat(resting: Resting) -> None:
     assert resting.heard[JOINTS][-1].position == pytest.approx(stands, abs=1e-6)
 
 
-def test_a_node_that_follows_a_trajectory_does_not_rest(resting: Resting) -> None:
+def test_a_node_that_follows_a_trajectory_does_not_rest(
+    resting: Resting, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert resting.node._arms is not None
-    resting.node._arms.busy = True
+    busy = property(lambda server: moving[0])
+    monkeypatch.setattr(type(resting.node._arms), "busy", busy)
+    moving = [True]
     resting.node.beat()
     assert resting.robots.time_s == 0.0
-    resting.node._arms.busy = False
+    moving[0] = False
     resting.node.beat()
     assert resting.robots.time_s == pytest.approx(BEAT_S)
 

@@ -32,6 +32,7 @@ def digest(*overrides: str) -> str:
         "uncertainty.preset=collaborative",
         "uncertainty.encoder_step_deg=0.01",
         "motion.settle_speed_mm_s=0.1",
+        "motion.settle_s=0.4",
         "source.energy_kev=70",
         "detector.lag=0.1",
         "specimen.parts.0.material=water",
@@ -55,7 +56,6 @@ def test_scans_that_differ_elsewhere_share_a_plan(override: str) -> None:
         "cell.timestep_ms=1",
         "motion.ik.max_iterations=300",
         "motion.trigger=settled",
-        "motion.settle_s=0.4",
         "motion.tolerance_mm=0.5",
         "motion.timeout_s=5",
         "motion.jerk_deg_s3=4000",
@@ -69,9 +69,10 @@ def test_scans_that_differ_in_what_a_plan_reads_do_not(override: str) -> None:
     assert digest(*ERRORS, override) != digest(*ERRORS)
 
 
-def test_the_speed_at_rest_counts_where_the_plan_waits_for_it() -> None:
+def test_the_speed_and_time_of_rest_count_where_the_plan_waits_for_it() -> None:
     settled, slower = "motion.trigger=settled", "motion.settle_speed_mm_s=0.1"
     assert digest(settled, slower) != digest(settled)
+    assert digest(settled, "motion.settle_s=0.4") != digest(settled)
 
 
 def test_a_focal_spot_counts_where_it_decides_whether_the_source_may_roll() -> None:

@@ -104,8 +104,8 @@ def _explaining(rest: Residual, every: list[Share]) -> list[Share]:
     sure = _sure(every)
     if not sure:
         return []
-    if max(sure, key=lambda one: one.explained).name == "order":
-        return [one for one in sure if one.name == "order"]  # nothing else means anything then
+    if sure[0].name == "order":
+        return sure[:1]  # nothing else means anything then
     sure = [one for one in sure if one.name != "order"]
     first = _simplest([one for one in sure if one.share >= ALIKE * sure[0].share])
     linear = [cause.name for cause in CAUSES if not cause.by_view and cause.name != first.name]

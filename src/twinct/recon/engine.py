@@ -182,7 +182,7 @@ class Kernels(Protocol):
             inverse: 1 / voxel edge along x, y, z, 1/mm.
             floor: lower bound of x.
             step: below 2, a factor on the inverse of the dual Hessian's largest row sum.
-            blocks: blocks outside of which x is 0.
+            blocks: blocks outside of which x is 0. Lines of voxels without any keep their duals.
         """
 
     def settle(

@@ -62,9 +62,6 @@ OF_ARMS = ("motion", "cell.floor_z_mm")
 _AFTER_PLAN = ("settle_speed_mm_s",)
 """Keys of the motion that count only when the arms move, unless the plan waits for their rest."""
 
-_SINCE_REST = 2
-"""Version of the executed poses of ``trigger: settled``: since it, servos end their way at once."""
-
 _SINCE = {"fast": 4, "prior_tv": 3}
 """Versions of the volumes of these algorithms: the noise decides on their steps since 3, and
 left-out views on the strength of ``fast`` since 4."""
@@ -74,6 +71,7 @@ _SINCE_PHOTONS = 2
 
 _BEFORE: dict[str, object] = {
     "motion.scheme": "reactive",
+    "motion.settle_s": 0.35,
     "cell.source_arm.base_position_mm": (850.0, 0.0, 0.0),
     "cell.source_arm.standoff_mm": 150.0,
     "cell.detector_arm.base_position_mm": (-850.0, 0.0, 0.0),
@@ -150,6 +148,8 @@ def _reads(scenario: Scenario, stage: StageName, key: str, readers: frozenset[st
     arms = scenario.cell.kind == DEFAULT_KIND  # older scenarios have no cell.kind
     if any(f"{key}.".startswith(f"{one}.") for one in (("cell.kind",) if arms else OF_ARMS)):
         return False
+    if key == "motion.settle_s" and scenario.motion.trigger == "on_entry":
+        return False
     if key == "source.exposure_ms" and stage == "executed":
         # A plan of the arms respects the exposure in any case.
         return arms or scenario.source.motion_samples > 1
@@ -167,12 +167,6 @@ def _version(scenario: Scenario, stage: StageName) -> int:
         return _SINCE[algorithm]
     if stage == "volume" and _has_noise(scenario):
         return _SINCE_PHOTONS
-    if (
-        stage == "executed"
-        and scenario.cell.kind == "arms"
-        and scenario.motion.trigger == "settled"
-    ):
-        return _SINCE_REST
     return STAGES[stage].version
 
 

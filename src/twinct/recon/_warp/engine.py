@@ -161,7 +161,8 @@ class WarpKernels:
         steps, filled = self._warp.vec3f(*map(float, inverse)), self._on_card(blocks.filled)
         x = self._lowered(b, weights, there, sizes, steps, floor, filled)
         scale = float(step) / (4.0 * float(inverse.max()) * float(inverse.sum()))
-        given = x, weights, self._on_card(known), self._on_card(seams), steps, sizes, scale, filled
+        lines = self._on_card(blocks.filled.any(axis=2).astype(np.uint8))
+        given = x, weights, self._on_card(known), self._on_card(seams), steps, sizes, scale, lines
         self._launch(self._voxels.ascend, (len(radii), *b.shape), *given, there)
         self._finish(there, dual)
 

@@ -199,20 +199,30 @@ def ascend(
     inverse: wp.vec3f,
     radii: wp.array(dtype=float),
     scale: float,
-    filled: wp.array3d(dtype=wp.uint8),
+    lines: wp.array2d(dtype=wp.uint8),
     dual: wp.array4d(dtype=wp.int16),
 ):
-    """Step along the gradient of x, with a step for each voxel, then project into the ball."""
+    """Step along the gradient of x, with a step for each voxel, then project into the ball.
+
+    ``lines`` are 1 where a line of blocks along x has a filled one; empty, all have.
+    """
     n, k, j, i = wp.tid()
-    if radii[n] <= 0.0 or not _holds(filled, k, j, i):
+    if radii[n] <= 0.0:
         return
+    if lines.shape[0] > 0:
+        if lines[k // 8, j // 8] == wp.uint8(0):
+            return
     shape = wp.vec3i(x.shape[0], x.shape[1], x.shape[2])
     beside = wp.vec3i(
         wp.min(i + 1, shape[2] - 1), wp.min(j + 1, shape[1] - 1), wp.min(k + 1, shape[0] - 1)
     )
     value = x[k, j, i]
     s = _weight(q, shape, k, j, i)
-    s = wp.min(s, _weight(q, shape, k, j, beside[0]))
+    # Both voxels of a weight's two along x take the next weight, as the other engines have it.
+    further = i + 1
+    if q.shape[2] != shape[2]:
+        further = i // 2 * 2 + 2
+    s = wp.min(s, _weight(q, shape, k, j, wp.min(further, shape[2] - 1)))
     s = wp.min(s, _weight(q, shape, k, beside[1], i))
     s = wp.min(s, _weight(q, shape, beside[2], j, i))
     ahead = wp.vec3f(x[k, j, beside[0]], x[k, beside[1], i], x[beside[2], j, i])
