@@ -41,7 +41,7 @@ def _bytes(scores: Scores) -> list[bytes]:
 @contextmanager
 def _threads(number: int) -> Iterator[None]:
     before = numba.get_num_threads()
-    numba.set_num_threads(min(number, numba.config.NUMBA_NUM_THREADS))  # type: ignore[attr-defined]
+    numba.set_num_threads(min(number, vars(numba.config)["NUMBA_NUM_THREADS"]))
     try:
         yield
     finally:

@@ -13,7 +13,7 @@ from numba import njit, prange
 
 from twinct.rays.joseph import OPTIONS, ray_of
 from twinct.recon import _variation
-from twinct.recon._variation import weigh as weigh  # as it is
+from twinct.recon._variation import weigh as weigh
 from twinct.recon.blocks import EDGE, EVERYWHERE
 
 OTHERS = ((1, 2), (0, 2), (0, 1))

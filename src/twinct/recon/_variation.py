@@ -1,9 +1,9 @@
-"""Kernels of total variation's dual; no engine has others, and a card has the same in Warp.
+"""Kernels of total variation's dual, for both engines of the processor; a card has its own.
 
 All arrays are (z, y, x). With weights q, b = q z, duals p of radius r, and D the forward
 differences over the voxel edges, the volume is x = max((b - D^T p) / q, floor). A dual vector is
-stored as a share of its radius, in 16 bits: a third of the memory that a volume of floats takes,
-and a step that rounding loses would change the object's attenuation by 1e-5.
+stored as a share of its radius, in 16 bits, which halves its memory; a step that rounding loses
+would change the object's attenuation by 1e-5.
 
 q may be that of voxels twice as large along some axes: its shape says so. Blocks that are not
 ``filled`` hold zeros (``blocks.Blocks``); if ``filled`` is empty, all are.
@@ -18,7 +18,7 @@ from twinct.recon.blocks import EDGE
 
 CUBE, DUAL, FILLED = "f4[:, :, ::1]", "i2[:, :, :, ::1]", "u1[:, :, ::1]"
 OPTIONS = {"nogil": True, "error_model": "numpy"}
-"""Without fast mathematics: LLVM vectorises these loops anyway, and each process gives the bits."""
+"""Without fast mathematics: LLVM vectorises these loops anyway, and no bit depends on a process."""
 
 WHOLE = np.float32(32767)
 """Stored length of a dual vector as long as its radius."""

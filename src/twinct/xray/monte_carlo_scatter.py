@@ -10,7 +10,6 @@ the kernel -r plus a constant: piecewise linear along a line, and exact at the n
 from __future__ import annotations
 
 import math
-from functools import cached_property
 
 import numpy as np
 import scipy.ndimage
@@ -74,7 +73,7 @@ class ScatterNodes:
         self._places = self._places_of(self._views)
         self._nodes = _far_apart(self._places, settings.views)
         self._images: dict[int, Floats] = {}
-        self._body  # noqa: B018 - now, to report unusable input at once
+        self._body = self._in_voxels()
         Beam.of_view(self._views, 0, spectrum.energies_kev, spectrum.photons)
 
     def image(self, view: ScanGeometry) -> NDArray[np.float32]:
@@ -113,9 +112,8 @@ class ScatterNodes:
         half = math.hypot(*self._panel.size_mm) / 2
         return np.hstack([views.source, views.detector, half * views.u, half * views.v])
 
-    @cached_property
-    def _body(self) -> VoxelBody:
-        """The specimen in voxels."""
+    def _in_voxels(self) -> VoxelBody:
+        """Return the specimen in voxels."""
         low, high = self._specimen.bounds
         shape = np.ceil((high - low) / self._settings.voxel_mm).astype(int)
         if math.prod(shape.tolist()) > MOST_VOXELS:
