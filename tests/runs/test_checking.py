@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import twinct
-from twinct.core.errors import ScenarioError, TrajectoryError
+from twinct.core.errors import InputError, ScenarioError, TrajectoryError
 from twinct.observers import Said
 from twinct.scenario import load_scenario
 
@@ -32,6 +32,24 @@ def test_findings_and_warnings_are_returned_and_told() -> None:
         observers=[lambda event: heard.append(event.text) if isinstance(event, Said) else None],
     )
     assert checked.warnings and list(checked.warnings) == heard
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        (
+            {"detector.scatter": {"kind": "monte_carlo", "voxel_mm": 0.01}},
+            r"scatter\.voxel_mm 0\.01",
+        ),
+        (
+            {"detector.scatter": {"kind": "monte_carlo"}, "source.energy_kev": 200},
+            "source: photons of 200 keV; .* 1 to 150 keV",
+        ),
+    ],
+)
+def test_scatter_that_cannot_be_simulated_is_refused_before_work(keys, said) -> None:
+    with pytest.raises(InputError, match=said):
+        twinct.check(load_scenario("circle_gantry", {**SMALL, **keys}))
 
 
 def test_a_file_is_taken_too(tmp_path: Path) -> None:

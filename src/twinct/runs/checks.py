@@ -28,9 +28,10 @@ from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
-from twinct.scenario import Scenario, stage_digests
+from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
 from twinct.specimen.size import SpecimenSize, specimen_size
+from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
 from twinct.xray.engines import engine_extras, engine_named
 from twinct.xray.scatter_range import scatter_doubts
@@ -158,8 +159,18 @@ def check_physics(builder: SimulationBuilder) -> None:
     _check_all(
         lambda: check_parts(scenario.source, scenario.detector, builder.commanded, scenario.seed),
         lambda: check_corrections(scenario),
+        lambda: _check_scatter(builder),
         lambda: _check_errors(builder),
     )
+
+
+def _check_scatter(builder: SimulationBuilder) -> None:
+    """Check that scatter can be simulated."""
+    scenario = builder.scenario
+    if isinstance(settings := scenario.detector.scatter, MonteCarloScatter):
+        from twinct.xray.monte_carlo_scatter import check_scatter
+
+        check_scatter(settings, builder.specimen, build_spectrum(scenario.source))
 
 
 def _check_errors(builder: SimulationBuilder) -> None:

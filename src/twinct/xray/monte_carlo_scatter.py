@@ -19,6 +19,7 @@ from twinct.core.errors import InputError
 from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
 from twinct.specimen import BuiltSpecimen
 from twinct.transport import Beam, Detector, Simulation, VoxelBody
+from twinct.transport.cross_sections import require_energies
 from twinct.xray.response import PhotonResponse
 from twinct.xray.sections import MonteCarloScatter
 from twinct.xray.spectrum import PhotonSpectrum
@@ -73,7 +74,7 @@ class ScatterNodes:
         self._places = self._places_of(self._views)
         self._nodes = _far_apart(self._places, settings.views)
         self._images: dict[int, Floats] = {}
-        self._body = self._in_voxels()
+        self._body = _in_voxels(settings, specimen)
         Beam.of_view(self._views, 0, spectrum.energies_kev, spectrum.photons)
 
     def image(self, view: ScanGeometry) -> NDArray[np.float32]:
@@ -112,22 +113,6 @@ class ScatterNodes:
         half = math.hypot(*self._panel.size_mm) / 2
         return np.hstack([views.source, views.detector, half * views.u, half * views.v])
 
-    def _in_voxels(self) -> VoxelBody:
-        """Return the specimen in voxels."""
-        low, high = self._specimen.bounds
-        shape = np.ceil((high - low) / self._settings.voxel_mm).astype(int)
-        if math.prod(shape.tolist()) > MOST_VOXELS:
-            raise InputError(
-                f"{_KEY}.voxel_mm {self._settings.voxel_mm:g}: the specimen would have "
-                f"{' x '.join(map(str, shape))} voxels; at most {MOST_VOXELS} are allowed"
-            )
-        middle = Pose.from_matrix((low + high) / 2, np.eye(3))
-        grid = VolumeGrid(shape[::-1].tolist(), self._settings.voxel_mm, middle)
-        shares = [
-            pair for part in self._specimen.parts for pair in part.shares(grid, Pose.identity())
-        ]
-        return VoxelBody.of_shares(grid, shares)
-
     def _simulated(self, node: int) -> Floats:
         """Return the scatter of a node on the coarse pixels, as ``image`` does."""
         if node not in self._images:
@@ -145,6 +130,38 @@ class ScatterNodes:
             area = self._coarse.pitch_u * self._coarse.pitch_v
             self._images[node] = scatter.sum(axis=0) * (in_field / area)
         return self._images[node]
+
+
+def check_scatter(
+    settings: MonteCarloScatter, specimen: BuiltSpecimen, spectrum: PhotonSpectrum
+) -> None:
+    """Check that scatter can be simulated, before any work.
+
+    Raises:
+        InputError: a photon energy is outside the tables, or there are too many voxels.
+    """
+    require_energies(spectrum.energies_kev, "source")
+    _grid_of(settings, specimen)
+
+
+def _grid_of(settings: MonteCarloScatter, specimen: BuiltSpecimen) -> VolumeGrid:
+    """Return the voxels that stand for a specimen."""
+    low, high = specimen.bounds
+    shape = np.ceil((high - low) / settings.voxel_mm).astype(int)
+    if math.prod(shape.tolist()) > MOST_VOXELS:
+        raise InputError(
+            f"{_KEY}.voxel_mm {settings.voxel_mm:g}: the specimen would have "
+            f"{' x '.join(map(str, shape))} voxels; at most {MOST_VOXELS} are allowed"
+        )
+    middle = Pose.from_matrix((low + high) / 2, np.eye(3))
+    return VolumeGrid(shape[::-1].tolist(), settings.voxel_mm, middle)
+
+
+def _in_voxels(settings: MonteCarloScatter, specimen: BuiltSpecimen) -> VoxelBody:
+    """Return a specimen in voxels."""
+    grid = _grid_of(settings, specimen)
+    shares = [pair for part in specimen.parts for pair in part.shares(grid, Pose.identity())]
+    return VoxelBody.of_shares(grid, shares)
 
 
 def _far_apart(places: Floats, number: int) -> NDArray[np.int64]:
