@@ -119,6 +119,16 @@ def _kernels_are_compiled_beforehand() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
+def _pyplot_is_left_as_it_was() -> Iterator[None]:
+    """Fail a test that leaves a figure in pyplot, where a user's next plot would land in it."""
+    yield
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is not None and pyplot.get_fignums():
+        pyplot.close("all")
+        pytest.fail("leaves a figure open in pyplot")
+
+
+@pytest.fixture(autouse=True)
 def _libraries_draw_alike() -> None:
     """Seed the generators that libraries share in a process, as trimesh does."""
     random.seed(0)

@@ -8,7 +8,6 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from matplotlib import pyplot
 from PIL import Image
 
 import twinct.report.page
@@ -187,10 +186,6 @@ def test_written_whole_and_the_same_each_time(report, html, tmp_path):
     assert path.read_text(encoding="utf-8") == html
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
     assert path.stat().st_size < 6e6
-
-
-def test_leaves_pyplot_alone(report, html):
-    assert not pyplot.get_fignums()
 
 
 def test_region_outline_is_closed_at_the_border(report):

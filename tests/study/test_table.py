@@ -94,7 +94,10 @@ def test_a_picture_needs_an_axis_that_varies_and_a_figure(tmp_path):
 
 
 def test_pandas_own_plots_still_work():
-    axes = results_table(rows()).plot(x="trial", y=FIGURE, backend="matplotlib")
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    _, axes = pyplot.subplots()
+    results_table(rows()).plot(x="trial", y=FIGURE, backend="matplotlib", ax=axes)
+    pyplot.close("all")
     assert axes.get_xlabel() == "trial"
 
 
