@@ -28,7 +28,7 @@ _FOUND: dict[str, tuple[str, ...]] = {
     "xray": ("gvxrPython3",),
     "study": ("optuna",),
     "hdf5": ("h5py",),
-    "planning": ("cmaes",),
+    "planning": ("cmaes", "gymnasium"),
     "torch": ("torch",),
     "cluster": ("ray",),
     "view": ("viser", "mjviser", "imageio_ffmpeg", "fast_simplification"),
