@@ -32,7 +32,7 @@ from twinct.runs.volumes import Function
 from twinct.scan import Scan, SimulationBuilder
 from twinct.scenario import Scenario, as_scenario
 from twinct.trajectory.orbit import orbit_views
-from twinct.view_planning.objectives import Views, figure_of
+from twinct.view_planning.objectives import Views
 from twinct.view_planning.objectives.dose import DOSE
 from twinct.view_plans.candidates import candidates_of, orbit_of, reachable
 from twinct.view_plans.patient import Patient
@@ -237,7 +237,7 @@ class NextViewEnv(gymnasium.Env[dict[str, NDArray[np.float32]], Any]):
         before, price, info = self._score, self._prices.view, dict[str, Any]()
         try:
             view = self._view_of(action)
-            seconds, dose = self._take(view), self._dose_of(view)
+            seconds, dose = self._take(view), self._dose_of(action, view)
         except TargetRefusedError as refused:
             self._refusals += 1
             info["refused"] = str(refused)
@@ -281,6 +281,7 @@ class NextViewEnv(gymnasium.Env[dict[str, NDArray[np.float32]], Any]):
         )
         self._nothing = Volume(np.zeros(grid.shape, np.float32), grid)
         self._patient = Patient(builder)
+        self._of_directions: Floats | None = None
 
     def _view_of(self, action: Any) -> ScanGeometry:
         """Return the view of an action.
@@ -325,15 +326,24 @@ class NextViewEnv(gymnasium.Env[dict[str, NDArray[np.float32]], Any]):
     def _isocentre(self) -> Floats:
         return np.asarray(orbit_of(self._builder.scenario.trajectory).isocentre_mm)
 
-    def _dose_of(self, view: ScanGeometry) -> float:
+    def _dose_of(self, action: Any, view: ScanGeometry) -> float:
         """Return the dose of a view to the part of ``task.dose``; 0 without it."""
-        task = self._builder.scenario.task
+        if self.views_of_directions is None:
+            return float(self._doses(view)[0])
+        if self._of_directions is None:  # once for all actions
+            self._of_directions = self._doses(self.views_of_directions)
+        return float(self._of_directions[action])
+
+    def _doses(self, views: ScanGeometry) -> Floats:
+        """Return the dose of each view, (views,)."""
+        numbers, task = range(len(views)), self._builder.scenario.task
         if task is None or DOSE.name not in task.goals:
-            return 0.0
+            return np.zeros(len(views))
         objective, section = task.goals[DOSE.name]
         points = region_points(task, self._builder.specimen.world_from_specimen)
-        measured = objective.measure(section, Views(view, [0], points), self._patient)
-        return figure_of(measured[0] if isinstance(measured, tuple) else measured, [0])
+        measured = objective.measure(section, Views(views, [0], points), self._patient)
+        measure = measured[0] if isinstance(measured, tuple) else measured
+        return measure.added([], numbers)
 
     def _judged(self, volume: Volume) -> float:
         """Return the figure of a volume."""
