@@ -1,28 +1,24 @@
 """Scattered radiation by Monte Carlo: a few views and coarse pixels, interpolated to all.
 
 Scatter is smooth over the panel, and changes slowly with source and panel. So it is simulated for
-nodes, views of the path that lie far from each other, on coarse pixels. Distance between two views
-is that of (S, D, h u, h v) in the frame of the specimen, with half the panel's diagonal h: it has
-no order of views, and serves free paths. Between the nodes, scatter is the radial basis function of
-the kernel -r plus a constant: piecewise linear along a line, and exact at the nodes.
+nodes, views of the path that lie far from each other, on coarse pixels (``ViewNodes``).
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
-from twinct.core.errors import InputError
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.specimen import BuiltSpecimen
-from twinct.transport import Beam, Detector, Simulation, VoxelBody
+from twinct.transport import Beam, Detector, Simulation
 from twinct.transport.cross_sections import require_energies
 from twinct.xray.response import PhotonResponse
 from twinct.xray.sections import MonteCarloScatter
 from twinct.xray.spectrum import PhotonSpectrum
+from twinct.xray.view_nodes import ViewNodes
+from twinct.xray.voxel_specimen import grid_of, in_voxels
 
 LEAST_WEIGHT = 1e-6
 """Weight of a node below which its image does not count; at another node, rounding gives 1e-15."""
@@ -30,8 +26,7 @@ LEAST_WEIGHT = 1e-6
 BATCHES = 16
 """A batch is the least share of the work of a thread."""
 
-MOST_VOXELS = 2**28
-_KEY = "detector.scatter"
+_VOXELS = "detector.scatter.voxel_mm"
 _MM2_PER_SR_AT_1_M = 1e6
 
 
@@ -71,10 +66,9 @@ class ScatterNodes:
         self._coarse = Panel(rows, columns, width / columns, height / rows)
         views = specimen.world_from_specimen.inverse() @ commanded
         self._views = ScanGeometry(views.source, views.detector, views.u, views.v, self._coarse)
-        self._places = self._places_of(self._views)
-        self._nodes = _far_apart(self._places, settings.views)
+        self._nodes = ViewNodes(self._views, settings.views)
         self._images: dict[int, Floats] = {}
-        self._body = _in_voxels(settings, specimen)
+        self._body = in_voxels(specimen, grid_of(specimen, settings.voxel_mm, _VOXELS))
         Beam.of_view(self._views, 0, spectrum.energies_kev, spectrum.photons)
 
     def image(self, view: ScanGeometry) -> NDArray[np.float32]:
@@ -87,7 +81,8 @@ class ScatterNodes:
             Expected signal per mm^2 of the panel, for the photons of the spectrum.
         """
         coarse = np.zeros(self._coarse.shape)
-        for node, weight in zip(self._nodes.tolist(), self._weights(view), strict=True):
+        (weights,) = self._nodes.weights(view).tolist()
+        for node, weight in zip(self._nodes.chosen.tolist(), weights, strict=True):
             if abs(weight) > LEAST_WEIGHT:
                 coarse += weight * self._simulated(node)
         panel, cells = self._panel, self._coarse
@@ -98,20 +93,6 @@ class ScatterNodes:
         at = np.meshgrid(rows, columns, indexing="ij")
         fine = scipy.ndimage.map_coordinates(coarse, at, order=1, mode="nearest")
         return fine.astype(np.float32)
-
-    def _weights(self, view: ScanGeometry) -> list[float]:
-        """Return the weight of each node; they add up to 1."""
-        nodes = self._places[self._nodes]
-        number = len(nodes)
-        system = np.ones((number + 1, number + 1))
-        system[:-1, :-1] = -np.linalg.norm(nodes[:, None] - nodes, axis=2)
-        system[-1, -1] = 0.0
-        to_view = np.append(-np.linalg.norm(nodes - self._places_of(view), axis=1), 1.0)
-        return np.linalg.solve(system, to_view)[:-1].tolist()
-
-    def _places_of(self, views: ScanGeometry) -> Floats:
-        half = math.hypot(*self._panel.size_mm) / 2
-        return np.hstack([views.source, views.detector, half * views.u, half * views.v])
 
     def _simulated(self, node: int) -> Floats:
         """Return the scatter of a node on the coarse pixels, as ``image`` does."""
@@ -141,34 +122,4 @@ def check_scatter(
         InputError: a photon energy is outside the tables, or there are too many voxels.
     """
     require_energies(spectrum.energies_kev, "source")
-    _grid_of(settings, specimen)
-
-
-def _grid_of(settings: MonteCarloScatter, specimen: BuiltSpecimen) -> VolumeGrid:
-    """Return the voxels that stand for a specimen."""
-    low, high = specimen.bounds
-    shape = np.ceil((high - low) / settings.voxel_mm).astype(int)
-    if math.prod(shape.tolist()) > MOST_VOXELS:
-        raise InputError(
-            f"{_KEY}.voxel_mm {settings.voxel_mm:g}: the specimen would have "
-            f"{' x '.join(map(str, shape))} voxels; at most {MOST_VOXELS} are allowed"
-        )
-    middle = Pose.from_matrix((low + high) / 2, np.eye(3))
-    return VolumeGrid(shape[::-1].tolist(), settings.voxel_mm, middle)
-
-
-def _in_voxels(settings: MonteCarloScatter, specimen: BuiltSpecimen) -> VoxelBody:
-    """Return a specimen in voxels."""
-    grid = _grid_of(settings, specimen)
-    shares = [pair for part in specimen.parts for pair in part.shares(grid, Pose.identity())]
-    return VoxelBody.of_shares(grid, shares)
-
-
-def _far_apart(places: Floats, number: int) -> NDArray[np.int64]:
-    """Return rows that lie far from each other: each next one is the farthest from all before."""
-    chosen = [0]
-    nearest = np.linalg.norm(places - places[0], axis=1)
-    while len(chosen) < min(number, len(places)) and nearest.max() > 0:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(places - places[chosen[-1]], axis=1))
-    return np.array(chosen)
+    grid_of(specimen, settings.voxel_mm, _VOXELS)
