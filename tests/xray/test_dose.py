@@ -142,3 +142,16 @@ def test_what_has_no_dose_is_named() -> None:
         PlaceDoses(_balls(), PhotonSpectrum([200.0], [1.0]), ["bone"], 5.0, "voxel_mm")
     with pytest.raises(InputError, match=r"needs a photon number: set source\.photons"):
         PlaceDoses(_balls(), PhotonSpectrum([60.0], [1.0], False), ["bone"], 5.0, "voxel_mm")
+
+
+def test_points_beside_the_panel_get_no_unscattered_dose() -> None:
+    """A ball of which the panel shows one half: the other half is out of the beam."""
+    half = Panel(20, 12, 12.0, 12.0)
+    views = _circle(1)
+    beside = ScanGeometry(views.source, views.detector + 72.0 * views.u, views.u, views.v, half)
+    ball = {"name": "ball", "shape": {"kind": "sphere", "radius_mm": 40}, "material": "water"}
+    specimen = build_specimen(Specimen.model_validate({"parts": [ball]}))
+    places = PlaceDoses(specimen, SPECTRUM, ["ball"], 4.0, "voxel_mm")
+    whole, part = places.unscattered(views)[0, 0], places.unscattered(beside)[0, 0]
+    assert part == pytest.approx(whole / 2, rel=0.05)
+    assert places.scattered(beside, 5000)[0][0, 0] > 0.1 * part

@@ -30,8 +30,8 @@ def dose(
 ) -> None:
     """Compute the dose of a scenario's views to its parts and labels.
 
-    Photons are followed through voxels, scattered ones too. The table has mean doses with standard errors, and what a
-    C-arm would report.
+    Photons are followed through voxels, scattered ones too. The table has mean doses with standard
+    errors, and what a C-arm would report.
 
     Args:
         photons: Photons that are followed, in all views together, such as 1e7.
