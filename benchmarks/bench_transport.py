@@ -29,7 +29,7 @@ from twinct.specimen.materials import material
 from twinct.trajectory import CircleTrajectory, commanded_views
 from twinct.transport import Beam, Simulation, VoxelBody, voxel_body
 from twinct.xray.build import build_response, build_spectrum
-from twinct.xray.monte_carlo_scatter import ScatterNodes
+from twinct.xray.monte_carlo_scatter import scatter_of
 from twinct.xray.sections import MonteCarloScatter
 
 PHOTONS, ROUNDS = 300_000, 3
@@ -107,8 +107,8 @@ def views(simulated: int, photons: int, judge: int) -> None:
     geometry = commanded_views(circle, detector.panel)
     scene = specimen, build_spectrum(source), build_response(detector), detector.panel, geometry
     kind = "monte_carlo"
-    few = ScatterNodes(MonteCarloScatter(kind=kind, photons=photons, views=simulated), *scene)
-    own = ScatterNodes(MonteCarloScatter(kind=kind, photons=judge, views=200), *scene)
+    few = scatter_of(MonteCarloScatter(kind=kind, photons=photons, views=simulated), *scene)
+    own = scatter_of(MonteCarloScatter(kind=kind, photons=judge, views=200), *scene)
     seen = specimen.world_from_specimen.inverse() @ geometry
     for view in BETWEEN:
         between, alone = few.image(seen[view]), own.image(seen[view])

@@ -27,6 +27,7 @@ from twinct.runs.metal_reduction import check_metal
 from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
+from twinct.runs.scatter_correction import check_scatter_correction
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
@@ -180,12 +181,16 @@ def _check_errors(builder: SimulationBuilder) -> None:
 
 
 def check_corrections(settings: ScanSettings) -> None:
-    """Check that beam hardening and metal can be corrected, before any other work.
+    """Check that scatter, beam hardening and metal can be corrected, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
     """
-    _check_all(lambda: check_hardening(settings), lambda: check_metal(settings))
+    _check_all(
+        lambda: check_scatter_correction(settings),
+        lambda: check_hardening(settings),
+        lambda: check_metal(settings),
+    )
 
 
 def _check_all(*checks: Callable[[], object]) -> None:

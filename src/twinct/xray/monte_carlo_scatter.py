@@ -6,13 +6,16 @@ nodes, views of the path that lie far from each other, on coarse pixels (``ViewN
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Protocol
+
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.specimen import BuiltSpecimen
-from twinct.transport import Beam, Detector, Simulation
+from twinct.transport import Beam, Detector, Simulation, VoxelBody
 from twinct.transport.cross_sections import require_energies
 from twinct.xray.response import PhotonResponse
 from twinct.xray.sections import MonteCarloScatter
@@ -26,56 +29,74 @@ LEAST_WEIGHT = 1e-6
 BATCHES = 16
 """A batch is the least share of the work of a thread."""
 
+
+class ScatterSettings(Protocol):
+    """Keys of the simulated views: see ``MonteCarloScatter``."""
+
+    @property
+    def photons(self) -> int:
+        """Photons of each simulated view."""
+        ...
+
+    @property
+    def views(self) -> int:
+        """Views that are simulated."""
+        ...
+
+    @property
+    def pixel_mm(self) -> float:
+        """Edge of the coarse pixels."""
+        ...
+
+
 _VOXELS = "detector.scatter.voxel_mm"
 _MM2_PER_SR_AT_1_M = 1e6
 
 
 class ScatterNodes:
-    """Scatter of a specimen on one panel, from simulated views.
+    """Scatter of a body on one panel, from simulated views.
 
-    The specimen is at rest, in its reference state, and alone: objects of the room and air do not
-    scatter. The beam covers just the panel.
+    The body is at rest, and alone: objects of the room and air do not scatter. The beam covers just
+    the panel.
     """
 
     def __init__(
         self,
-        settings: MonteCarloScatter,
-        specimen: BuiltSpecimen,
+        body: VoxelBody,
+        views: ScanGeometry,
         spectrum: PhotonSpectrum,
         response: PhotonResponse,
-        panel: Panel,
-        commanded: ScanGeometry,
+        settings: ScatterSettings,
+        seed: int = 0,
     ) -> None:
         """Choose the nodes; each is simulated when a view needs it.
 
         Args:
-            settings: ``detector.scatter``.
-            specimen: the specimen, in its frame.
+            body: the body.
+            views: views from which the nodes are chosen, in the body's frame.
             spectrum: photons of the free beam.
             response: signal of a photon.
-            panel: physical pixels.
-            commanded: commanded views, in the world.
+            settings: number of nodes, their photons, and size of the coarse pixels.
+            seed: seed of the random numbers.
 
         Raises:
-            InputError: a photon energy is outside the tables, or there are too many voxels.
+            InputError: a photon energy is outside the tables.
         """
-        self._settings, self._specimen = settings, specimen
-        self._spectrum, self._response, self._panel = spectrum, response, panel
-        width, height = panel.size_mm
+        self._body, self._settings, self._seed = body, settings, seed
+        self._spectrum, self._response, self._panel = spectrum, response, views.panel
+        width, height = views.panel.size_mm
         columns, rows = (max(round(n / settings.pixel_mm), 1) for n in (width, height))
         self._coarse = Panel(rows, columns, width / columns, height / rows)
-        views = specimen.world_from_specimen.inverse() @ commanded
         self._views = ScanGeometry(views.source, views.detector, views.u, views.v, self._coarse)
         self._nodes = ViewNodes(self._views, settings.views)
         self._images: dict[int, Floats] = {}
-        self._body = in_voxels(specimen, grid_of(specimen, settings.voxel_mm, _VOXELS))
         Beam.of_view(self._views, 0, spectrum.energies_kev, spectrum.photons)
 
     def image(self, view: ScanGeometry) -> NDArray[np.float32]:
         """Return the scatter in one view, (rows, columns).
 
         Args:
-            view: exactly one view, in the frame of the specimen.
+            view: exactly one view, in the frame of the body.
 
         Returns:
             Expected signal per mm^2 of the panel, for the photons of the spectrum.
@@ -106,11 +127,38 @@ class ScatterNodes:
                 detector=Detector(self._views, node, self._response.mean),
             )
             photons = -(-self._settings.photons // BATCHES)
-            scatter, _ = simulation.run(photons, BATCHES, view=node).scatter()
+            scores = simulation.run(photons, BATCHES, seed=self._seed, view=node)
+            scatter, _ = scores.scatter()
             in_field = float(spectrum.photons.sum()) * _MM2_PER_SR_AT_1_M * beam.solid_angle
             area = self._coarse.pitch_u * self._coarse.pitch_v
             self._images[node] = scatter.sum(axis=0) * (in_field / area)
         return self._images[node]
+
+
+def scatter_of(
+    settings: MonteCarloScatter,
+    specimen: BuiltSpecimen,
+    spectrum: PhotonSpectrum,
+    response: PhotonResponse,
+    panel: Panel,
+    commanded: ScanGeometry,
+) -> ScatterNodes:
+    """Return the scatter of a specimen in its reference state.
+
+    Args:
+        settings: ``detector.scatter``.
+        specimen: the specimen.
+        spectrum: photons of the free beam.
+        response: signal of a photon.
+        panel: physical pixels.
+        commanded: commanded views, in the world.
+
+    Raises:
+        InputError: a photon energy is outside the tables, or there are too many voxels.
+    """
+    body = in_voxels(specimen, grid_of(specimen, settings.voxel_mm, _VOXELS))
+    views = replace(specimen.world_from_specimen.inverse() @ commanded, panel=panel)
+    return ScatterNodes(body, views, spectrum, response, settings)
 
 
 def check_scatter(
