@@ -66,14 +66,13 @@ def scatter_subtracted(scan: Scan, views: ScanGeometry, progress: Progress) -> S
     A = Projector(views.binned(*binning), grid)
     free = float(spectrum.photons @ response.mean(spectrum.energies_kev))
     scatter = np.zeros_like(scan.transmission)
-    primary: NDArray[np.float32] = scan.transmission
+    primary = scan.transmission
     with progress.stage("scatter", section.rounds) as step:
         for _ in range(section.rounds):
             # One step of expectation maximisation for images = primary + scatter: the scatter of an
             # early body, which attenuates too little, may exceed the images.
-            primary = scan.transmission * (
-                primary / np.maximum(primary + scatter, np.float32(DARKEST))
-            )
+            explained = np.maximum(primary + scatter, DARKEST)
+            primary = (scan.transmission * (primary / explained)).astype(np.float32, copy=False)
             volume = sart(
                 A,
                 hardening.correct(line_integrals(_binned(primary, *binning))),
