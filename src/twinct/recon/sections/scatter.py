@@ -27,5 +27,7 @@ class ScatterCorrection(Section):
     )
     views: int = setting(16, "Views that are simulated; fewer if the scan has fewer.", ge=1)
     voxel_mm: Length = setting(4.0, "Edge of the coarse voxels.")
-    pixel_mm: Length = setting(20.0, "Edge of the coarse pixels, about.")
+    pixel_mm: Length = setting(
+        40.0, "Edge of the coarse pixels, about; at equal photons, larger ones have less noise."
+    )
     first_iterations: int = setting(3, "SART iterations of the coarse volume.", ge=1)
