@@ -40,10 +40,12 @@ if TYPE_CHECKING:
     from twinct.scenario import load_scenario
     from twinct.study import load_results, run_study
     from twinct.view_plans.effects import effects_of_errors
+    from twinct.view_plans.next_view import NextViewEnv
     from twinct.view_plans.planner import plan
 
 __all__ = [
     "__version__",
+    "NextViewEnv",
     "Volume",
     "calibrate",
     "check",
@@ -76,6 +78,7 @@ __all__ = [
 ]
 
 _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
+    "NextViewEnv": "twinct.view_plans.next_view",
     "Volume": "twinct.recon.volume",
     "calibrate": "twinct.calibration.calibrate",
     "check": "twinct.runs.checking",

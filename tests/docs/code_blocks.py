@@ -14,6 +14,7 @@ import tomllib
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 import yaml
 
 from twinct.core.errors import ScenarioError
@@ -70,6 +71,8 @@ def check(block: Block, folder: Path) -> None:
     """Check a block of code; an unknown language fails."""
     kinds = {"sh": _shell, "yaml": _yaml, "python": _python, "toml": _toml}
     kinds |= {"text": _nothing, "csv": _views}
+    if "import torch" in block.text:
+        pytest.importorskip("torch", reason="needs torch: pip install twinct[torch]")
     kinds[block.language](block, folder)
 
 
