@@ -37,6 +37,13 @@ from twinct.xray.monte_carlo_scatter import ScatterNodes
 
 _KEY = "reconstruction.scatter"
 
+STEPS = 4
+"""Steps of expectation maximisation for images = primary + scatter, in each round.
+
+The scatter of an early body, which attenuates too little, may exceed the images: their difference
+would be no image, and its volume full of streaks.
+"""
+
 _SEED = 1
 """Simulated scans have the seed 0: the noise of their scatter must not be that of the estimate."""
 
@@ -66,13 +73,11 @@ def scatter_subtracted(scan: Scan, views: ScanGeometry, progress: Progress) -> S
     A = Projector(views.binned(*binning), grid)
     free = float(spectrum.photons @ response.mean(spectrum.energies_kev))
     scatter = np.zeros_like(scan.transmission)
-    primary = scan.transmission
+    primary = scan.transmission.copy()
     with progress.stage("scatter", section.rounds) as step:
         for _ in range(section.rounds):
-            # One step of expectation maximisation for images = primary + scatter: the scatter of an
-            # early body, which attenuates too little, may exceed the images.
-            explained = np.maximum(primary + scatter, DARKEST)
-            primary = (scan.transmission * (primary / explained)).astype(np.float32, copy=False)
+            for _ in range(STEPS):
+                primary *= scan.transmission / np.maximum(primary + scatter, DARKEST)
             volume = sart(
                 A,
                 hardening.correct(line_integrals(_binned(primary, *binning))),
