@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, ScenarioError
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.plain_yaml import written
@@ -30,6 +31,7 @@ log = logging.getLogger(__name__)
 ModelT = TypeVar("ModelT", bound=Section)
 
 
+@kinds_checked
 def load_scenario(
     source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, resolved: bool = False
 ) -> Scenario:
@@ -48,10 +50,9 @@ def load_scenario(
         ScenarioError: with one sentence for each problem, naming key, value and origin.
     """
     draft = drafted(source, overrides)
-    scenario = _checked(draft)
     for sentence in () if resolved else draft.left_out:
         _warn_once(sentence)
-    return scenario
+    return _checked(draft)
 
 
 def as_scenario(scenario: Scenario | str | Path, keys: Mapping[str, Any] | None = None) -> Scenario:
