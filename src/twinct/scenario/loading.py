@@ -22,7 +22,7 @@ from twinct.core.foreign_text import shortened
 from twinct.core.settings import Section
 from twinct.scenario.messages import place, refusal
 from twinct.scenario.objects import with_paths
-from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
+from twinct.scenario.reading import Draft, Overrides, Source, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -30,15 +30,13 @@ log = logging.getLogger(__name__)
 ModelT = TypeVar("ModelT", bound=Section)
 
 
-def load_scenario(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, resolved: bool = False
-) -> Scenario:
+def load_scenario(source: Source, overrides: Overrides = (), *, resolved: bool = False) -> Scenario:
     """Read, extend, override and validate a scenario.
 
     Args:
         source: YAML file, whose key ``extends`` names the file it builds on, relative to itself;
-            the name of a built-in scenario, as ``extends`` may be, too; or a mapping, in which
-            files are relative to the working folder.
+            the name of a built-in scenario, as ``extends`` may be, too; a mapping, in which
+            files are relative to the working folder; or the text of a file (``ScenarioText``).
         overrides: values by dotted key, such as ``{"trajectory.views": 12}``; or ``KEY=VALUE``
             texts, as ``--set`` takes them.
         resolved: True if twinct wrote the file, with all defaults: then no key is reported that
@@ -148,9 +146,7 @@ def write_scenario(
 
 
 @contextmanager
-def named_places(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = ()
-) -> Generator[None, None, None]:
+def named_places(source: Source, overrides: Overrides = ()) -> Generator[None, None, None]:
     """Add the origin of a key, file and line or override, to problems that begin with the key.
 
     Problems that appear only when a scenario is used, such as an unknown material, state the key
