@@ -32,6 +32,8 @@ from twinct.runs.slips import doubted_lengths, doubted_times
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
+from twinct.specimen.convex_parts import Fit
+from twinct.specimen.room_bodies import mesh_pieces
 from twinct.specimen.size import SpecimenSize, specimen_size
 from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
@@ -230,8 +232,10 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
-    if builder.scenario.cell.kind == "arms" and builder.cell.notes:
+    if scenario.cell.kind == "arms" and builder.cell.notes:
         clearance["arms, supplied or changed"] = "; ".join(builder.cell.notes)
+    if scenario.cell.kind == "arms" and (fits := _fits(builder)):
+        clearance["shapes that collide"] = "; ".join(f"{n}: {fit.words}" for n, fit in fits.items())
     parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
         "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",
@@ -244,6 +248,16 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         "reconstruction": scenario.reconstruction.in_words,
         "digest": stage_digests(scenario)["images"],
     }
+
+
+def _fits(builder: SimulationBuilder) -> dict[str, Fit]:
+    """Return how closely convex bodies hold skins, and objects that are meshes, by name."""
+    meshes = {
+        one.name: mesh_pieces(one, key).fit
+        for key, one in builder.scenario.cell.keyed_objects
+        if one.shape.kind == "mesh" and one.collides
+    }
+    return builder.specimen.skin_fits | meshes
 
 
 LIMITS = 3
