@@ -111,6 +111,7 @@ def _transport() -> None:
     simulation = Simulation(body, Beam.of_view(geometry, 0, 60.0), detector=Detector(geometry))
     simulation.run(1, 1)
     simulation.primary()
+    simulation.primary_energy()
     # Called one by one in the tests of their distributions.
     voxels, media = body.tables()
     scores = np.zeros(1), np.zeros((0, 0, 0)), False

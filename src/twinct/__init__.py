@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         verify,
     )
     from twinct.runs.checking import check
+    from twinct.runs.dosing import dose
     from twinct.runs.motion_program import write_motion
     from twinct.runs.reaching import place, reach
     from twinct.runs.scenario_files import draw_view, write_specimen, write_urdf
@@ -50,6 +51,7 @@ __all__ = [
     "check",
     "compare",
     "derive_geometry",
+    "dose",
     "draw_view",
     "effects_of_errors",
     "evaluate",
@@ -80,6 +82,7 @@ _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
     "Volume": "twinct.recon.volume",
     "calibrate": "twinct.calibration.calibrate",
     "check": "twinct.runs.checking",
+    "dose": "twinct.runs.dosing",
     "draw_view": "twinct.runs.scenario_files",
     "effects_of_errors": "twinct.view_plans.effects",
     "import_scan": "twinct.measured.import_scan",

@@ -141,7 +141,7 @@ def test_dose_of_a_view_is_that_of_the_task():
             "radius_mm": 15,
             "views": 9,
             "completeness": {},
-            "dose": {"part": "right lens"},
+            "dose": {"part": "right lens", "photons": 1000, "views": 20, "voxel_mm": 4.0},
         },
     }
     env = NextViewEnv(load_scenario(patient), prices={"dose": 1.0}, **SMALL)
