@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 import yaml
 
 from twinct.core.errors import ScenarioError
@@ -80,6 +81,8 @@ def check(block: Block, folder: Path) -> None:
     """Check a block of code; an unknown language fails."""
     kinds = {"sh": _shell, "yaml": _yaml, "python": _python, "toml": _toml}
     kinds |= {"text": _nothing, "csv": _views}
+    if "import torch" in block.text:
+        pytest.importorskip("torch", reason="needs torch: pip install twinct[torch]")
     kinds[block.language](block, folder)
 
 

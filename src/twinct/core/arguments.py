@@ -64,6 +64,7 @@ KINDS = {
     ),
     "Mapping[str, Any]": Kind("keys and values", lambda value: isinstance(value, Mapping)),
     "Scenario": Kind("a Scenario, as load_scenario(FILE) returns it", _called("Scenario")),
+    "ScenarioText": Kind("a ScenarioText", _called("ScenarioText")),
     "Scan": Kind("a Scan, as simulate(SCENARIO) and load_scan(FOLDER) return it", _called("Scan")),
     "Volume": Kind(
         "a Volume, as reconstruct(SCAN), Volume.read(FILE) and Volume(ARRAY, GRID) return it",

@@ -27,10 +27,13 @@ from twinct.runs.metal_reduction import check_metal
 from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
+from twinct.runs.scatter_correction import check_scatter_correction
 from twinct.runs.slips import doubted_lengths, doubted_times
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
+from twinct.specimen.convex_parts import Fit
+from twinct.specimen.room_bodies import mesh_pieces
 from twinct.specimen.size import SpecimenSize, specimen_size
 from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
@@ -186,12 +189,16 @@ def _check_errors(builder: SimulationBuilder) -> None:
 
 
 def check_corrections(settings: ScanSettings) -> None:
-    """Check that beam hardening and metal can be corrected, before any other work.
+    """Check that scatter, beam hardening and metal can be corrected, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
     """
-    _check_all(lambda: check_hardening(settings), lambda: check_metal(settings))
+    _check_all(
+        lambda: check_scatter_correction(settings),
+        lambda: check_hardening(settings),
+        lambda: check_metal(settings),
+    )
 
 
 def _check_all(*checks: Callable[[], object]) -> None:
@@ -225,8 +232,10 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
-    if builder.scenario.cell.kind == "arms" and builder.cell.notes:
+    if scenario.cell.kind == "arms" and builder.cell.notes:
         clearance["arms, supplied or changed"] = "; ".join(builder.cell.notes)
+    if scenario.cell.kind == "arms" and (fits := _fits(builder)):
+        clearance["shapes that collide"] = "; ".join(f"{n}: {fit.words}" for n, fit in fits.items())
     parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
         "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",
@@ -239,6 +248,16 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         "reconstruction": scenario.reconstruction.in_words,
         "digest": stage_digests(scenario)["images"],
     }
+
+
+def _fits(builder: SimulationBuilder) -> dict[str, Fit]:
+    """Return how closely convex bodies hold skins, and objects that are meshes, by name."""
+    meshes = {
+        one.name: mesh_pieces(one, key).fit
+        for key, one in builder.scenario.cell.keyed_objects
+        if one.shape.kind == "mesh" and one.collides
+    }
+    return builder.specimen.skin_fits | meshes
 
 
 LIMITS = 3

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel
 
+from twinct.core.files.plain_yaml import written_on_a_line
 from twinct.scenario.loading import load_scenario
 from twinct.scenario.objects import with_paths
 from twinct.scenario.reading import drafted, is_list, is_mapping
@@ -70,7 +70,7 @@ def _section(
             for item, its_model in zip(value, inner or [None] * len(value), strict=False):
                 yield from _item(item, its_model, f"{indent}  ", already)
         else:
-            yield f"{indent}{key}: {_flow(value)}"
+            yield f"{indent}{key}: {written_on_a_line(value)}"
         if not indent:
             yield ""
 
@@ -98,9 +98,3 @@ def _comment(model: object, key: str, indent: str, explained: set[str] | None) -
         explained.add(text)
     prefix = f"{indent}# "
     yield from textwrap.wrap(text, WIDTH, initial_indent=prefix, subsequent_indent=prefix)
-
-
-def _flow(value: Any) -> str:
-    """Return a value as YAML on one line."""
-    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=2**31)
-    return text.removesuffix("...\n").strip()

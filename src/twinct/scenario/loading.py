@@ -23,7 +23,7 @@ from twinct.core.foreign_text import shortened
 from twinct.core.settings import Section
 from twinct.scenario.messages import place, refusal
 from twinct.scenario.objects import with_paths
-from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
+from twinct.scenario.reading import Draft, Overrides, ScenarioText, Source, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -33,14 +33,17 @@ ModelT = TypeVar("ModelT", bound=Section)
 
 @kinds_checked
 def load_scenario(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, resolved: bool = False
+    source: str | Path | Mapping[str, Any] | ScenarioText,
+    overrides: Overrides = (),
+    *,
+    resolved: bool = False,
 ) -> Scenario:
     """Read, extend, override and validate a scenario.
 
     Args:
         source: YAML file, whose key ``extends`` names the file it builds on, relative to itself;
-            the name of a built-in scenario, as ``extends`` may be, too; or a mapping, in which
-            files are relative to the working folder.
+            the name of a built-in scenario, as ``extends`` may be, too; a mapping, in which
+            files are relative to the working folder; or the text of a file (``ScenarioText``).
         overrides: values by dotted key, such as ``{"trajectory.views": 12}``; or ``KEY=VALUE``
             texts, as ``--set`` takes them.
         resolved: True if twinct wrote the file, with all defaults: then no key is reported that
@@ -149,9 +152,7 @@ def write_scenario(
 
 
 @contextmanager
-def named_places(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = ()
-) -> Generator[None, None, None]:
+def named_places(source: Source, overrides: Overrides = ()) -> Generator[None, None, None]:
     """Add the origin of a key, file and line or override, to problems that begin with the key.
 
     Problems that appear only when a scenario is used, such as an unknown material, state the key

@@ -12,7 +12,7 @@ import numpy as np
 
 from twinct.core.errors import ScenarioError
 from twinct.core.files.boundary import ABSENT, absolute, no_file
-from twinct.core.files.plain_yaml import Key, read_file, read_value
+from twinct.core.files.plain_yaml import Key, read_file_text, read_text, read_value
 from twinct.core.foreign_text import quoted, shortened, whole_number
 from twinct.core.settings import FILE_KEYS
 from twinct.recon.sections.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
@@ -100,9 +100,24 @@ Overrides = Iterable[str] | Mapping[str, Any]
 """``KEY=VALUE`` texts, or values by dotted key."""
 
 
-def drafted(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, extends: bool = True
-) -> Draft:
+@dataclass(frozen=True)
+class ScenarioText:
+    """Text of a scenario file that differs from the file, or is not saved yet.
+
+    Attributes:
+        path: the file; other files are named relative to its folder.
+        text: the text.
+    """
+
+    path: Path
+    text: str
+
+
+Source = str | Path | Mapping[str, Any] | ScenarioText
+"""A scenario file, the name of a built-in scenario, plain data, or the text of a file."""
+
+
+def drafted(source: Source, overrides: Overrides = (), *, extends: bool = True) -> Draft:
     """Merge a scenario file and the files it extends, or plain data, with overrides.
 
     Without ``extends``, plain data may name no file to build on: the key stays, and is refused.
@@ -113,6 +128,9 @@ def drafted(
     if isinstance(source, Mapping):
         own = Draft(_absolute_paths(_plain(source), Path()))
         draft = _extended(own, Path(), ()) if extends else Draft(upgraded(own.data))
+    elif isinstance(source, ScenarioText):
+        chain = (absolute(Path(), str(source.path)),)
+        draft = _extended(keys_of(source), source.path.parent, chain)
     else:
         draft = _read(Path(source), ())
     if isinstance(overrides, Mapping):
@@ -167,7 +185,17 @@ def read_yaml(path: Path, what: str) -> Draft:
     Raises:
         ScenarioError: the file cannot be read, or is no mapping.
     """
-    read = read_file(path, what)
+    return keys_of(ScenarioText(path, read_file_text(path, what)), what)
+
+
+def keys_of(source: ScenarioText, what: str = "scenario") -> Draft:
+    """Return the keys of one text alone, without the file that it extends.
+
+    Raises:
+        ScenarioError: the text is no mapping of plain data.
+    """
+    path = source.path
+    read = read_text(source.text, path, what)
     if read.value is None:
         raise ScenarioError(f"{path}: the {what} is empty")
     if not is_mapping(read.value):

@@ -31,8 +31,8 @@ GROUPS = {
         "reach": "Show which directions source and panel can reach, all over the sphere, at one or "
         "more radii.",
         "specimen": "Build the specimen only: a mesh for each part, the voxel truth and a picture.",
-        "uncertainty": "Compute the effects of a scenario's errors on poses and images, by cause, "
-        "without rendering.",
+        "dose": "Compute the dose of a scenario's views to its parts and labels.",
+        "uncertainty": "Compute the effects of a scenario's errors, without rendering.",
     },
     "plan": {
         "plan": "Choose views for the section task of a scenario, among the views that the arms "
