@@ -25,6 +25,7 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
 """Modules that are cheap to import. They are imported, since an installed module may be broken."""
 
 _FOUND: dict[str, tuple[str, ...]] = {
+    "robots": ("coacd",),
     "xray": ("gvxrPython3",),
     "study": ("optuna",),
     "hdf5": ("h5py",),

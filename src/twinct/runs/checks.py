@@ -28,9 +28,12 @@ from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
 from twinct.runs.scatter_correction import check_scatter_correction
+from twinct.runs.slips import doubted_lengths, doubted_times
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
+from twinct.specimen.convex_parts import Fit
+from twinct.specimen.room_bodies import mesh_pieces
 from twinct.specimen.size import SpecimenSize, specimen_size
 from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
@@ -74,14 +77,19 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
             "grid into the beam (reconstruction.grid.centre_mm), or use a larger panel or a "
             "smaller orbit"
         )
+    size, middle = _size(builder), grid.world_from_grid.position
+    to_middle_mm = float(builder.commanded.depth(middle).min())
+    doubts = doubted_lengths(builder.scenario, size, to_middle_mm)
     if problems:
-        raise TrajectoryError(problems)
+        raise TrajectoryError([*problems, *doubts])
     check_places(builder)
     _ = builder.beam_objects  # names unknown materials before anything moves
     warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")
-    warnings += _size(builder).warnings
+    # A doubted panel or grid explains why parts seem too large or too small.
+    warnings += doubts or size.warnings
+    warnings += doubted_times(builder.scenario)
     warnings += _cut(builder)
     warnings += larger_than_table(builder)
     warnings += _scatter(builder)
@@ -224,8 +232,10 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
-    if builder.scenario.cell.kind == "arms" and builder.cell.notes:
+    if scenario.cell.kind == "arms" and builder.cell.notes:
         clearance["arms, supplied or changed"] = "; ".join(builder.cell.notes)
+    if scenario.cell.kind == "arms" and (fits := _fits(builder)):
+        clearance["shapes that collide"] = "; ".join(f"{n}: {fit.words}" for n, fit in fits.items())
     parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
         "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",
@@ -238,6 +248,16 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         "reconstruction": scenario.reconstruction.in_words,
         "digest": stage_digests(scenario)["images"],
     }
+
+
+def _fits(builder: SimulationBuilder) -> dict[str, Fit]:
+    """Return how closely convex bodies hold skins, and objects that are meshes, by name."""
+    meshes = {
+        one.name: mesh_pieces(one, key).fit
+        for key, one in builder.scenario.cell.keyed_objects
+        if one.shape.kind == "mesh" and one.collides
+    }
+    return builder.specimen.skin_fits | meshes
 
 
 LIMITS = 3

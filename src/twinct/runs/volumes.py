@@ -14,6 +14,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError
 from twinct.core.interruption import keeping
@@ -61,6 +62,7 @@ Function = Callable[[Projector, NDArray[np.float32]], ArrayLike]
 """``f(A, y)``: from the projector and line integrals to a volume (z, y, x), 1/mm."""
 
 
+@kinds_checked
 def reconstruct(
     scan: Scan,
     *,

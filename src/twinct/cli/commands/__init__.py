@@ -18,8 +18,9 @@ from twinct.core.foreign_text import quoted
 
 GROUPS = {
     "start": {
-        "demo": "Run the built-in scenario demo with the engines and the link that are installed.",
+        "demo": "Run the built-in scenario demo with what is installed.",
         "init": "Write a scenario to start from, with a comment on each key.",
+        "doctor": "Say what works on this machine, and what to type for the rest.",
         "check": "Validate a scenario, build its specimen, plan its motion and rehearse it, "
         "without running it.",
         "run": "Run a scenario: plan, move, expose, reconstruct, evaluate, report.",
