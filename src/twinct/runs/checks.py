@@ -27,6 +27,8 @@ from twinct.runs.metal_reduction import check_metal
 from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
+from twinct.runs.scatter_correction import check_scatter_correction
+from twinct.runs.slips import doubted_lengths, doubted_times
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
@@ -75,14 +77,19 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
             "grid into the beam (reconstruction.grid.centre_mm), or use a larger panel or a "
             "smaller orbit"
         )
+    size, middle = _size(builder), grid.world_from_grid.position
+    to_middle_mm = float(builder.commanded.depth(middle).min())
+    doubts = doubted_lengths(builder.scenario, size, to_middle_mm)
     if problems:
-        raise TrajectoryError(problems)
+        raise TrajectoryError([*problems, *doubts])
     check_places(builder)
     _ = builder.beam_objects  # names unknown materials before anything moves
     warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")
-    warnings += _size(builder).warnings
+    # A doubted panel or grid explains why parts seem too large or too small.
+    warnings += doubts or size.warnings
+    warnings += doubted_times(builder.scenario)
     warnings += _cut(builder)
     warnings += larger_than_table(builder)
     warnings += _scatter(builder)
@@ -184,12 +191,16 @@ def _check_errors(builder: SimulationBuilder) -> None:
 
 
 def check_corrections(settings: ScanSettings) -> None:
-    """Check that beam hardening and metal can be corrected, before any other work.
+    """Check that scatter, beam hardening and metal can be corrected, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
     """
-    _check_all(lambda: check_hardening(settings), lambda: check_metal(settings))
+    _check_all(
+        lambda: check_scatter_correction(settings),
+        lambda: check_hardening(settings),
+        lambda: check_metal(settings),
+    )
 
 
 def _check_all(*checks: Callable[[], object]) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, storage_errors
@@ -68,6 +69,7 @@ class Placed:
         return self.placement.overrides
 
 
+@kinds_checked
 def reach(
     scenario: Scenario | str | Path,
     *,
@@ -104,7 +106,7 @@ def reach(
     builder = SimulationBuilder(scenario)
     with audience_of(observers) as audience:
         undrawable = tell_if_undrawable(audience) if out else []
-        sod, its_odd, centre = _orbit(builder)
+        sod, its_odd, centre = orbit_of(builder)
         result = reach_of(
             builder.cell,
             scenario.motion,
@@ -127,6 +129,7 @@ def reach(
     return result
 
 
+@kinds_checked
 def place(
     scenario: Scenario | str | Path,
     *,
@@ -187,7 +190,7 @@ def _arms_of(scenario: Scenario) -> Cell:
     return scenario.cell
 
 
-def _orbit(builder: SimulationBuilder) -> tuple[float, float, Floats]:
+def orbit_of(builder: SimulationBuilder) -> tuple[float, float, Floats]:
     """Return SOD, ODD and isocentre, mm; for views from a file, their means about the specimen.
 
     If distances change along the path, its middle counts.
@@ -219,7 +222,7 @@ def _views_to_serve(
 ) -> tuple[tuple[bool, bool], TargetPoses, TargetPoses]:
     """Return the free rolls, the views for the search, and the views that evaluate its result."""
     if sphere:
-        sod, odd, centre = _orbit(builder)
+        sod, odd, centre = orbit_of(builder)
         panel = builder.scenario.detector.panel
         searched, judged = (
             poses_of(fibonacci_directions(count), sod, odd, centre, panel)

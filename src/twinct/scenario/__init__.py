@@ -33,6 +33,7 @@ from twinct.scenario.loading import (
     write_scenario,
 )
 from twinct.scenario.objects import with_files_in, with_paths
+from twinct.scenario.reading import ScenarioText
 from twinct.scenario.scenario import AnyTrajectory, Scenario
 from twinct.specimen.sections.body_motion import Breathing, Fields
 from twinct.specimen.sections.composition import Composition
@@ -192,6 +193,7 @@ __all__ = [
     "Response",
     "Scatter",
     "Scenario",
+    "ScenarioText",
     "ScintillatorResponse",
     "Shape",
     "Shell",

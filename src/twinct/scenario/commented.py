@@ -7,36 +7,47 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import BaseModel
 
+from twinct.core.files.plain_yaml import written_on_a_line
 from twinct.scenario.loading import load_scenario
+from twinct.scenario.objects import with_paths
 from twinct.scenario.reading import drafted, is_list, is_mapping
+from twinct.scenario.starting import Start
 
 WIDTH = 100
 _HEAD = """\
-# A scenario of twinct, made by 'twinct init' from the built-in scenario {name}.
+# A scenario of twinct, made by 'twinct init' from the built-in scenario {name}{own}.
 #   {check}  can it be run?
 #   {run}  images, volume, report
 # Keys that are left out have defaults: 'twinct schema' lists all keys. Lengths are in mm.
 """
 
 
-def commented_scenario(name: str, file: str) -> str:
-    """Return a built-in scenario as YAML, each key with its description as a comment.
+def commented_scenario(start: Start, file: Path) -> str:
+    """Return a scenario to start from as YAML, each key with its description as a comment.
 
-    What the scenario extends is part of the text, so that it stands alone.
+    What the scenario extends is part of the text, so that it stands alone. Files in the folder of
+    the text are named relative to it.
 
     Args:
-        name: name of the built-in scenario.
-        file: name of the file that the text is for.
+        start: the built-in scenario and what differs from it.
+        file: file that the text is for.
 
     Raises:
-        ScenarioError: there is no such scenario.
+        ScenarioError: there is no such scenario, or what differs is wrong.
     """
-    data, model = drafted(Path(name)).data, load_scenario(name)
-    run = f"twinct run {file} --out out/{name}"
-    head = _HEAD.format(name=name, check=f"twinct check {file}".ljust(len(run)), run=run)
+    folder = file.absolute().parent
+
+    def named(path: Path) -> Path:
+        return path.relative_to(folder) if path.is_relative_to(folder) else path
+
+    model = load_scenario(start.name, start.changes)
+    data = with_paths(drafted(Path(start.name), start.changes).data, named)
+    run = f"twinct run {file} --out out/{start.changes.get('name', start.name)}"
+    own = ", for files of yours" if start.changes else ""
+    check = f"twinct check {file}".ljust(len(run))
+    head = _HEAD.format(name=start.name, own=own, check=check, run=run)
     return "\n".join([head, *_section(data, model, "")]) + "\n"
 
 
@@ -59,7 +70,7 @@ def _section(
             for item, its_model in zip(value, inner or [None] * len(value), strict=False):
                 yield from _item(item, its_model, f"{indent}  ", already)
         else:
-            yield f"{indent}{key}: {_flow(value)}"
+            yield f"{indent}{key}: {written_on_a_line(value)}"
         if not indent:
             yield ""
 
@@ -87,9 +98,3 @@ def _comment(model: object, key: str, indent: str, explained: set[str] | None) -
         explained.add(text)
     prefix = f"{indent}# "
     yield from textwrap.wrap(text, WIDTH, initial_indent=prefix, subsequent_indent=prefix)
-
-
-def _flow(value: Any) -> str:
-    """Return a value as YAML on one line."""
-    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=2**31)
-    return text.removesuffix("...\n").strip()

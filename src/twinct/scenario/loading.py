@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, ScenarioError
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.plain_yaml import written
@@ -22,7 +23,7 @@ from twinct.core.foreign_text import shortened
 from twinct.core.settings import Section
 from twinct.scenario.messages import place, refusal
 from twinct.scenario.objects import with_paths
-from twinct.scenario.reading import Draft, Overrides, drafted, key_of, varied
+from twinct.scenario.reading import Draft, Overrides, ScenarioText, Source, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -30,15 +31,19 @@ log = logging.getLogger(__name__)
 ModelT = TypeVar("ModelT", bound=Section)
 
 
+@kinds_checked
 def load_scenario(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, resolved: bool = False
+    source: str | Path | Mapping[str, Any] | ScenarioText,
+    overrides: Overrides = (),
+    *,
+    resolved: bool = False,
 ) -> Scenario:
     """Read, extend, override and validate a scenario.
 
     Args:
         source: YAML file, whose key ``extends`` names the file it builds on, relative to itself;
-            the name of a built-in scenario, as ``extends`` may be, too; or a mapping, in which
-            files are relative to the working folder.
+            the name of a built-in scenario, as ``extends`` may be, too; a mapping, in which
+            files are relative to the working folder; or the text of a file (``ScenarioText``).
         overrides: values by dotted key, such as ``{"trajectory.views": 12}``; or ``KEY=VALUE``
             texts, as ``--set`` takes them.
         resolved: True if twinct wrote the file, with all defaults: then no key is reported that
@@ -48,10 +53,9 @@ def load_scenario(
         ScenarioError: with one sentence for each problem, naming key, value and origin.
     """
     draft = drafted(source, overrides)
-    scenario = _checked(draft)
     for sentence in () if resolved else draft.left_out:
         _warn_once(sentence)
-    return scenario
+    return _checked(draft)
 
 
 def as_scenario(scenario: Scenario | str | Path, keys: Mapping[str, Any] | None = None) -> Scenario:
@@ -148,9 +152,7 @@ def write_scenario(
 
 
 @contextmanager
-def named_places(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = ()
-) -> Generator[None, None, None]:
+def named_places(source: Source, overrides: Overrides = ()) -> Generator[None, None, None]:
     """Add the origin of a key, file and line or override, to problems that begin with the key.
 
     Problems that appear only when a scenario is used, such as an unknown material, state the key

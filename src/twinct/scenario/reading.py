@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard, cast
@@ -12,7 +12,7 @@ import numpy as np
 
 from twinct.core.errors import ScenarioError
 from twinct.core.files.boundary import ABSENT, absolute, no_file
-from twinct.core.files.plain_yaml import Key, read_file, read_value
+from twinct.core.files.plain_yaml import Key, read_file_text, read_text, read_value
 from twinct.core.foreign_text import quoted, shortened, whole_number
 from twinct.core.settings import FILE_KEYS
 from twinct.recon.sections.reconstruction import DEFAULT_ALGORITHM, SECTIONS, own_keys
@@ -39,13 +39,17 @@ class Draft:
 
     A section counts as set by the last file or override that set one of its keys, since that change
     caused any problem of the section as a whole. ``left_out`` has one sentence for each key that
-    was dropped together with its algorithm. ``overridden`` holds the keys that overrides set,
+    was dropped together with its algorithm. ``afresh`` has the keys that a section lost with its
+    kind, and the override that changed it. ``overridden`` holds the keys that overrides set,
     ``beneath`` the origins in files that sections had before overrides of keys in them.
     """
 
     data: dict[str, Any] = field(default_factory=dict[str, Any])
     origins: dict[Key, str] = field(default_factory=dict[Key, str])
     left_out: list[str] = field(default_factory=list[str])
+    afresh: dict[Key, tuple[str, tuple[str, ...]]] = field(
+        default_factory=dict[Key, tuple[str, tuple[str, ...]]]
+    )
     overridden: set[Key] = field(default_factory=set[Key])
     beneath: dict[Key, str] = field(default_factory=dict[Key, str])
 
@@ -96,9 +100,24 @@ Overrides = Iterable[str] | Mapping[str, Any]
 """``KEY=VALUE`` texts, or values by dotted key."""
 
 
-def drafted(
-    source: str | Path | Mapping[str, Any], overrides: Overrides = (), *, extends: bool = True
-) -> Draft:
+@dataclass(frozen=True)
+class ScenarioText:
+    """Text of a scenario file that differs from the file, or is not saved yet.
+
+    Attributes:
+        path: the file; other files are named relative to its folder.
+        text: the text.
+    """
+
+    path: Path
+    text: str
+
+
+Source = str | Path | Mapping[str, Any] | ScenarioText
+"""A scenario file, the name of a built-in scenario, plain data, or the text of a file."""
+
+
+def drafted(source: Source, overrides: Overrides = (), *, extends: bool = True) -> Draft:
     """Merge a scenario file and the files it extends, or plain data, with overrides.
 
     Without ``extends``, plain data may name no file to build on: the key stays, and is refused.
@@ -109,6 +128,9 @@ def drafted(
     if isinstance(source, Mapping):
         own = Draft(_absolute_paths(_plain(source), Path()))
         draft = _extended(own, Path(), ()) if extends else Draft(upgraded(own.data))
+    elif isinstance(source, ScenarioText):
+        chain = (absolute(Path(), str(source.path)),)
+        draft = _extended(keys_of(source), source.path.parent, chain)
     else:
         draft = _read(Path(source), ())
     if isinstance(overrides, Mapping):
@@ -118,6 +140,8 @@ def drafted(
     else:
         for override in overrides:
             _apply_override(draft, override)
+        # Python code that changes a kind knows the section.
+        draft.left_out += _without_former_keys(draft)
     return draft
 
 
@@ -161,7 +185,17 @@ def read_yaml(path: Path, what: str) -> Draft:
     Raises:
         ScenarioError: the file cannot be read, or is no mapping.
     """
-    read = read_file(path, what)
+    return keys_of(ScenarioText(path, read_file_text(path, what)), what)
+
+
+def keys_of(source: ScenarioText, what: str = "scenario") -> Draft:
+    """Return the keys of one text alone, without the file that it extends.
+
+    Raises:
+        ScenarioError: the text is no mapping of plain data.
+    """
+    path = source.path
+    read = read_text(source.text, path, what)
     if read.value is None:
         raise ScenarioError(f"{path}: the {what} is empty")
     if not is_mapping(read.value):
@@ -267,7 +301,7 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
         if depth == len(steps) - 1:
             if is_mapping(here) and step in KIND_KEYS:
                 if here.get(step, DEFAULT_KINDS.get(key[:-1], value)) != value:
-                    _start_afresh(draft, here, key[:-1])
+                    _start_afresh(draft, here, key[:-1], place)
             if step == "algorithm":
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value
@@ -294,12 +328,24 @@ def _index(here: Any, step: str, place: str) -> Any:
     return number
 
 
-def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
+def _start_afresh(draft: Draft, section: dict[str, Any], key: Key, place: str) -> None:
     """Empty a section whose kind changes, except for keys that overrides have set."""
-    for name in list(section):
-        if not draft.set_over((*key, name)):
-            del section[name]
-            draft.forget((*key, name))
+    dropped = [name for name in section if not draft.set_over((*key, name))]
+    for name in dropped:
+        del section[name]
+        draft.forget((*key, name))
+    draft.afresh[key] = place, tuple(name for name in dropped if name not in KIND_KEYS)
+
+
+def _without_former_keys(draft: Draft) -> Iterator[str]:
+    """Yield a sentence for each section that started afresh, and what it lost on the way."""
+    for key, (place, names) in draft.afresh.items():
+        # Another override may have replaced the section since.
+        if lost := [name for name in names if not draft.set_over((*key, name))]:
+            yield (
+                f"{place}: a new kind starts afresh, without the former {', '.join(lost)}; set "
+                f"what you need with it, such as --set {'.'.join(map(str, key))}.{lost[0]}=..."
+            )
 
 
 def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:

@@ -17,7 +17,7 @@ from typing import Any, cast
 import yaml
 
 from twinct.core.errors import ScenarioError
-from twinct.core.files.boundary import read_text
+from twinct.core.files.boundary import read_text as text_of
 from twinct.core.foreign_text import quoted
 
 LARGEST_BYTES = 2**20
@@ -69,8 +69,25 @@ def read_file(path: Path, what: str) -> PlainYaml:
     Raises:
         ScenarioError: the file cannot be read, or holds more than plain data; names file and line.
     """
-    text = read_text(path, f"{path}: the {what}", LARGEST_BYTES, ScenarioError)
-    return _Reader(text, path, what, lines=True).read()
+    return read_text(read_file_text(path, what), path, what)
+
+
+def read_file_text(path: Path, what: str) -> str:
+    """Return the text of a YAML file, unread.
+
+    Raises:
+        ScenarioError: there is no such file, or it is too large or no text.
+    """
+    return text_of(path, f"{path}: the {what}", LARGEST_BYTES, ScenarioError)
+
+
+def read_text(text: str, where: object, what: str) -> PlainYaml:
+    """Read a YAML text that came from ``where``.
+
+    Raises:
+        ScenarioError: as ``read_file``.
+    """
+    return _Reader(text, where, what, lines=True).read()
 
 
 def read_value(text: str, where: str) -> Any:
@@ -96,9 +113,25 @@ for _pattern in (_FLOAT, _IN_BASE):
     _resolvers.add_implicit_resolver("tag:yaml.org,2002:float", _whole_text, list("-+.0123456789"))
 
 
-def written(data: Any) -> str:
-    """Return the text that ``read_file`` reads back."""
-    return yaml.dump(data, Dumper=_Writer, sort_keys=False, allow_unicode=True)
+def written(data: Any, *, short: bool = False) -> str:
+    """Return the text that ``read_file`` reads back; ``short``: innermost sections on one line."""
+    flow = None if short else False
+    return yaml.dump(
+        data, Dumper=_Writer, sort_keys=False, allow_unicode=True, default_flow_style=flow
+    )
+
+
+def written_on_a_line(value: Any) -> str:
+    """Return the text of a value as it may stand behind a key, or in a list in brackets."""
+    text = yaml.dump(
+        [value],
+        Dumper=_Writer,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=True,
+        width=2**31,
+    )
+    return text.rstrip("\n")[1:-1]
 
 
 class _Reader:

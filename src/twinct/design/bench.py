@@ -1,0 +1,61 @@
+"""What a worker keeps from one question to the next: the last scenario's bodies, and an imager."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from twinct.scan import SimulationBuilder
+from twinct.scenario import Scenario, ScenarioText, load_scenario
+
+if TYPE_CHECKING:
+    from twinct.xray import Imager
+
+
+@dataclass
+class Bench:
+    """Parts of the newest scenarios, which are built at their first use."""
+
+    _text: ScenarioText | None = None
+    _scenario: Scenario | None = None
+    _builder: SimulationBuilder | None = None
+    _imager: tuple[object, Any] | None = field(default=None, repr=False)
+
+    def scenario(self, source: ScenarioText) -> Scenario:
+        """Return the scenario of a text.
+
+        Raises:
+            ScenarioError: the text is no valid scenario.
+        """
+        if self._scenario is None or self._text != source:
+            self._scenario, self._text = load_scenario(source), source
+        return self._scenario
+
+    def builder(self, scenario: Scenario) -> SimulationBuilder:
+        """Return the builder of a scenario; the process keeps its specimen for the next one."""
+        if self._builder is None or self._builder.scenario != scenario:
+            self._builder = SimulationBuilder(scenario)
+        return self._builder
+
+    def imager(self, builder: SimulationBuilder) -> Imager:
+        """Return an open imager for a scenario; the last one, if nothing that it reads differs."""
+        reads = _read_by_imager(builder.scenario)
+        if self._imager is None or self._imager[0] != reads:
+            self.close()
+            self._imager = reads, builder.imager()
+        return self._imager[1]
+
+    def close(self) -> None:
+        """Close the imager; a process has at most one."""
+        if self._imager is not None:
+            self._imager[1].close()
+            self._imager = None
+
+
+def _read_by_imager(scenario: Scenario) -> tuple[object, ...]:
+    """Return the sections that an imager reads."""
+    common = (scenario.specimen, scenario.source, scenario.detector, scenario.xray, scenario.cell)
+    # An ideal image needs the views only to split large triangles, and allows any.
+    if scenario.source.ideal and scenario.detector.ideal:
+        return common
+    return (*common, scenario.trajectory, scenario.seed)

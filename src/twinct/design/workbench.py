@@ -1,0 +1,222 @@
+"""The model of the workbench: a draft, the answers about it, and the prices of its changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twinct.core.threads import available_threads
+from twinct.design.desk import Answer, Desk, State
+from twinct.design.draft import Draft
+from twinct.design.edits import Edit
+from twinct.design.questions import (
+    COARSE_DIRECTIONS,
+    HeldViews,
+    PlannedMotion,
+    Projection,
+    Question,
+    ScanCosts,
+    ShadedSphere,
+)
+from twinct.scenario import Scenario
+
+FINEST_DIRECTIONS = 800
+"""Directions at which the shading of the sphere ends."""
+
+OF_IMAGES = ("image", "costs")
+"""Subjects of the desk for images, which never wait for a motion plan."""
+
+
+@dataclass(frozen=True)
+class Price:
+    """A quantity that a design costs.
+
+    Attributes:
+        name: name for users.
+        unit: its unit.
+        now: value of the present state, or of the last one that has an answer; NaN without any.
+        saved: value of the last saved state; NaN if it is not known.
+        state: state of ``now``.
+    """
+
+    name: str
+    unit: str
+    now: float
+    saved: float
+    state: State
+
+    @property
+    def change(self) -> float:
+        """Present value minus the saved one; NaN if one is not known."""
+        return self.now - self.saved
+
+
+_PRICES: tuple[tuple[str, str, str, Callable[[Any], float]], ...] = (
+    ("motion", "motion time", "s", lambda value: value.duration_s),
+    ("motion", "smallest clearance", "mm", lambda value: value.clearance_mm),
+    ("views", "views within reach", "", lambda value: float(value.sum())),
+    ("costs", "views", "", lambda value: value.views),
+    ("costs", "exposure", "s", lambda value: value.exposure_s),
+    ("costs", "memory", "GB", lambda value: value.memory_bytes / 1e9),
+    ("costs", "disk", "GB", lambda value: value.disk_bytes / 1e9),
+)
+"""Subject, name, unit and value of each price."""
+
+
+class Workbench:
+    """A draft with answers that follow it.
+
+    After each change, only the questions whose answers may differ are asked again; their last
+    answers stay meanwhile.
+
+    Attributes:
+        draft: the draft.
+        view: index of the view of the image.
+    """
+
+    def __init__(
+        self, draft: Draft, folder: Path, told: Callable[[str, Answer], object] = lambda *_: None
+    ) -> None:
+        """Ask the first questions.
+
+        Args:
+            draft: the draft.
+            folder: folder for the output of the workers.
+            told: called with subject and answer after each change, in any thread.
+        """
+        self.draft, self.view = draft, 0
+        self._told = told
+        self._asked: dict[str, object] = {}
+        self._at_saved: dict[str, Any] = {}
+        threads = max(available_threads() // 2, 1)
+        self._images = Desk(folder / "images", self._hear, threads=threads)
+        self._motions = Desk(folder / "motions", self._hear, threads=threads)
+        self._ask_anew()
+
+    def close(self) -> None:
+        """End both workers; the draft stays on disk."""
+        self._images.close()
+        self._motions.close()
+
+    def set(self, values: Mapping[str, Any], *, gesture: object = None) -> None:
+        """Set keys, as one edit; see ``Draft.set``."""
+        self.draft.set(values, gesture=gesture)
+        self._ask_anew()
+
+    def apply(self, edit: Edit) -> None:
+        """Apply an edit; see ``Draft.apply``."""
+        self.draft.apply(edit)
+        self._ask_anew()
+
+    def undo(self) -> None:
+        """Return to the state before the last edit."""
+        self.draft.undo()
+        self._ask_anew()
+
+    def redo(self) -> None:
+        """Repeat the edit that was undone last."""
+        self.draft.redo()
+        self._ask_anew()
+
+    def save(self, *, over: bool = False) -> None:
+        """Write the file; see ``Draft.save``."""
+        self.draft.save(over=over)
+        self._at_saved.clear()
+        for subject in self._asked:
+            self._note_saved(self.answer(subject))
+
+    def take_over(self) -> None:
+        """Take over the file of another program; see ``Draft.take_over``."""
+        self.draft.take_over()
+        self._at_saved.clear()
+        self._ask_anew()
+
+    def look(self, view: int, *, whole: bool = False) -> None:
+        """Ask for the image of a view: few pixels, or all of them with noise and scatter."""
+        self.view = view
+        if not self.draft.problems:
+            self._images.ask(Projection(self.draft.source, view, whole))
+
+    def ask(self, question: Question) -> None:
+        """Ask a question that is only asked on request, such as for a small volume."""
+        if (scenario := self.draft.scenario) is not None:
+            self._asked[question.subject] = question.reads(scenario)
+        self._desk_of(question.subject).ask(question)
+
+    def cancel(self) -> None:
+        """Stop the calculations of motions and volumes."""
+        self._motions.cancel()
+
+    def answer(self, subject: str) -> Answer:
+        """Return the answer of a subject."""
+        return self._desk_of(subject).answer(subject)
+
+    def prices(self) -> list[Price]:
+        """Return what the present state costs, and what the saved one costs."""
+        prices: list[Price] = []
+        for subject, name, unit, value in _PRICES:
+            answer, saved = self.answer(subject), self._at_saved.get(subject)
+            now = math.nan if answer.value is None else float(value(answer.value))
+            before = math.nan if saved is None else float(value(saved))
+            prices.append(Price(name, unit, now, before, answer.state))
+        return prices
+
+    def settle(self, timeout_s: float | None = None) -> bool:
+        """Wait until all questions are answered; return False on timeout."""
+        return self._images.settle(timeout_s) and self._motions.settle(timeout_s)
+
+    def _desk_of(self, subject: str) -> Desk:
+        return self._images if subject in OF_IMAGES else self._motions
+
+    def _ask_anew(self) -> None:
+        """Ask the questions whose answers may have changed; the others on request become old."""
+        scenario, source = self.draft.scenario, self.draft.source
+        usual: tuple[Question, ...] = (
+            Projection(source, self.view),
+            ScanCosts(source),
+            HeldViews(source),
+            ShadedSphere(source),
+            PlannedMotion(source),
+        )
+        if scenario is None or self.draft.problems:
+            for subject in self._asked:
+                self._desk_of(subject).outdate(subject)
+            self._asked.clear()
+            return
+        for question in usual:
+            self._ask_if_changed(question, scenario)
+        for subject in set(self._asked) - {question.subject for question in usual}:
+            del self._asked[subject]
+            self._desk_of(subject).outdate(subject)
+
+    def _ask_if_changed(self, question: Question, scenario: Scenario) -> None:
+        reads = question.reads(scenario)
+        if self._asked.get(question.subject) != reads:
+            self._asked[question.subject] = reads
+            self._desk_of(question.subject).ask(question)
+
+    def _hear(self, subject: str, answer: Answer) -> None:
+        if answer.state is State.FRESH:
+            self._note_saved(answer)
+        self._told(subject, answer)
+
+    def _note_saved(self, answer: Answer) -> None:
+        """Note an answer about the saved state."""
+        question = answer.question
+        if answer.state is State.FRESH and question is not None:
+            scenario = self.draft.scenario
+            if self.draft.is_saved and scenario is not None:
+                self._at_saved[question.subject] = answer.value
+
+    def refine(self) -> None:
+        """Ask for the next finer shading of the sphere, if the last one is fresh."""
+        answer = self.answer("sphere")
+        question = answer.question
+        if answer.state is not State.FRESH or not isinstance(question, ShadedSphere):
+            return
+        finer = max(2 * question.directions, COARSE_DIRECTIONS)
+        if finer <= FINEST_DIRECTIONS and not self.draft.problems:
+            self._motions.ask(ShadedSphere(self.draft.source, finer, question.rolls))
