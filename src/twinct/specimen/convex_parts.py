@@ -61,7 +61,7 @@ SAMPLES = 100
 
 @dataclass(frozen=True)
 class Fit:
-    """How closely convex bodies hold a solid.
+    """Number, volume and largest gap of the convex bodies that hold a solid.
 
     Attributes:
         bodies: number of bodies.

@@ -49,7 +49,7 @@ class MeshPieces:
 
     @cached_property
     def fit(self) -> Fit:
-        """How closely the convex bodies hold the mesh."""
+        """Fit of the convex bodies around the mesh."""
         return fit_of(self.look, self.hulls)
 
 
