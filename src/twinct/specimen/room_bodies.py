@@ -49,7 +49,7 @@ class MeshPieces:
 
     @cached_property
     def fit(self) -> Fit:
-        """Closeness of the convex bodies to the mesh."""
+        """Fit of the convex bodies around the mesh."""
         return fit_of(self.look, self.hulls)
 
 
