@@ -155,7 +155,7 @@ def twinct(arguments: list[str]) -> None:
         assert not word.startswith("examples/") or (ROOT / word).exists(), word
     if arguments[0] != "study":
         named = arguments[1] if len(arguments) > 1 else ""
-        _load(named if named in scenario_names() else "demo", given)
+        _load(named if named in scenario_names() else "head_screws", given)  # it has a spectrum
 
 
 def _load(scenario: str, given: list[str]) -> None:

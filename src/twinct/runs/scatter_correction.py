@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,12 @@ from twinct.scan.integrals import DARKEST, line_integrals
 from twinct.scenario import Reconstruction
 from twinct.scenario.imported import ScanSettings, beam_of
 from twinct.specimen.materials import Material, material
-from twinct.transport import VoxelBody
-from twinct.transport.cross_sections import require_energies
 from twinct.xray.beam import fall_off
 from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
 from twinct.xray.hardening import Hardening
-from twinct.xray.monte_carlo_scatter import ScatterNodes
+
+if TYPE_CHECKING:  # its kernels take a second to load
+    from twinct.transport import VoxelBody
 
 _KEY = "reconstruction.scatter"
 
@@ -60,6 +61,8 @@ def scatter_subtracted(scan: Scan, views: ScanGeometry, progress: Progress) -> S
     Raises:
         InputError: the beam is not known, or an energy is outside the tables.
     """
+    from twinct.xray.monte_carlo_scatter import ScatterNodes
+
     settings = scan.settings
     section = settings.reconstruction.scatter
     if section is None:
@@ -111,6 +114,8 @@ def check_scatter_correction(settings: ScanSettings) -> None:
     section = settings.reconstruction.scatter
     if section is None:
         return
+    from twinct.transport.cross_sections import require_energies
+
     source = beam_of(settings, _KEY)
     require_energies(build_spectrum(source).energies_kev, "source")
     energy = effective_energy_kev(source, settings.detector)
@@ -158,6 +163,8 @@ def _body(
     volume: NDArray[np.float32], grid: VolumeGrid, tissue: Material, dense: Material, energy: float
 ) -> VoxelBody:
     """Return voxels of mixtures of two materials, by their attenuation."""
+    from twinct.transport import VoxelBody
+
     low, high = tissue.mu_per_mm(energy), dense.mu_per_mm(energy)
     mu = np.maximum(volume, 0.0)
     between = np.clip((mu - low) / (high - low), 0.0, 1.0)

@@ -268,7 +268,7 @@ class BuiltSpecimen:
 
     @cached_property
     def skin_fits(self) -> dict[str, Fit]:
-        """How closely convex bodies hold the skin of each mixture at rest."""
+        """Closeness of convex bodies to the skin of each mixture at rest, by the part's name."""
         return {part.name: fit_of(part.mesh, convex_parts(part.mesh)) for part in self.mixtures}
 
     def _breathing(self, points: Floats) -> Iterator[Floats]:

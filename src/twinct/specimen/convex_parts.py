@@ -61,7 +61,7 @@ SAMPLES = 100
 
 @dataclass(frozen=True)
 class Fit:
-    """How closely convex bodies hold a solid.
+    """Closeness of convex bodies to a solid.
 
     Attributes:
         bodies: number of bodies.

@@ -49,7 +49,7 @@ class MeshPieces:
 
     @cached_property
     def fit(self) -> Fit:
-        """How closely the convex bodies hold the mesh."""
+        """Closeness of the convex bodies to the mesh."""
         return fit_of(self.look, self.hulls)
 
 
