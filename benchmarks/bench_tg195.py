@@ -211,7 +211,7 @@ def case_2(photons: int, _: Path) -> Iterator[Entries]:
             # The source is 1650 mm above the slab's centre, the field 150 mm below it.
             source = (0.0, -1800 * np.tan(np.radians(angle)), -1650.0)
             beam = Beam(source, (0, 0, 150), (195, 0, 0), (0, 195, 0), *lines_of(name))
-            energies = _run(body, beam, regions, photons)
+            energies = _run(body, beam, regions, photons, by_rays=True)
             yield {("Case 2", v, name, mode): pair for v, pair in energies.items()}
 
 
@@ -244,7 +244,7 @@ def case_3(photons: int, _: Path) -> Iterator[Entries]:
             turn = np.radians(angle)
             source = wall + [0, -620 * np.sin(turn), 620 * np.cos(turn)]
             beam = Beam(source, wall + [70, 0, -40], (70, 0, 0), (0, 130, 0), *lines_of(name))
-            energies = _run(body, beam, regions, photons)
+            energies = _run(body, beam, regions, photons, by_rays=True)
             yield {("Case 3", v, name, mode): pair for v, pair in energies.items()}
 
 
@@ -379,11 +379,21 @@ def _simulated(simulation: Simulation, photons: int) -> Scores:
     return scores
 
 
-def _run(body: VoxelBody, beam: Beam, regions: Regions, photons: int) -> Named:
-    """Return the energies of regions and their standard errors, eV per photon."""
-    scores = _simulated(Simulation(body, beam, regions=regions), photons)
-    pairs = scores.region_energy().items()
-    return {name: (mean * 1000, error * 1000) for name, (mean, error) in pairs}
+def _run(
+    body: VoxelBody, beam: Beam, regions: Regions, photons: int, *, by_rays: bool = False
+) -> Named:
+    """Return the energies of regions and their standard errors, eV per photon.
+
+    With ``by_rays``, rays to all voxels give the energy of unscattered photons, without chance: for
+    fields that are wide against the voxels, as a voxel is in the field or not.
+    """
+    simulation = Simulation(body, beam, regions=regions, unscattered=not by_rays)
+    scores = _simulated(simulation, photons)
+    free = np.zeros(len(regions.names))
+    if by_rays:
+        free = regions.shares @ simulation.primary_energy().ravel()
+    pairs = zip(scores.region_energy().items(), free.tolist(), strict=True)
+    return {name: ((mean + own) * 1000, error * 1000) for (name, (mean, error)), own in pairs}
 
 
 CASES: dict[str, Callable[[int, Path], Iterator[Entries]]] = {

@@ -61,12 +61,12 @@ def scatter_subtracted(scan: Scan, views: ScanGeometry, progress: Progress) -> S
     Raises:
         InputError: the beam is not known, or an energy is outside the tables.
     """
-    from twinct.xray.monte_carlo_scatter import ScatterNodes
-
     settings = scan.settings
     section = settings.reconstruction.scatter
     if section is None:
         return scan
+    from twinct.xray.monte_carlo_scatter import ScatterNodes
+
     source, detector = beam_of(settings, _KEY), settings.detector
     spectrum, response = build_spectrum(source), build_response(detector)
     energy = effective_energy_kev(source, detector)
