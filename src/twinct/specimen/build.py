@@ -268,11 +268,7 @@ class BuiltSpecimen:
 
     @cached_property
     def skin_fits(self) -> dict[str, Fit]:
-<<<<<<< HEAD
-        """Closeness of convex bodies to the skin of each mixture at rest, by the part's name."""
-=======
         """Fit of the convex bodies around the skin of each mixture at rest, by the part's name."""
->>>>>>> c8a64ebaa76931d856c97ba834c14846b8617514
         return {part.name: fit_of(part.mesh, convex_parts(part.mesh)) for part in self.mixtures}
 
     def _breathing(self, points: Floats) -> Iterator[Floats]:

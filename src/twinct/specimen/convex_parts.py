@@ -61,11 +61,7 @@ SAMPLES = 100
 
 @dataclass(frozen=True)
 class Fit:
-<<<<<<< HEAD
-    """Closeness of convex bodies to a solid.
-=======
     """Number, volume and largest gap of the convex bodies that hold a solid.
->>>>>>> c8a64ebaa76931d856c97ba834c14846b8617514
 
     Attributes:
         bodies: number of bodies.
