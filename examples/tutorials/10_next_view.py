@@ -23,7 +23,7 @@ from twinct.recon import Projector, sart
 
 VIEWS = 10
 env = NextViewEnv(
-    "scenarios/demo.yaml",
+    "demo",
     views=VIEWS,
     directions=120,
     voxels=32,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, storage_errors, write_json
@@ -70,6 +71,7 @@ class Dose:
         }
 
 
+@kinds_checked
 def dose(
     scenario: Scenario | str | Path,
     *,
