@@ -163,6 +163,7 @@ def check_physics(builder: SimulationBuilder) -> None:
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
         MissingExtraError: SpekPy is needed and not installed.
+        TrajectoryError: a gantry would collide with an object of its room.
     """
     scenario = builder.scenario
     _check_all(
@@ -171,6 +172,7 @@ def check_physics(builder: SimulationBuilder) -> None:
         lambda: _check_scatter(builder),
         lambda: _check_errors(builder),
     )
+    _ = builder.gantry_gap
 
 
 def _check_scatter(builder: SimulationBuilder) -> None:
@@ -225,6 +227,10 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
     physics = physics_in_words(scenario, *builder.commanded_poses[0], builder.mas)
     if plan is None:
         clearance = {"motion": "a gantry, exactly at its commanded poses"}
+        if gap := builder.gantry_gap:
+            clearance["smallest clearance"] = (
+                f"{gap.distance_mm:.1f} mm, between {' and '.join(gap.bodies)}"
+            )
     else:
         worst = int(plan.clearance_mm.argmin())
         clearance = {} if builder.followed is None else {"motion": _duration(builder, plan)}
@@ -328,7 +334,8 @@ def require_extras(scenario: Scenario) -> None:
         InputError: a package is missing; names the extra that provides it. Or the X-ray engine is
             unknown or cannot be used.
     """
-    robots = ["robots"] if scenario.cell.kind == "arms" else []
+    obstacles = any(one.collides for _, one in scenario.cell.keyed_objects)
+    robots = ["robots"] if scenario.cell.kind == "arms" or obstacles else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
     require(*robots, *engine_extras(scenario.engine), *rtk)
     if scenario.engine is not None:
