@@ -89,7 +89,7 @@ def test_the_demo_has_the_figures_of_the_pages(tmp_path: Path) -> None:
 @pytest.mark.tutorial
 def test_the_duration_that_check_states_is_that_of_the_page() -> None:
     holds(
-        "howto/scan_time.md",
+        "howto/real_robots.md",
         CHECK,
         motion=findings(SimulationBuilder(load_scenario(DEMO)))["motion"],
     )
