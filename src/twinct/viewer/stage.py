@@ -262,7 +262,8 @@ class Stage:
             for kind in ("path", "dots"):
                 if self._nodes[f"{kind} {name}"].visible != look.paths:
                     self._nodes[f"{kind} {name}"].visible = look.paths
-        if show.refused and "refused" not in self._nodes:
+        self._remove("refused")
+        if show.refused:
             points = show.geometries[show.first_name].source[list(show.refused)] * MM
             self._nodes["refused"] = self._scene.add_point_cloud(
                 f"{self._root}/refused",

@@ -26,6 +26,8 @@ GROUPS = {
         "view": "Show a run in a browser: room, beam, images, volume, errors; also while it runs.",
     },
     "look at a scene": {
+        "design": "Design a scenario in a browser: move, shape the path, see image, reach, time "
+        "and volume.",
         "render": "Draw the operating room at one view.",
         "reach": "Show which directions source and panel can reach, all over the sphere, at one or "
         "more radii.",
