@@ -52,6 +52,8 @@ def measure(name: str, moves: int, folder: Path) -> dict[str, list[float]]:
 
         def fresh(subject: str) -> bool:
             answer = page.bench.answer(subject)
+            if answer.state is State.FAILED:
+                raise SystemExit(f"{subject}: {'; '.join(answer.problems)}")
             asked = answer.question
             return (
                 answer.state is State.FRESH
@@ -75,7 +77,7 @@ def measure(name: str, moves: int, folder: Path) -> dict[str, list[float]]:
             )
         arm = "source arm"
         listener.set("body", arm)
-        page.settle()
+        wait(page._chosen)
         base = list(page._chosen().position_mm)  # type: ignore[union-attr]
         for k in range(max(moves // 5, 3)):
             before, told = page.bench.draft.text, len(shadings(listener))
