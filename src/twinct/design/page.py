@@ -41,6 +41,9 @@ log = logging.getLogger(__name__)
 REST_S = 0.6
 """Time without a change after which all pixels of the image are asked for."""
 
+WIDE_PX = 400
+"""Width to which small images are enlarged, by whole pixels."""
+
 NOTHING = "nothing"
 GIZMO_M = 0.25
 
@@ -100,12 +103,12 @@ class DesignPage:
     # Controls.
 
     def _build(self) -> None:
-        gui = self._server.gui
-        with gui.add_folder("Draft"):
+        gui, order = self._server.gui, self.page.below_head
+        with gui.add_folder("Draft", order=order):
             self._file = gui.add_markdown("")
             self._draft = gui.add_button_group("", ("undo", "redo", "save"))
             self._theirs = gui.add_button_group("", ("take over", "replace"), visible=False)
-        with gui.add_folder("Move"):
+        with gui.add_folder("Move", order=order + 0.1):
             self._body: Any = gui.add_dropdown("body", (NOTHING,))
             self._at = gui.add_vector3("position, mm", (0.0, 0.0, 0.0), visible=False)
             self._turned = gui.add_vector3("rotation, deg", (0.0, 0.0, 0.0), visible=False)
@@ -114,10 +117,10 @@ class DesignPage:
         self._gizmo = self._server.scene.add_transform_controls(
             "/design/gizmo", scale=GIZMO_M, visible=False, depth_test=False
         )
-        self._path = gui.add_folder("Path")
+        self._path = gui.add_folder("Path", order=order + 0.2)
         with self._path:
             self._family: Any = gui.add_dropdown("family", family_names())
-        with gui.add_folder("Ask"):
+        with gui.add_folder("Ask", order=order + 0.3):
             self._sphere = gui.add_checkbox("sphere of directions", True)
             self._ask = gui.add_button_group("", ("small volume", "whole check", "cancel"))
             self._answer = gui.add_markdown("")
@@ -359,8 +362,9 @@ class DesignPage:
         if isinstance(question, Projection) and answer.state is not State.FAILED:
             if not self._window or question.whole:
                 self._window = window_of(answer.value)
-            self._image.image = picture_of(answer.value, self._window)
             rows, columns = answer.value.shape
+            picture, times = picture_of(answer.value, self._window), max(WIDE_PX // columns, 1)
+            self._image.image = picture.repeat(times, axis=0).repeat(times, axis=1)
             kind = "all pixels" if question.whole else "preview"
             self._of_image.content = (
                 f"view {question.view}, {columns} x {rows} pixels ({kind}), line integrals from 0 "

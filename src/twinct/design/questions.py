@@ -80,7 +80,7 @@ def _of_motion(scenario: Scenario) -> object:
 
 @dataclass(frozen=True)
 class HeldViews(Question):
-    """Whether both arms hold each view: the first verdict, without the ways between the views."""
+    """Question for the views that both arms hold: the first verdict, without the ways between."""
 
     subject: ClassVar[str] = "views"
     reads = staticmethod(_of_motion)

@@ -1,4 +1,4 @@
-"""What the page says about a design, as Markdown."""
+"""Words of the page about a design, as Markdown."""
 
 from __future__ import annotations
 

@@ -141,6 +141,11 @@ class Page:
         """Go to a view, like the slider."""
         self._view.value = int(np.clip(view, 0, self._view.max))
 
+    @property
+    def below_head(self) -> float:
+        """Order of controls that stand between the heading and the other controls."""
+        return float(self._head.order) + 0.5
+
     def watch_view(self, told: Callable[[int], object]) -> None:
         """Call a function with the index of the view whenever it changes."""
 

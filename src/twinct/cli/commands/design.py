@@ -25,7 +25,7 @@ def design(
     port: Port = PAGE_PORT,
     allow_network: Network = False,
 ) -> None:
-    """Design a scenario in a browser: move, shape the path, see image, reach, time and volume.
+    """Design a scenario in a browser: bodies, path, image, reach, time.
 
     Each change is one edit of the file, which is written when you save it. Until then the draft is
     kept beside the file.
