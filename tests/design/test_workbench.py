@@ -13,7 +13,7 @@ from waiting import HANG_S
 
 from twinct.design.desk import State
 from twinct.design.draft import Draft
-from twinct.design.questions import ShadedSphere, SmallVolume
+from twinct.design.questions import SmallVolume
 from twinct.design.workbench import Workbench
 
 pytestmark = pytest.mark.process
@@ -22,6 +22,7 @@ pytestmark = pytest.mark.process
 @pytest.fixture
 def bench(small_file: Path, tmp_path: Path) -> Iterator[Workbench]:
     with closing(Workbench(Draft.open(small_file), tmp_path / "workers")) as made:
+        made.begin()
         assert made.settle(HANG_S)
         yield made
 
@@ -86,9 +87,11 @@ def test_a_view_is_looked_at_and_a_volume_is_asked_for(bench: Workbench) -> None
 
 
 def test_the_sphere_becomes_finer(bench: Workbench) -> None:
-    coarse = bench.answer("sphere").question
-    assert isinstance(coarse, ShadedSphere)
+    coarse = bench.answer("sphere").value
     bench.refine()
     assert bench.settle(HANG_S)
-    finer = bench.answer("sphere").question
-    assert isinstance(finer, ShadedSphere) and finer.directions == 2 * coarse.directions
+    finer = bench.answer("sphere").value
+    assert len(finer.directions) == len(finer.both) == 2 * len(coarse.directions)
+    np.testing.assert_array_equal(finer.both[: len(coarse.both)], coarse.both)
+    far = np.linalg.norm(finer.directions[:, None] - coarse.directions, axis=2)
+    assert far[len(coarse.both) :].min() > 0.01  # all of them are new

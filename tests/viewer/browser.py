@@ -6,7 +6,7 @@ import io
 import itertools
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +207,15 @@ class Browser:
         box.send_keys(str(value), Keys.ENTER)
         self._arrives(label, value)
 
+    def type_numbers(self, label: str, values: Sequence[float]) -> None:
+        """Type into the boxes of a vector."""
+        path = f"//*[normalize-space(text())='{label}']/following::input[not(@type='hidden')]"
+        self.wait(lambda: self._driver.find_elements(By.XPATH, path), f"no boxes of {label}")
+        for k, value in enumerate(values):
+            box = self._driver.find_elements(By.XPATH, path)[k]
+            box.send_keys(Keys.CONTROL, "a")
+            box.send_keys(str(value), Keys.ENTER)
+
     def choose(self, label: str, option: str) -> None:
         """Choose from a drop-down."""
         path = f"//*[normalize-space(text())='{label}']/following::input[not(@type='hidden')][1]"
@@ -254,6 +263,10 @@ class Browser:
         self.leave()
         self._driver.get(asking)
         return self._driver.execute_async_script(ASK, page.replace("http", "ws", 1), PROTOCOL)
+
+    def screenshot(self, path: Path) -> None:
+        """Write the whole window to a PNG file."""
+        path.write_bytes(self._driver.get_screenshot_as_png())
 
     def text(self) -> str:
         return self._driver.find_element(By.TAG_NAME, "body").text

@@ -11,6 +11,9 @@ from pathlib import Path
 from twinct.cli.progress import on_terminal, say
 from twinct.core.errors import InputError
 from twinct.core.extras import require
+from twinct.core.files.private import temporary_folder
+from twinct.design.draft import open_draft
+from twinct.design.page import DesignPage
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario, named_places
 from twinct.viewer.filling import builder_of, fill
@@ -82,6 +85,23 @@ def show_scenario(
         page.say("")
         fill(page, 0, show, builder)
         stay()
+
+
+def design_scenario(scenario: Path, host: str, port: int, allow_network: bool) -> None:
+    """Show a scenario with tools to change it, until interrupted."""
+    draft = open_draft(scenario)
+    with (
+        suppress(KeyboardInterrupt),
+        serving(host, port, allow_network) as server,
+        temporary_folder() as folder,
+        closing(DesignPage(server, draft, folder)),
+    ):
+        say(f"draft of {draft.path}; the page saves it")
+        for problem in draft.problems:
+            say(problem, warning=True)
+        stay()
+    if not draft.is_saved and not draft.unkept:
+        say(f"not saved: the draft is kept beside {draft.path}; 'twinct design' goes on with it")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""What a worker keeps from one question to the next: the last scenario's bodies, and an imager."""
+"""Parts that a worker keeps for the next question: the last scenario's bodies, and an imager."""
 
 from __future__ import annotations
 

@@ -14,7 +14,11 @@ from twinct.core.files.plain_yaml import read_file_text
 from twinct.core.files.writing import storage_errors, write_text
 from twinct.design.edits import Edit, Line, compared, overrides_between
 from twinct.design.kept import Kept, kept_beside, path_beside
-from twinct.scenario import Scenario, ScenarioText, load_scenario
+from twinct.scenario import Scenario, ScenarioText, load_scenario, scenario_names
+from twinct.scenario.catalogue import scenario_file
+
+NEW_FILE = "design.yaml"
+"""Name of a scenario file that extends a built-in scenario."""
 
 
 @dataclass
@@ -250,6 +254,25 @@ class Draft:
             self.unkept = ""
         except (InputError, OSError) as error:
             self.unkept = str(error)
+
+
+def open_draft(scenario: Path, folder: Path | None = None) -> Draft:
+    """Open the draft of a scenario file, or of a new one.
+
+    Args:
+        scenario: the file; or the name of a built-in scenario, which ``NEW_FILE`` then extends.
+        folder: folder for ``NEW_FILE``; None: the working folder.
+
+    Raises:
+        ScenarioError: neither a file nor a built-in scenario, or no text.
+        InputError: something else lies where the draft should be kept.
+    """
+    name = str(scenario)
+    if name in scenario_names() and not scenario.is_file():
+        return Draft.open((folder or Path.cwd()) / NEW_FILE, f"extends: {name}\nname: design\n")
+    if not scenario.suffix:
+        scenario_file(scenario)  # names the built-in scenarios
+    return Draft.open(scenario, "extends: demo\n" + f"name: {scenario.stem}\n")
 
 
 def _text_at(path: Path) -> str | None:

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from twinct.core.errors import InputError, TrajectoryError
 from twinct.design.bench import Bench
@@ -31,6 +32,9 @@ PREVIEW_PX = (160, 120)
 
 COARSE_DIRECTIONS, COARSE_ROLLS = 200, 2
 """Directions of the coarse shading, and rolls that are tried for each."""
+
+TURN_RAD = 0.31
+"""Turn about the vertical between one set of directions and the next, which lie in between."""
 
 SMALL_VOXELS = 64
 """Voxels of a small volume along its longest axis."""
@@ -76,7 +80,7 @@ def _of_motion(scenario: Scenario) -> object:
 
 @dataclass(frozen=True)
 class HeldViews(Question):
-    """Whether both arms hold each view: the first verdict, without the ways between the views."""
+    """Question for the views that both arms hold: the first verdict, without the ways between."""
 
     subject: ClassVar[str] = "views"
     reads = staticmethod(_of_motion)
@@ -164,6 +168,15 @@ class Shading:
     both: NDArray[np.bool_]
     alone: NDArray[np.bool_]
 
+    def with_(self, more: Shading) -> Shading:
+        """Return the shading with further directions at the same radius."""
+        return replace(
+            self,
+            directions=np.concatenate([self.directions, more.directions]),
+            both=np.concatenate([self.both, more.both]),
+            alone=np.concatenate([self.alone, more.alone], axis=1),
+        )
+
 
 def _of_sphere(scenario: Scenario) -> object:
     trajectory = scenario.trajectory
@@ -179,10 +192,12 @@ class ShadedSphere(Question):
     Attributes:
         directions: number of directions.
         rolls: rolls about the beam that are tried; a few miss a direction now and then.
+        known: shading of this scenario, to which the answer adds as many directions in between.
     """
 
     directions: int = COARSE_DIRECTIONS
     rolls: int = COARSE_ROLLS
+    known: Shading | None = None
     subject: ClassVar[str] = "sphere"
     reads = staticmethod(_of_sphere)
 
@@ -202,9 +217,13 @@ class ShadedSphere(Question):
         builder = bench.builder(scenario)
         sod, odd, centre = orbit_of(builder)
         towards = fibonacci_directions(self.directions)
+        if self.known is not None:
+            turns = len(self.known.directions) / self.directions
+            towards = Rotation.from_euler("z", turns * TURN_RAD).apply(towards)
         poses = poses_of(towards, sod, odd, centre, scenario.detector.panel)
         both, alone = Holder(builder.cell, scenario.motion, rolls=self.rolls).held_by(poses)
-        return Shading(np.asarray(centre), sod, towards, both, alone)
+        found = Shading(np.asarray(centre), sod, towards, both, alone)
+        return found if self.known is None else self.known.with_(found)
 
 
 def preview(scenario: Scenario, largest: tuple[int, int] = PREVIEW_PX) -> Scenario:

@@ -13,13 +13,13 @@ from twinct.design.desk import Answer, Desk, State
 from twinct.design.draft import Draft
 from twinct.design.edits import Edit
 from twinct.design.questions import (
-    COARSE_DIRECTIONS,
     HeldViews,
     PlannedMotion,
     Projection,
     Question,
     ScanCosts,
     ShadedSphere,
+    Shading,
 )
 from twinct.scenario import Scenario
 
@@ -80,7 +80,7 @@ class Workbench:
     def __init__(
         self, draft: Draft, folder: Path, told: Callable[[str, Answer], object] = lambda *_: None
     ) -> None:
-        """Ask the first questions.
+        """Prepare a workbench; ``begin`` asks the first questions.
 
         Args:
             draft: the draft.
@@ -94,6 +94,9 @@ class Workbench:
         threads = max(available_threads() // 2, 1)
         self._images = Desk(folder / "images", self._hear, threads=threads)
         self._motions = Desk(folder / "motions", self._hear, threads=threads)
+
+    def begin(self) -> None:
+        """Ask the first questions."""
         self._ask_anew()
 
     def close(self) -> None:
@@ -212,11 +215,10 @@ class Workbench:
                 self._at_saved[question.subject] = answer.value
 
     def refine(self) -> None:
-        """Ask for the next finer shading of the sphere, if the last one is fresh."""
+        """Ask for more directions of the sphere, if its shading is fresh and coarse."""
         answer = self.answer("sphere")
-        question = answer.question
-        if answer.state is not State.FRESH or not isinstance(question, ShadedSphere):
+        shading: Shading | None = answer.value
+        if answer.state is not State.FRESH or shading is None or self.draft.problems:
             return
-        finer = max(2 * question.directions, COARSE_DIRECTIONS)
-        if finer <= FINEST_DIRECTIONS and not self.draft.problems:
-            self._motions.ask(ShadedSphere(self.draft.source, finer, question.rolls))
+        if len(shading.directions) < FINEST_DIRECTIONS:
+            self._motions.ask(ShadedSphere(self.draft.source, known=shading))

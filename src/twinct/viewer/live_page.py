@@ -76,7 +76,13 @@ class _Wishes:
 
 
 class Page:
-    """The page that all browsers share."""
+    """The page that all browsers share.
+
+    Attributes:
+        server: the server.
+        stages: the runs in the scene.
+        side: panel with tabs beside the scene.
+    """
 
     def __init__(self, server: Server, runs: int = 1, *, live: bool = False) -> None:
         """Build an empty page for one or two runs; ``live`` initially follows the newest view."""
@@ -134,6 +140,19 @@ class Page:
     def show_view(self, view: int) -> None:
         """Go to a view, like the slider."""
         self._view.value = int(np.clip(view, 0, self._view.max))
+
+    @property
+    def below_head(self) -> float:
+        """Order of controls that stand between the heading and the other controls."""
+        return float(self._head.order) + 0.5
+
+    def watch_view(self, told: Callable[[int], object]) -> None:
+        """Call a function with the index of the view whenever it changes."""
+
+        async def heard(_: Any) -> None:
+            told(int(self._view.value))
+
+        self._view.on_update(heard)
 
     def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until all requests are painted; return False on timeout."""
@@ -199,11 +218,11 @@ class Page:
             self._level = gui.add_number("at, 1/mm", 0.02, min=0.0, step=0.001)
         with gui.add_folder("Selected"):
             self._numbers = gui.add_markdown("*Click a path, the panel, a slice or an arm.*")
-        self._side = gui.add_panel()
-        self._slices_tab = self._side.add_tab("Slices")
-        self._curves_tab = self._side.add_tab("Curves")
-        self._side.dock_left()
-        self._side.set_width(430)
+        self.side = gui.add_panel()
+        self._slices_tab = self.side.add_tab("Slices")
+        self._curves_tab = self.side.add_tab("Curves")
+        self.side.dock_left()
+        self.side.set_width(430)
         gui.main_panel.dock_right()
         with self._slices_tab:
             self._sheet = gui.add_image(np.full((8, 8, 3), 255, np.uint8), visible=False)

@@ -30,7 +30,21 @@ class Projections:
         show = self.show
         if show.transmission is None or view >= show.acquired:
             return np.full((8, 8, 3), EMPTY_RGB, np.uint8)
-        integrals = -np.log(np.maximum(show.transmission(view), DARKEST))
+        transmission = show.transmission(view)
         if not self.window:
-            self.window = HEADROOM * float(np.percentile(integrals, 99.5)) or 1.0
-        return greys(integrals, (0.0, self.window))
+            self.window = window_of(transmission)
+        return picture_of(transmission, self.window)
+
+
+def window_of(transmission: NDArray[np.float32]) -> float:
+    """Return a window of line integrals that suits an image and its neighbours."""
+    return HEADROOM * float(np.percentile(_integrals(transmission), 99.5)) or 1.0
+
+
+def picture_of(transmission: NDArray[np.float32], window: float) -> NDArray[np.uint8]:
+    """Return line integrals from 0 to ``window``, dense is bright, (rows, columns, 3)."""
+    return greys(_integrals(transmission), (0.0, window))
+
+
+def _integrals(transmission: NDArray[np.float32]) -> NDArray[np.float32]:
+    return -np.log(np.maximum(transmission, DARKEST))

@@ -102,13 +102,14 @@ class Stage:
 
     def set_room(self, show: Show, room: Room) -> None:
         """Replace all bodies by a room's bodies."""
-        for body in self._bodies:
-            body.remove()
+        kept = self._room is not None and _same_bodies(self._room, room)
         self._room, self._places = room, [(b"", b"")] * len(room.bodies)
         has_arms = show.cell is not None and show.cell.kind == "arms"
         self._gantry = None if has_arms else GantryPlaces(room, *show.first[0])
-        self._bodies = []
-        for body in room.bodies:
+        for node in () if kept else self._bodies:
+            node.remove()
+        self._bodies = self._bodies if kept else []
+        for body in () if kept else room.bodies:
             node = self._scene.add_mesh_trimesh(self._fresh(f"room/{body.name}"), body.mesh)
             self._clickable(node, "body", body.name)
             self._bodies.append(node)
@@ -262,7 +263,8 @@ class Stage:
             for kind in ("path", "dots"):
                 if self._nodes[f"{kind} {name}"].visible != look.paths:
                     self._nodes[f"{kind} {name}"].visible = look.paths
-        if show.refused and "refused" not in self._nodes:
+        self._remove("refused")
+        if show.refused:
             points = show.geometries[show.first_name].source[list(show.refused)] * MM
             self._nodes["refused"] = self._scene.add_point_cloud(
                 f"{self._root}/refused",
@@ -379,6 +381,20 @@ def _as_far_as_can_be(reference: ScanGeometry, other: ScanGeometry, factor: floa
         return magnified(reference, other, factor)
     except ValueError:
         return other
+
+
+def _same_bodies(one: Room, other: Room) -> bool:
+    """Return True if two rooms differ in the places of their bodies only, which are sent soon."""
+    return [body.name for body in one.bodies] == [body.name for body in other.bodies] and all(
+        np.array_equal(mine.mesh.vertices, its.mesh.vertices)
+        and np.array_equal(_colour(mine.mesh), _colour(its.mesh))
+        for mine, its in zip(one.bodies, other.bodies, strict=True)
+    )
+
+
+def _colour(mesh: trimesh.Trimesh) -> Any:
+    """Return the colour of a body's material; of a picture on it, None."""
+    return getattr(getattr(mesh.visual, "material", None), "baseColorFactor", None)
 
 
 def _place(node: Any, pose: Pose) -> None:

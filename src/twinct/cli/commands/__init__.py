@@ -27,6 +27,7 @@ GROUPS = {
         "view": "Show a run in a browser: room, beam, images, volume, errors; also while it runs.",
     },
     "look at a scene": {
+        "design": "Design a scenario in a browser: bodies, path, image, reach, time.",
         "render": "Draw the operating room at one view.",
         "reach": "Show which directions source and panel can reach, all over the sphere, at one or "
         "more radii.",
@@ -46,7 +47,7 @@ GROUPS = {
         "geometry.",
         "geometry": "List the geometries of a scan, or derive a new one: poses that its robots "
         "would report.",
-        "predict": "Render a scan again and compare the result with its images, view by view.",
+        "predict": "Render a scan again and compare it with its images, view by view.",
     },
     "reconstruct and judge": {
         "reconstruct": "Reconstruct a finished run again, beside its volume, and show both in its "

@@ -25,7 +25,7 @@ def predict(
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
-    """Render a scan again and compare the result with its images, view by view.
+    """Render a scan again and compare it with its images, view by view.
 
     The even views are reconstructed and predict the odd ones; with --mesh, the mesh predicts all
     views. The poses are those of a geometry, the beam is the scenario's. The residuals show errors

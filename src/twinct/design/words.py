@@ -1,0 +1,110 @@
+"""Words of the page about a design, as Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from twinct.design.desk import Answer, State
+from twinct.design.draft import Draft
+from twinct.design.edits import Line
+from twinct.design.workbench import Price, Workbench
+from twinct.viewer.markdown import plain
+
+AROUND = 2
+"""Unchanged lines that are shown around the changed ones."""
+
+
+def state_of(bench: Workbench) -> str:
+    """Return reach, time and clearance in one line, with the states of the answers."""
+    views, motion = bench.answer("views"), bench.answer("motion")
+    said: list[str] = []
+    if views.value is not None:
+        held = int(np.asarray(views.value).sum())
+        said.append(f"{held} of {len(views.value)} views within reach{_in_brackets(views)}")
+    if motion.value is not None and motion.value.plan is not None:
+        said.append(
+            f"motion {motion.value.duration_s:.1f} s, smallest clearance "
+            f"{motion.value.clearance_mm:.1f} mm{_in_brackets(motion)}"
+        )
+    elif motion.value is not None and motion.state is State.FRESH and motion.value.problems:
+        said.append("no motion plan")
+    elif motion.state is State.COMPUTING:
+        said.append("planning the motion")
+    return "; ".join(said)
+
+
+def _in_brackets(answer: Answer) -> str:
+    return "" if answer.state is State.FRESH else f" ({answer.state})"
+
+
+def problems_of(bench: Workbench) -> tuple[str, ...]:
+    """Return all problems of the draft and of its answers, one sentence each."""
+    if bench.draft.problems:
+        return bench.draft.problems
+    found: list[str] = []
+    for subject in ("motion", "image", "views", "volume", "check"):
+        answer = bench.answer(subject)
+        if answer.state is State.FAILED:
+            found += [f"{subject}: {problem}" for problem in answer.problems]
+    motion = bench.answer("motion").value
+    return tuple(dict.fromkeys([*found, *(motion.problems if motion is not None else ())]))
+
+
+def prices_in_words(prices: Sequence[Price]) -> str:
+    """Return the prices as a table: now, and the change against the saved state."""
+    rows = [f"| {one.name} | {_now(one)} | {_change(one)} |" for one in prices]
+    return "\n".join(["| | now | change |", "|---|---|---|", *rows])
+
+
+def _now(price: Price) -> str:
+    if math.isnan(price.now):
+        return "none" if price.state is State.FRESH else str(price.state)
+    mark = "" if price.state is State.FRESH else f" ({price.state})"
+    return f"{price.now:.4g} {price.unit}{mark}".strip()
+
+
+def _change(price: Price) -> str:
+    if math.isnan(price.change):
+        return ""
+    return "0" if abs(price.change) < 1e-9 else f"{price.change:+.3g} {price.unit}".strip()
+
+
+def draft_in_words(draft: Draft, changed_outside: bool) -> str:
+    """Return the state of the file and its draft."""
+    if changed_outside:
+        said = "**Another program has changed the file.** Take its text over, or replace it."
+    elif draft.is_saved:
+        said = "saved"
+    else:
+        said = "new, not saved yet" if draft.saved is None else "changed, not saved yet"
+    lines = [f"{plain(draft.path.name)}: {said}"]
+    if draft.unkept:
+        lines.append(f"**{plain(draft.unkept)}**")
+    lines += [f"**does not fit to the file: {plain(edit.words)}**" for edit in draft.dropped]
+    return "  \n".join(lines)
+
+
+def changes_in_words(lines: Sequence[Line]) -> str:
+    """Return the changed lines of a comparison with a few lines around them."""
+    changed = [k for k, line in enumerate(lines) if line.mark != " "]
+    if not changed:
+        return "*No change since the file was saved.*"
+    near = {k + d for k in changed for d in range(-AROUND, AROUND + 1)}
+    shown: list[str] = []
+    for k, line in enumerate(lines):
+        if k in near:
+            shown.append(f"{line.mark} {line.text}")
+        elif k - 1 in near:
+            shown.append("...")
+    return code("\n".join(shown), "diff")
+
+
+def code(text: str, language: str = "") -> str:
+    """Return a text as a block of code, whatever it contains."""
+    fence = "```"
+    while fence in text:
+        fence += "`"
+    return f"{fence}{language}\n{text}\n{fence}"

@@ -1,0 +1,72 @@
+"""The whole way in Chromium: open, move, path, image, small volume, save."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from browser import Browser
+from waiting import HANG_S
+
+from twinct.design.draft import Draft
+from twinct.design.page import DesignPage
+from twinct.viewer.server import Server
+
+pytestmark = [pytest.mark.browser, pytest.mark.process]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with closing(Browser()) as made:
+        yield made
+
+
+def test_a_scenario_is_designed_by_the_page_alone(
+    browser: Browser, server: Server, small_file: Path, tmp_path: Path
+) -> None:
+    def says(text: str) -> None:
+        browser.wait(lambda: text in browser.text(), f"the page does not say {text!r}")
+
+    with closing(DesignPage(server, Draft.open(small_file), tmp_path / "workers")) as page:
+        browser.open(page.page)
+        says("12 of 12 views within reach")
+        assert page.settle(HANG_S)
+
+        # Move: by typed numbers, into a place that the arms cannot reach from, and back.
+        before = browser.drawn()
+        browser.choose("body", "source arm")
+        browser.type_numbers("position, mm", (2500, 0, 0))
+        says("0 of 12 views within reach")
+        browser.changes(before, least=200)
+        browser.press("undo")
+        says("12 of 12 views within reach")
+        assert page.bench.draft.is_saved
+
+        # The path.
+        browser.number("views", 8)
+        says("8 of 8 views within reach")
+
+        # The image, the prices, the changed lines.
+        browser.turn_to("Image")
+        browser.number("view", 5)
+        says("view 5, 48 x 32 pixels")
+        browser.turn_to("Prices")
+        says("motion time")
+        browser.turn_to("Changes")
+        says("--set trajectory.views=8")
+
+        # A small volume.
+        browser.press("small volume")
+        says("small volume: fresh")
+        browser.turn_to("Slices")
+        browser.wait(lambda: page.page.shows[0].volumes, "no volume comes")
+        assert page.settle(HANG_S)
+
+        assert "views: 12" in small_file.read_text(encoding="utf-8")
+        browser.press("save")
+        says("small.yaml: saved")
+        assert "trajectory: {views: 8} # few" in small_file.read_text(encoding="utf-8")
+        assert browser.complaints() == []
+        browser.leave()

@@ -1,0 +1,119 @@
+"""The page of ``twinct design``, as a browser without a screen sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+from listener import Listener
+from waiting import HANG_S, until
+
+from twinct.design.draft import Draft, open_draft
+from twinct.design.page import DesignPage
+from twinct.viewer.server import Server, address
+
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture
+def page(server: Server, small_file: Path, tmp_path: Path) -> Iterator[DesignPage]:
+    with closing(DesignPage(server, Draft.open(small_file), tmp_path / "workers")) as made:
+        yield made
+
+
+@pytest.fixture
+def listener(page: DesignPage, server: Server) -> Iterator[Listener]:
+    with closing(Listener(address(server))) as made:
+        made.wait(lambda: "12 of 12 views within reach" in made.texts())
+        yield made
+
+
+def test_a_design_goes_from_opening_to_saving(
+    listener: Listener, page: DesignPage, small_file: Path
+) -> None:
+    listener.wait(lambda: "smallest clearance" in listener.texts())
+    listener.wait(lambda: listener.node("/design/sphere"))
+    listener.wait(lambda: listener.node("/room/"))
+
+    # The path.
+    listener.set("views", 8)
+    listener.wait(lambda: "8 of 8 views within reach" in listener.texts())
+    assert "trajectory: {views: 8} # few" in page.bench.draft.text
+    listener.wait(lambda: "- trajectory: {views: 12} # few" in listener.texts())
+    assert "--set trajectory.views=8" in listener.texts()
+
+    # The image of the slider's view.
+    listener.set("view", 5)
+    listener.wait(lambda: "view 5, 48 x 32 pixels" in listener.texts())
+
+    # A base out of reach, typed; then back.
+    listener.set("body", "source arm")
+    listener.wait(lambda: listener.control("position, mm")["value"][0] == 850)
+    for typed in (2.0, 25.0, 250.0, 2500.0):  # digit by digit, as a browser sends it
+        listener.set("position, mm", (typed, 0.0, 0.0))
+    listener.wait(lambda: "0 of 8 views within reach" in listener.texts())
+    listener.wait(lambda: "no motion plan" in listener.texts())
+    assert "base_position_mm: [2500, 0, 0]" in page.bench.draft.text
+    listener.press("undo")
+    listener.wait(lambda: "8 of 8 views within reach" in listener.texts())
+    until(lambda: listener.control("position, mm")["value"][0] == 850, "the number comes back")
+
+    before = small_file.read_text(encoding="utf-8")
+    assert "views: 12" in before
+    listener.press("save")
+    listener.wait(lambda: "small.yaml: saved" in listener.texts())
+    assert "trajectory: {views: 8} # few" in small_file.read_text(encoding="utf-8")
+    assert page.settle(HANG_S)
+
+
+def test_the_gizmo_moves_a_body_by_steps(listener: Listener, page: DesignPage) -> None:
+    listener.set("body", "specimen")
+    listener.wait(lambda: listener.node("/design/gizmo"))
+    until(lambda: page._gizmo.visible, "the gizmo is shown")
+    page._gizmo.position = (0.0234, 0.0, -0.0051)
+    page._drop()
+    assert page.bench.draft.scenario is not None
+    assert page.bench.draft.scenario.specimen.position_mm == (20, 0, -10)
+    assert "position_mm: [20, 0, -10]" in page.bench.draft.text
+
+
+def test_a_change_by_another_program_is_said(
+    listener: Listener, page: DesignPage, small_file: Path
+) -> None:
+    theirs = small_file.read_text(encoding="utf-8") + "seed: 9\n"
+    small_file.write_text(theirs, encoding="utf-8")
+    listener.wait(lambda: "Another program has changed the file" in listener.texts())
+    listener.press("save")
+    listener.wait(lambda: "another program has changed the file since" in listener.texts())
+    assert small_file.read_text(encoding="utf-8") == theirs
+    listener.press("take over")
+    listener.wait(lambda: "small.yaml: saved" in listener.texts())
+    assert page.bench.draft.scenario is not None and page.bench.draft.scenario.seed == 9
+
+
+def test_a_small_volume_is_shown_in_slices(listener: Listener, page: DesignPage) -> None:
+    listener.press("small volume")
+    listener.wait(lambda: "small volume: fresh" in listener.texts())
+    listener.wait(lambda: "reconstruction" in listener.control("slices of")["options"])
+    listener.wait(lambda: np.asarray(listener.picture("/slices/z")).std() > 5)
+
+
+def test_a_file_that_does_not_parse_is_shown_with_its_messages(
+    server: Server, tmp_path: Path
+) -> None:
+    path = tmp_path / "broken.yaml"
+    path.write_text("trajectory: {views: [\n", encoding="utf-8")
+    with (
+        closing(DesignPage(server, Draft.open(path), tmp_path / "workers")),
+        closing(Listener(address(server))) as listener,
+    ):
+        listener.wait(lambda: "not valid YAML" in listener.texts())
+
+
+def test_a_name_of_a_built_in_scenario_begins_a_new_file(tmp_path: Path) -> None:
+    draft = open_draft(Path("demo"), tmp_path)
+    assert draft.path == tmp_path / "design.yaml" and not draft.path.exists()
+    assert draft.scenario is not None and draft.scenario.name == "design"
