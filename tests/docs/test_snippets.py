@@ -11,6 +11,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterator
+from glob import glob
 from pathlib import Path
 
 import matplotlib
@@ -114,7 +115,8 @@ def _nothing(block: Block, later: list[str], names: dict[str, object]) -> None:
 def _shell(block: Block, later: list[str], names: dict[str, object]) -> None:
     for line in block.text.replace("\\\n", " ").splitlines():
         for words in commands(line):
-            program, *arguments = words
+            found = [sorted(glob(word)) if "*" in word else [word] for word in words]
+            program, *arguments = (word for one in found for word in one)
             if program in OUTSIDE or arguments[:1] == ["--version"]:
                 continue
             assert program == "twinct", f"{block.name}: {program} is not run: say why"
