@@ -3,7 +3,7 @@
 python benchmarks/bench_transport.py screw
 python benchmarks/bench_transport.py bricks
 python benchmarks/bench_transport.py energy
-python benchmarks/bench_transport.py views --views 16 --photons 5e5 --judge 2e6
+python benchmarks/bench_transport.py views --views 16 --photons 5e5 --judge 2e6 --pixel 40
 
 ``screw``: processor seconds of a photon in a head of 256^3 voxels with a titanium screw, relative
 to the head alone, in turns. ``bricks``: that time with bricks of other sizes. ``energy``: what the
@@ -29,7 +29,7 @@ from twinct.specimen.materials import material
 from twinct.trajectory import CircleTrajectory, commanded_views
 from twinct.transport import Beam, Simulation, VoxelBody, voxel_body
 from twinct.xray.build import build_response, build_spectrum
-from twinct.xray.monte_carlo_scatter import ScatterNodes
+from twinct.xray.monte_carlo_scatter import scatter_of
 from twinct.xray.sections import MonteCarloScatter
 
 PHOTONS, ROUNDS = 300_000, 3
@@ -96,7 +96,7 @@ def energy() -> None:
     print(f"largest imbalance of a batch: {Simulation(body, BEAM).run(20_000, 10).imbalance:.1e}")
 
 
-def views(simulated: int, photons: int, judge: int) -> None:
+def views(simulated: int, photons: int, judge: int, pixel_mm: float) -> None:
     """Print how far interpolated scatter is from that of single views."""
     source = Source.model_validate({"energy_kev": 80.0})
     panel = {"rows": 120, "columns": 160, "pixel_pitch_mm": 2.5}
@@ -107,8 +107,9 @@ def views(simulated: int, photons: int, judge: int) -> None:
     geometry = commanded_views(circle, detector.panel)
     scene = specimen, build_spectrum(source), build_response(detector), detector.panel, geometry
     kind = "monte_carlo"
-    few = ScatterNodes(MonteCarloScatter(kind=kind, photons=photons, views=simulated), *scene)
-    own = ScatterNodes(MonteCarloScatter(kind=kind, photons=judge, views=200), *scene)
+    of_few = {"photons": photons, "views": simulated, "pixel_mm": pixel_mm}
+    few = scatter_of(MonteCarloScatter(kind=kind, **of_few), *scene)
+    own = scatter_of(MonteCarloScatter(kind=kind, photons=judge, views=200), *scene)
     seen = specimen.world_from_specimen.inverse() @ geometry
     for view in BETWEEN:
         between, alone = few.image(seen[view]), own.image(seen[view])
@@ -125,10 +126,11 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=16)
     parser.add_argument("--photons", type=float, default=5e5)
     parser.add_argument("--judge", type=float, default=2e6)
+    parser.add_argument("--pixel", type=float, default=20.0, help="edge of the coarse pixels, mm")
     given = parser.parse_args()
     let_idle_threads_sleep()
     if given.what == "views":
-        views(given.views, int(given.photons), int(given.judge))
+        views(given.views, int(given.photons), int(given.judge), given.pixel)
     else:
         {"screw": screw, "bricks": bricks, "energy": energy}[given.what]()
 

@@ -26,6 +26,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "generated_pages",
     "gallery_folder",
+    "moved_pages",
 ]
 root_doc = "index"
 exclude_patterns = ["site", "**/sg_execution_times.rst"]

@@ -1,6 +1,6 @@
 """Both nodes of a cell, in a namespace: several cells share one graph.
 
-    ros2 launch examples/cell.launch.py scenario:=scenarios/demo.yaml cell:=cell_a
+    ros2 launch examples/cell.launch.py scenario:=demo cell:=cell_a
 
 on a machine with ROS 2 Jazzy of its own, with ``twinct`` on the path. All names are then below
 ``/cell_a``: ``/cell_a/scan/target``, ``/cell_a/joint_states``, ``/cell_a/clock``, ``/cell_a/tf``.

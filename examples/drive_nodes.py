@@ -2,8 +2,8 @@
 
 In two other terminals:
 
-    twinct node robots scenarios/demo.yaml
-    twinct node xray scenarios/demo.yaml
+    twinct node robots demo
+    twinct node xray demo
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Driver(Node):
 
     def __init__(self) -> None:
         super().__init__("driver")
-        scenario = load_scenario("scenarios/demo.yaml")
+        scenario = load_scenario("demo")
         geometry = commanded_views(scenario.trajectory, scenario.detector.panel)
         self.targets = list(zip(geometry.source_poses(), geometry.detector_poses(), strict=True))[
             :5

@@ -1,6 +1,6 @@
 """Frames and RViz beside a scan, on a machine with ROS 2 Jazzy of its own.
 
-    twinct urdf scenarios/demo.yaml --out out/room
+    twinct urdf demo --out out/room
     ros2 launch examples/room.launch.py description:=out/room/cell.urdf
 
 with the ROS_DOMAIN_ID that ``twinct run`` prints, and ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST.

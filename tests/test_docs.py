@@ -34,4 +34,4 @@ def test_every_room_stands_on_the_page_of_the_architecture() -> None:
     listed = set(re.findall(r"^\| \d+ \| `(\w+)` \|", page, re.MULTILINE))
     source = ROOT / "src" / "twinct"
     rooms = {p.parent.name for p in source.glob("*/__init__.py")}
-    assert listed == rooms
+    assert listed == rooms | {"torch"}  # a room of one file, which has its extra's name

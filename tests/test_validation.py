@@ -113,6 +113,11 @@ def _make(arguments: list[str]) -> None:
     assert arguments[0] in targets
 
 
+def _file(scenario: str) -> str | Path:
+    """A file of the repository, or the name of a built-in scenario."""
+    return ROOT / scenario if scenario.endswith(".yaml") else scenario
+
+
 def _twinct(arguments: list[str]) -> None:
     """The scenario is there and takes the keys; a study's trials are scenarios."""
     command, scenario, *rest = arguments
@@ -122,7 +127,7 @@ def _twinct(arguments: list[str]) -> None:
         design.scenario(next(iter(design.trials())))
         return
     if command == "place":
-        load_scenario(ROOT / scenario)
+        load_scenario(_file(scenario))
         assert {word for word in rest if word.startswith("--")} <= PLACE_OPTIONS
         return
     if command == "import":
@@ -136,5 +141,5 @@ def _twinct(arguments: list[str]) -> None:
     assert command in ("run", "check", "reach")
     flags = {("reach", "--connected"), ("run", "--link=ros2")}
     rest = [word for word in rest if (command, word) not in flags]
-    load_scenario(ROOT / scenario, rest[1::2])
+    load_scenario(_file(scenario), rest[1::2])
     assert set(rest[::2]) <= {"--set"}

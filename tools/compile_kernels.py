@@ -76,6 +76,7 @@ def _reconstruct(engine: str) -> None:
     from twinct.geometry import Panel, Pose, VolumeGrid
     from twinct.recon import Projector, fast, fdk, sart
     from twinct.recon.moving import MovingProjector
+    from twinct.recon.ray_slopes import pose_gradient
     from twinct.specimen.deformation import Deformation
     from twinct.trajectory import CircleTrajectory, commanded_views
 
@@ -89,6 +90,7 @@ def _reconstruct(engine: str) -> None:
     fdk(projector, projections)
     if engine == "cuda":
         return
+    pose_gradient(projector, np.ones(projector.domain_shape, np.float32), projections)
     still = Deformation(np.zeros_like, Pose.identity())
     moving = MovingProjector(geometry, projector.grid, [still] * 4, engine)
     moving.T(moving(np.ones(moving.domain_shape, np.float32)))
@@ -109,6 +111,7 @@ def _transport() -> None:
     simulation = Simulation(body, Beam.of_view(geometry, 0, 60.0), detector=Detector(geometry))
     simulation.run(1, 1)
     simulation.primary()
+    simulation.primary_energy()
     # Called one by one in the tests of their distributions.
     voxels, media = body.tables()
     scores = np.zeros(1), np.zeros((0, 0, 0)), False

@@ -2,14 +2,14 @@
 A phantom for calibration
 =========================
 
-``scenarios/balls.yaml`` scans 64 steel balls of 3 mm on a helix, along the paper's path. Their
+``balls`` scans 64 steel balls of 3 mm on a helix, along the paper's path. Their
 shadows show where source and panel were.
 """
 
 from twinct import load_scenario, simulate
 
 scenario = load_scenario(
-    "scenarios/balls.yaml",
+    "balls",
     {"trajectory.views": 8, "detector": {"columns": 320, "rows": 240, "pixel_pitch_mm": 1.0}},
 )
 scan = simulate(scenario)

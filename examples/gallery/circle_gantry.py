@@ -2,13 +2,13 @@
 A circle without arms
 =====================
 
-``scenarios/circle_gantry.yaml`` is a full circle, with source and panel exactly where the
+``circle_gantry`` is a full circle, with source and panel exactly where the
 trajectory says. It suits studies of reconstruction, and does not need the extra ``robots``.
 """
 
 from twinct import load_scenario, reconstruct, simulate
 
-scenario = load_scenario("scenarios/circle_gantry.yaml", {"trajectory.views": 45})
+scenario = load_scenario("circle_gantry", {"trajectory.views": 45})
 scan = simulate(scenario)
 scan.show("circle_gantry_scan.png")
 

@@ -2,7 +2,7 @@
 A head with soft tissue
 =======================
 
-``scenarios/head.yaml`` adds skin, brain, eyes and nine faint inserts to the built-in skull, with
+``head`` adds skin, brain, eyes and nine faint inserts to the built-in skull, with
 the paper's panel, path and grid.
 """
 
@@ -10,7 +10,7 @@ from twinct import load_scenario, simulate
 from twinct.scan import SimulationBuilder
 
 scenario = load_scenario(
-    "scenarios/head.yaml",
+    "head",
     {"trajectory.views": 12, "detector": {"columns": 320, "rows": 240, "pixel_pitch_mm": 1.0}},
 )
 SimulationBuilder(scenario).draw("head_room.png", view=6, width=1000, height=560)

@@ -2,7 +2,7 @@
 A patient's head on a table
 ===========================
 
-In ``scenarios/patient_head.yaml``, a phantom with grey values lies supine on a carbon plate that
+In ``patient_head``, a phantom with grey values lies supine on a carbon plate that
 the beam sees. The arms stand beside the table and scan in the plane across it.
 """
 
@@ -10,7 +10,7 @@ from twinct import load_scenario, simulate
 from twinct.scan import SimulationBuilder
 
 scenario = load_scenario(
-    "scenarios/patient_head.yaml",
+    "patient_head",
     {
         "trajectory.views": 12,
         "detector": {"columns": 160, "rows": 120, "pixel_pitch_mm": 2.0},
@@ -27,5 +27,5 @@ scan = simulate(scenario)
 scan.show("patient_head_scan.png")
 
 # %%
-# Replace ``phantom: head`` by the path of a CT of your own. ``scenarios/patient_spine.yaml``
+# Replace ``phantom: head`` by the path of a CT of your own. ``patient_spine``
 # scans a spine.

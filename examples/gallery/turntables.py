@@ -2,16 +2,16 @@
 A full circle by two arms
 =========================
 
-In ``scenarios/turntables.yaml``, each arm stands on a turntable, one on the floor and one under the
+In ``turntables``, each arm stands on a turntable, one on the floor and one under the
 ceiling. They take 180 views on a full circle, which arms on fixed bases cannot.
 """
 
 from twinct import load_scenario
 from twinct.scan import SimulationBuilder
 
-scenario = load_scenario("scenarios/turntables.yaml", {"trajectory.views": 30})
+scenario = load_scenario("turntables", {"trajectory.views": 30})
 SimulationBuilder(scenario).draw("turntables.png", view=15, width=1000, height=560)
 
 # %%
 # ``cell.source_arm.turntable`` puts any arm on a turntable, ``rail`` on a linear rail:
-# ``scenarios/spine_rails.yaml`` scans 400 mm of a spine.
+# ``spine_rails`` scans 400 mm of a spine.

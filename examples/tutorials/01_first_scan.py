@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 from twinct import evaluate, load_scenario, reconstruct, simulate
 from twinct.scan import SimulationBuilder
 
-scenario = load_scenario("scenarios/demo.yaml", {"trajectory.views": 40})
+scenario = load_scenario("demo", {"trajectory.views": 40})
 print(scenario.name, "-", scenario.description)
 print(scenario.detector.columns, "x", scenario.detector.rows, "pixels")
 
@@ -99,6 +99,6 @@ for axis, (name, shown) in zip(
 #
 # These commands make both volumes from the believed poses, write a report, and compare the two::
 #
-#     twinct run scenarios/demo.yaml --out out/demo --set trajectory.views=40
+#     twinct run demo --out out/demo --set trajectory.views=40
 #     twinct reconstruct out/demo --set reconstruction.algorithm=fast
 #     twinct compare out/demo out/demo/reconstructions/fast

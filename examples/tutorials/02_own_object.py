@@ -37,7 +37,7 @@ from pathlib import Path
 from twinct import evaluate, load_scenario, reconstruct, simulate
 
 Path("part.yaml").write_text("""
-extends: scenarios/circle_gantry.yaml
+extends: circle_gantry
 name: part
 trajectory: {kind: circle, views: 90, sod_mm: 400, sdd_mm: 800}
 detector: {columns: 200, rows: 120, pixel_pitch_mm: 1.0}

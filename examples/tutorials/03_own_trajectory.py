@@ -44,7 +44,7 @@ np.savetxt(
 # may stand in any order in the file: the arms take them along a short tour.
 
 scenario = load_scenario(
-    "scenarios/demo.yaml",
+    "demo",
     {"trajectory": {"kind": "file", "path": "views.csv"}, "motion.detector_roll": "free"},
 )
 SimulationBuilder(scenario).draw("own_path_room.png", view=30, width=1000, height=560)
@@ -81,7 +81,7 @@ distance.set(xlabel="view", ylabel="source, distance from its command / mm")
 #
 # These two arms cannot follow a full circle. The error names the views before anything moves.
 
-circle = load_scenario("scenarios/demo.yaml", {"trajectory": {"kind": "circle", "views": 36}})
+circle = load_scenario("demo", {"trajectory": {"kind": "circle", "views": 36}})
 try:
     _ = SimulationBuilder(circle).plan
 except TwinctError as error:
@@ -108,9 +108,7 @@ families = {
 }
 figure, axes = plt.subplots(1, 4, figsize=(11, 3.2), subplot_kw={"projection": "3d"})
 for axis, (kind, keys) in zip(axes, families.items(), strict=True):
-    one = load_scenario(
-        "scenarios/circle_gantry.yaml", {"trajectory": {"kind": kind, "views": 120, **keys}}
-    )
+    one = load_scenario("circle_gantry", {"trajectory": {"kind": kind, "views": 120, **keys}})
     axis.plot(*commanded_views(one.trajectory, one.detector.panel).source.T)
     axis.set_title(kind)
     axis.set_aspect("equal")

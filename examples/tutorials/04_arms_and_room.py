@@ -20,7 +20,7 @@ from twinct import load_scenario
 from twinct.core.errors import TwinctError
 from twinct.scan import SimulationBuilder
 
-kuka = load_scenario("scenarios/lbr_arc.yaml", {"trajectory.views": 25})
+kuka = load_scenario("lbr_arc", {"trajectory.views": 25})
 builder = SimulationBuilder(kuka)
 builder.draw("kuka.png", view=4, width=1000, height=560)
 print("joints:", *builder.cell.joint_names[:3], "...")
@@ -31,7 +31,7 @@ print("joints:", *builder.cell.joint_names[:3], "...")
 small = {"cell.source_arm.model": "lbr_iiwa14", "cell.detector_arm.model": "lbr_iiwa14"}
 demo = {"trajectory.views": 30}
 try:
-    _ = SimulationBuilder(load_scenario("scenarios/demo.yaml", demo | small)).plan
+    _ = SimulationBuilder(load_scenario("demo", demo | small)).plan
 except TwinctError as error:
     for line in error.lines[:4]:
         print(line)
@@ -45,7 +45,7 @@ except TwinctError as error:
 
 from twinct.cli import run_command
 
-run_command("reach scenarios/demo.yaml --directions 150 --out reach".split())
+run_command("reach demo --directions 150 --out reach".split())
 
 # %%
 # The folder holds these pictures, and a table of all directions:
@@ -67,7 +67,7 @@ nurse = {
     "shape": {"kind": "capsule", "radius_mm": 200, "length_mm": 1300},
     "position_mm": [0, 900, -350],
 }
-with_nurse = SimulationBuilder(load_scenario("scenarios/demo.yaml", demo | {"cell.zones": [nurse]}))
+with_nurse = SimulationBuilder(load_scenario("demo", demo | {"cell.zones": [nurse]}))
 with_nurse.draw("nurse.png", view=5, width=1000, height=560)
 
 # %%
@@ -75,7 +75,7 @@ with_nurse.draw("nurse.png", view=5, width=1000, height=560)
 
 nurse["position_mm"] = [200, 450, -350]
 try:
-    _ = SimulationBuilder(load_scenario("scenarios/demo.yaml", demo | {"cell.zones": [nurse]})).plan
+    _ = SimulationBuilder(load_scenario("demo", demo | {"cell.zones": [nurse]})).plan
 except TwinctError as error:
     for line in error.lines[:3]:
         print(line)

@@ -32,7 +32,7 @@ phantom = [
     {"name": "aluminium", "shape": rod, "material": "aluminium", "position_mm": [-12, -18, 0]},
 ]
 ideal = load_scenario(
-    "scenarios/circle_gantry.yaml",
+    "circle_gantry",
     {
         "specimen": {"parts": phantom, "reference": "body"},
         "trajectory.views": 120,

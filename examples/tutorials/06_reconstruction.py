@@ -33,9 +33,7 @@ def sections(volumes, index=None, limits=(0, 0.06)):
 # (``fast``, and with more passes ``fista_tv``) prefers edges to streaks.
 
 grid = {"voxels": 96, "voxel_mm": 1.65}
-few = load_scenario(
-    "scenarios/circle_gantry.yaml", {"trajectory.views": 20, "reconstruction.grid": grid}
-)
+few = load_scenario("circle_gantry", {"trajectory.views": 20, "reconstruction.grid": grid})
 scan = simulate(few)
 volumes = {
     "SART, 10 passes": reconstruct(scan, algorithm="sart", iterations=10),

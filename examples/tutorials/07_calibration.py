@@ -29,7 +29,7 @@ machine = {
     "detector": {"columns": 320, "rows": 240, "pixel_pitch_mm": 1.0},
 }
 grid = {"reconstruction.grid": {"voxels": 96, "voxel_mm": 1.65}, "reconstruction.iterations": 2}
-skull = run(load_scenario("scenarios/demo.yaml", machine | grid), "skull", link="local")
+skull = run(load_scenario("demo", machine | grid), "skull", link="local")
 scan = load_scan("skull")
 believed, executed = (scan.geometry(name) for name in ("believed", "executed"))
 off = np.linalg.norm(executed.source - believed.source, axis=1)
@@ -46,7 +46,7 @@ phantom = machine | {
     "reconstruction.grid": {"voxels": 32, "voxel_mm": 5},
     "detector.pixel_samples": 4,
 }
-run(load_scenario("scenarios/balls.yaml", phantom), "balls", link="local")
+run(load_scenario("balls", phantom), "balls", link="local")
 load_scan("balls").show("balls.png", views=[0, 9, 18, 27])
 
 # %%

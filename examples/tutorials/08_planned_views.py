@@ -22,7 +22,7 @@ import matplotlib.pyplot as plt
 from twinct.cli import run_command
 
 Path("task.yaml").write_text("""
-extends: scenarios/head_screws.yaml
+extends: head_screws
 cell: {kind: gantry}
 detector: {columns: 80, rows: 60, pixel_pitch_mm: 4.0}
 reconstruction: {grid: {voxels: 64, voxel_mm: 2.5}}

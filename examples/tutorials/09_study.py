@@ -22,7 +22,7 @@ from twinct import run_study
 
 Path("passes.yaml").write_text("""
 name: passes of SART and noise of the poses
-scenario: scenarios/circle_gantry.yaml
+scenario: circle_gantry
 set:
   trajectory.views: 40
   detector: {columns: 80, rows: 60, pixel_pitch_mm: 4.0}

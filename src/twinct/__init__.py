@@ -33,21 +33,25 @@ if TYPE_CHECKING:
         verify,
     )
     from twinct.runs.checking import check
+    from twinct.runs.dosing import dose
     from twinct.runs.motion_program import write_motion
     from twinct.runs.reaching import place, reach
     from twinct.runs.scenario_files import draw_view, write_specimen, write_urdf
     from twinct.scenario import load_scenario
     from twinct.study import load_results, run_study
     from twinct.view_plans.effects import effects_of_errors
+    from twinct.view_plans.next_view import NextViewEnv
     from twinct.view_plans.planner import plan
 
 __all__ = [
     "__version__",
+    "NextViewEnv",
     "Volume",
     "calibrate",
     "check",
     "compare",
     "derive_geometry",
+    "dose",
     "draw_view",
     "effects_of_errors",
     "evaluate",
@@ -74,9 +78,11 @@ __all__ = [
 ]
 
 _HOMES = {name: "twinct.runs" for name in __all__[1:]} | {
+    "NextViewEnv": "twinct.view_plans.next_view",
     "Volume": "twinct.recon.volume",
     "calibrate": "twinct.calibration.calibrate",
     "check": "twinct.runs.checking",
+    "dose": "twinct.runs.dosing",
     "draw_view": "twinct.runs.scenario_files",
     "effects_of_errors": "twinct.view_plans.effects",
     "import_scan": "twinct.measured.import_scan",

@@ -82,6 +82,20 @@ def test_each_piece_of_a_mesh_is_an_obstacle_and_the_gap_between_is_free(
     assert [o.second.name for o in hit] == ["object 'stand'"]
 
 
+def test_arms_stand_within_the_walls_of_a_room_that_is_one_mesh(
+    head: trimesh.Trimesh, tmp_path: Path
+) -> None:
+    """One convex hull of the walls would hold both arms, the table and the specimen."""
+    outside = trimesh.creation.box((5000, 5000, 2600))
+    walls = trimesh.boolean.difference([outside, trimesh.creation.box((4800, 4800, 2700))])
+    walls.export(file := tmp_path / "walls.stl")
+    shape = {"kind": "mesh", "path": str(file)}
+    room = {"name": "walls", "shape": shape, "position_mm": [0, 0, 100]}
+    assert not overlaps(cell_with(head, room))
+    found = overlaps(cell_with(head, room, box("shelf", group="staff", position_mm=[2400, 0, 100])))
+    assert [(o.first.name, o.second.name) for o in found] == [("object 'shelf'", "object 'walls'")]
+
+
 def _zone(*at: float) -> dict[str, object]:
     return {
         "name": "z",

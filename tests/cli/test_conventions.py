@@ -39,7 +39,7 @@ def test_the_help_of_twinct_names_each_command_in_a_sentence(
     assert all(f" {name} {summary}" in words for name, summary in NAMES.items())
     first = text[text.index("start:") : text.index("look at a scene:")]
     assert [line.split()[0] for line in first.splitlines()[1:] if line[2:3].strip()] == [
-        "demo", "init", "check", "run", "view"
+        "demo", "init", "doctor", "check", "run", "view"
     ]  # fmt: skip
     assert len(text.splitlines()) <= LINES
     assert said(capsys) == text, "and without arguments"
@@ -57,7 +57,7 @@ def test_the_help_of_a_command_begins_with_its_sentence(name: str) -> None:
         (["chek", "demo"], "twinct has no command 'chek'; did you mean 'check'?"),
         (["calibrate", "slef", "out"], "calibrate has no command 'slef'; did you mean 'self'?"),
         (["ctsimu", "rendr"], "twinct ctsimu has no command 'rendr'; did you mean 'render'?"),
-        (["xyzzy"], "twinct has no command 'xyzzy' (demo, init, check, run"),
+        (["xyzzy"], "twinct has no command 'xyzzy' (demo, init, doctor, check"),
     ],
 )
 def test_an_unknown_command_is_answered_with_the_nearest(

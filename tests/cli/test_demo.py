@@ -9,7 +9,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from twinct.cli import run_command
+from twinct.cli import parts, run_command
 from twinct.cli.commands import demo
 
 TINY = [
@@ -45,7 +45,7 @@ def test_an_engine_that_cannot_draw_is_replaced_and_its_reason_told(
 ) -> None:
     broken = "gVXR cannot be loaded: libxcb-ewmh.so.2: cannot open shared object file. Install ..."
     tried = Mock(return_value=subprocess.CompletedProcess([], 1, "", broken + "\n"))
-    monkeypatch.setattr(demo.subprocess, "run", tried)
+    monkeypatch.setattr(parts.subprocess, "run", tried)
     assert demo._engine(()) == ("xray.engine=mesh",)
     assert f"mesh instead of gvxr, because {broken}" in capsys.readouterr().out
     tried.return_value = subprocess.CompletedProcess([], -11, "", "")

@@ -11,14 +11,16 @@ import re
 import shlex
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import pytest
 import yaml
 
 from twinct.core.errors import ScenarioError
 from twinct.measured import read_description
-from twinct.scenario import load_scenario
+from twinct.scenario import load_scenario, scenario_names
 from twinct.study import load_study
 from twinct.trajectory import commanded_views
 
@@ -28,6 +30,8 @@ sys.path.insert(0, str(ROOT / "docs" / "site"))
 from generated_pages import command_parser  # noqa: E402
 
 FENCE = re.compile(r"^( *)```(\w+)\n(.*?)^\1```$", re.MULTILINE | re.DOTALL)
+NOT_RUN = re.compile(r"<!-- not run: ([^\n]+) -->\n\s*$")
+"""Comment above a block that only readers can run."""
 SYSTEM = {"source", "xdg-open", "export", "cd", "git", "apt-get", "ros2", "sbatch", "srun", "ray"}
 """Programs of the reader's system, which cannot be checked here."""
 NOT_HERE = {"howto/errors.md", "scenario.md", "validation.md"}
@@ -50,6 +54,8 @@ class Block(NamedTuple):
     number: int
     language: str
     text: str
+    not_run: str = ""
+    """Why no test runs it."""
 
     @property
     def name(self) -> str:
@@ -59,17 +65,24 @@ class Block(NamedTuple):
 
 def blocks() -> list[Block]:
     """Return the code blocks of all new pages, but for those that Sphinx itself reads."""
-    return [
-        Block(page, number, language, re.sub(f"^{indent}", "", text, flags=re.MULTILINE))
-        for page in PAGES
-        for number, (indent, language, text) in enumerate(_fences(page))
-    ]
+    return [block for page in PAGES for block in _of(page)]
+
+
+def _of(page: Path) -> Iterator[Block]:
+    whole = page.read_text(encoding="utf-8")
+    for number, found in enumerate(FENCE.finditer(whole)):
+        indent, language, text = found.groups()
+        text = re.sub(f"^{indent}", "", text, flags=re.MULTILINE)
+        reason = NOT_RUN.search(whole[: found.start()])
+        yield Block(page, number, language, text, reason[1] if reason else "")
 
 
 def check(block: Block, folder: Path) -> None:
     """Check a block of code; an unknown language fails."""
     kinds = {"sh": _shell, "yaml": _yaml, "python": _python, "toml": _toml}
     kinds |= {"text": _nothing, "csv": _views}
+    if "import torch" in block.text:
+        pytest.importorskip("torch", reason="needs torch: pip install twinct[torch]")
     kinds[block.language](block, folder)
 
 
@@ -80,13 +93,20 @@ def _nothing(block: Block, folder: Path) -> None:
 # Commands -----------------------------------------------------------------------------------------
 
 
-def _shell(block: Block, folder: Path) -> None:
-    for line in block.text.replace("\\\n", " ").splitlines():
+def commands(text: str) -> Iterator[list[str]]:
+    """Yield the words of each command, without variables, redirections and ROS arguments."""
+    for line in text.replace("\\\n", " ").splitlines():
         for command in re.split(r" \| | && ", line.partition(" --ros-args ")[0]):
             words = shlex.split(command.split(" > ")[0], comments=True)
             words = [word for word in words if not re.fullmatch(r"[A-Z_]+=\S*|&", word)]
-            if words and words[0] not in SYSTEM:
-                _command(words)
+            if words:
+                yield words
+
+
+def _shell(block: Block, folder: Path) -> None:
+    for words in commands(block.text):
+        if words[0] not in SYSTEM:
+            _command(words)
 
 
 def _command(words: list[str]) -> None:
@@ -131,16 +151,14 @@ def twinct(arguments: list[str]) -> None:
     given = [
         value for word, value in zip(arguments, arguments[1:], strict=False) if word == "--set"
     ]
-    named = [word for word in arguments if word.startswith(("scenarios/", "examples/"))]
-    for word in named:
-        assert (ROOT / word).exists(), word
-        if word.startswith("scenarios/"):
-            _load(ROOT / word, given)
-    if not any(word.startswith("scenarios/") for word in named) and arguments[0] != "study":
-        _load(ROOT / "scenarios" / "demo.yaml", given)
+    for word in arguments:
+        assert not word.startswith("examples/") or (ROOT / word).exists(), word
+    if arguments[0] != "study":
+        named = arguments[1] if len(arguments) > 1 else ""
+        _load(named if named in scenario_names() else "head_screws", given)  # it has a spectrum
 
 
-def _load(scenario: Path, given: list[str]) -> None:
+def _load(scenario: str, given: list[str]) -> None:
     """Load a scenario; files that an earlier command of the page writes are not there."""
     try:
         load_scenario(scenario, given)
@@ -155,18 +173,15 @@ def _load(scenario: Path, given: list[str]) -> None:
 def _yaml(block: Block, folder: Path) -> None:
     content = yaml.safe_load(block.text)
     file = folder / "mine.yaml"
-    for scenario in (ROOT / "scenarios").glob("*.yaml"):
-        (folder / scenario.name).write_text(f"extends: {scenario}\n", encoding="utf-8")
     if "images" in content:
         file.write_text(block.text, encoding="utf-8")
         _without_the_readers_files(lambda: read_description(file), block)
     elif "scenario" in content:
-        content["scenario"] = str(ROOT / "scenarios" / Path(content["scenario"]).name)
-        file.write_text(yaml.safe_dump(content), encoding="utf-8")
+        file.write_text(block.text, encoding="utf-8")
         design = load_study(file)
         design.scenario(next(iter(design.trials())))
     else:
-        base = "" if "extends" in content else "extends: demo.yaml\n"
+        base = "" if "extends" in content else "extends: demo\n"
         file.write_text(base + block.text, encoding="utf-8")
         _without_the_readers_files(lambda: load_scenario(file), block)
 
@@ -201,9 +216,7 @@ def _toml(block: Block, folder: Path) -> None:
 def _views(block: Block, folder: Path) -> None:
     file = folder / "views.csv"
     file.write_text(block.text, encoding="utf-8")
-    view = load_scenario(
-        ROOT / "scenarios" / "demo.yaml", [f"trajectory={{kind: file, path: {file}}}"]
-    )
+    view = load_scenario("demo", [f"trajectory={{kind: file, path: {file}}}"])
     assert len(commanded_views(view.trajectory, view.detector.panel))
 
 

@@ -11,15 +11,16 @@ import trimesh
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from code_blocks import ROOT, Block, blocks, check, twinct  # noqa: E402
+from code_blocks import PAGES, ROOT, Block, blocks, check, twinct  # noqa: E402
 
 from twinct.core.errors import ScenarioError  # noqa: E402
 from twinct.robots.cell import overlaps  # noqa: E402
 from twinct.scan import SimulationBuilder  # noqa: E402
-from twinct.scenario import load_scenario  # noqa: E402
+from twinct.scenario import load_scenario, scenario_names  # noqa: E402
 
 BLOCKS = blocks()
 PROGRAMS = sorted((ROOT / "examples").glob("[tg]*/*.py"))
+STUDIES = sorted((ROOT / "examples").rglob("*.yaml"))
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda block: block.name)
@@ -32,15 +33,19 @@ def test_a_program_of_the_gallery_calls_what_is_there(program: Path, tmp_path: P
     """They run when the site is built; this finds a renamed function at once."""
     text = program.read_text(encoding="utf-8")
     check(Block(program, 0, "python", text), tmp_path)
-    for name in re.findall(r"scenarios/\w+\.yaml", text):
-        assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("page", [*PAGES, *PROGRAMS, *STUDIES], ids=lambda page: page.name)
+def test_built_in_scenarios_are_named_without_a_path(page: Path) -> None:
+    """A path leads nowhere outside a checkout of the repository."""
+    words = re.findall(r"(?:scenarios/|extends: )(\w+)\.yaml", page.read_text(encoding="utf-8"))
+    assert not set(words) & set(scenario_names())
 
 
 @pytest.mark.parametrize(
     "command",
     [
-        "run scenarios/none.yaml --out out",
-        "run scenarios/demo.yaml --out out --fast",
+        "run demo --out out --fast",
         "compares out/a out/b",
     ],
 )
@@ -51,7 +56,7 @@ def test_a_command_that_does_not_exist_is_seen(command: str) -> None:
 
 def test_a_key_that_does_not_exist_is_seen() -> None:
     with pytest.raises(ScenarioError):
-        twinct("run scenarios/demo.yaml --out out --set detector.colums=3".split())
+        twinct(["run", "demo", "--out", "out", "--set", "detector.colums=3"])
 
 
 @pytest.mark.parametrize(
@@ -60,7 +65,7 @@ def test_a_key_that_does_not_exist_is_seen() -> None:
         ("yaml", "detector: {colums: 3}\n"),
         ("python", "from twinct import runn\n"),
         ("python", "from twinct import load_scenario\nload_scenario('demo.yaml', views=3)\n"),
-        ("sh", "twinct chek scenarios/demo.yaml\n"),
+        ("sh", "twinct chek demo\n"),
         ("fortran", "end\n"),
     ],
 )
@@ -74,7 +79,6 @@ def test_a_room_on_a_page_stands_free_of_all_fixed_bodies(page: str, tmp_path: P
     block = next(b for b in BLOCKS if b.page == ROOT / "docs" / page and b.language == "yaml")
     stand = trimesh.creation.box(bounds=[[-0.1, -0.1, 0], [0.1, 0.1, 0.4]])  # metres, on its foot
     stand.export(tmp_path / "stand.stl")
-    (tmp_path / "demo.yaml").write_text(f"extends: {ROOT / 'scenarios' / 'demo.yaml'}\n")
-    base = "" if "extends" in block.text else "extends: demo.yaml\n"
+    base = "" if "extends" in block.text else "extends: demo\n"
     (tmp_path / "mine.yaml").write_text(base + block.text)
     assert not overlaps(SimulationBuilder(load_scenario(tmp_path / "mine.yaml")).cell)

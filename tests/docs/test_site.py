@@ -95,7 +95,7 @@ def test_the_search_finds_a_key(browser: Browser, address: str) -> None:
 SEARCHES = {
     "CT patient": "howto/ct_as_specimen",
     "how long run takes": "howto/faster",
-    "projection matrices": "howto/projections_as_files",
+    "projection matrices": "howto/open_volume",
     "noise off": "howto/noise",
     "Windows": "start/install",
     "own robot": "howto/own_arm",

@@ -81,7 +81,7 @@ def test_offsets_and_leans_of_the_circle(circle):
 
 
 def test_leans_act_in_the_order_of_the_formula(circle):
-    """The formulas of docs/measured_files.md, element by element, with six different numbers."""
+    """The formulas of docs/measured.md, element by element, with six different numbers."""
     keys = {
         "panel_offset_mm": [3.0, -2.0],
         "axis_offset_mm": 1.5,

@@ -14,10 +14,13 @@ from twinct.recon.volume import Volume
 from twinct.scan import SimulationBuilder
 from twinct.scenario import load_scenario
 from twinct.trajectory import CircleTrajectory, commanded_mas, commanded_views
+from twinct.view_planning.objectives import Views
 from twinct.view_plans import family_search, planner
 from twinct.view_plans.patient import Patient
 from twinct.view_plans.planner import plan_views
 from twinct.workers import LocalPool
+from twinct.xray.build import build_spectrum
+from twinct.xray.dose import PlaceDoses
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
@@ -140,7 +143,10 @@ def test_mas_go_where_they_tell_most(file: Path, tmp_path: Path) -> None:
     told = json.loads((tmp_path / "out" / "plan.json").read_text())
     equal = told["exposure"]["at_equal_mas"]["detectability"]
     assert told["goals"]["detectability"]["planned"] > 1.05 * equal
-    dose = [*keys, "task.dose={part: lens, weight: 0, at_most_rel: 0.9}"]
+    dose = [
+        *keys,
+        "task.dose={part: lens, photons: 2000, views: 8, voxel_mm: 4, weight: 0, at_most_rel: 0.9}",
+    ]
     plan_views(file, tmp_path / "dose", dose)
     told = figures(tmp_path / "dose")
     assert told["dose"]["planned"] <= told["dose"]["at_most"] * (1 + 1e-6)
@@ -163,7 +169,9 @@ def test_metal_is_seen_across(file: Path, tmp_path: Path) -> None:
 
 
 def test_dose_keeps_its_limit(file: Path, tmp_path: Path) -> None:
-    dose = "task.dose={part: lens, weight: 0, at_most_rel: 0.5}"
+    dose = (
+        "task.dose={part: lens, photons: 2000, views: 8, voxel_mm: 4, weight: 0, at_most_rel: 0.5}"
+    )
     plan_views(file, tmp_path / "out", [dose])
     told = figures(tmp_path / "out")["dose"]
     assert 0 < told["planned"] <= 0.5 * told["spread_evenly"] * (1 + 1e-6)
@@ -252,9 +260,29 @@ def test_a_search_in_a_family_goes_on_where_it_was_stopped(
 
 
 def test_paths_that_cannot_be_had_are_told_with_the_nearest(file: Path, tmp_path: Path) -> None:
-    dose = "task.dose={part: lens, at_most_rel: 0.01}"
+    dose = "task.dose={part: lens, photons: 2000, views: 8, voxel_mm: 4, at_most_rel: 0.01}"
     with pytest.raises(InputError, match=r"nearest, with tilt_deg .*, has dose = .*, at most"):
         plan_views(file, tmp_path / "out", [*FAMILY, dose])
+
+
+def test_doses_between_simulated_views_are_those_of_the_views(file: Path) -> None:
+    """Interpolated doses of the block, against views that are simulated themselves, and again."""
+    builder = SimulationBuilder(load_scenario(file))
+    path = commanded_views(builder.scenario.trajectory, builder.scenario.detector.panel)[::10]
+    views, patient = Views(path, range(len(path)), np.zeros((1, 3))), Patient(builder)
+    keys = {"photons": 20_000, "voxel_mm": 5.0, "key": "task.dose"}
+    found = patient.doses(views, "block", simulated=40, **keys)
+    spectrum = build_spectrum(builder.scenario.source)
+    places = PlaceDoses(builder.specimen, spectrum, ["block"], 5.0, "voxel_mm")
+    scattered, errors = places.scattered(path, 80_000, seed=3)
+    unscattered = builder.scenario.source.mas * places.unscattered(path)[:, 0]
+    own = unscattered + builder.scenario.source.mas * scattered[:, 0]
+    assert (errors[:, 0] / scattered[:, 0]).max() < 0.03
+    assert (found / own).std() < 0.04
+    assert found.mean() == pytest.approx(own.mean(), rel=0.02)
+    assert (found / unscattered > 1.2).all()
+    assert (own.max() - own.min()) / own.mean() > 0.15  # what a constant would miss
+    np.testing.assert_array_equal(patient.doses(views, "block", simulated=40, **keys), found)
 
 
 def test_points_of_a_part_lie_in_it(file: Path) -> None:
@@ -311,7 +339,10 @@ def test_what_does_not_go_together_is_told_by_its_key(file: Path, override, said
     [
         (["task=null"], "the section task is missing"),
         (["task.position_mm=[0, 400, 0]"], r"no reachable view sees the region at \(0, 400, 0\)"),
-        (["task.dose={part: lens, at_most_rel: 0.01}"], "at most .* is allowed, but the 6 candid"),
+        (
+            ["task.dose={part: lens, photons: 2000, views: 8, voxel_mm: 4, at_most_rel: 0.01}"],
+            "at most .* is allowed, but the 6 candid",
+        ),
         (["source.photons_per_mm2_mas=null", DETECT], "needs a photon number"),
         (
             ["task.metal={parts: [pin], counts: shift}", MONO],

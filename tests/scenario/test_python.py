@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,3 +96,26 @@ def test_a_scenario_is_shown_in_one_line() -> None:
     said = repr(load_scenario(DEMO))
     assert said == str(load_scenario(DEMO))
     assert said.startswith("Scenario('") and "100 views" in said and len(said) < 120
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (
+            ["trajectory.kind=circle", "trajectory.views=9", "trajectory.sod_mm=300"],
+            "--set trajectory.kind=circle: a new kind starts afresh, without the former sdd_mm, "
+            "centre_longitude_deg, longitude_range_deg, latitude_amplitude_deg, periods; set what "
+            "you need with it, such as --set trajectory.sdd_mm=...",
+        ),
+        (["trajectory.kind=sinusoid"], ""),
+        (["trajectory.kind=circle", "trajectory={kind: circle, views: 9}"], ""),
+        ({"trajectory.kind": "circle", "trajectory.views": 9}, ""),
+    ],
+)
+def test_a_new_kind_says_what_it_leaves_out(
+    overrides: Any, said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    loading._warn_once.cache_clear()
+    with contextlib.suppress(ScenarioError):  # sdd_mm is missing
+        load_scenario(DEMO, overrides)
+    assert [one.getMessage() for one in caplog.records] == ([said] if said else [])

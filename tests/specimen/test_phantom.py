@@ -6,13 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
-from shapely.geometry import Polygon
 
 from twinct.geometry import Pose, VolumeGrid
 from twinct.scenario import Specimen, load_scenario
 from twinct.specimen import build_specimen, material
-from twinct.specimen.convex_parts import MOST_PARTS, convex_parts
 from twinct.specimen.implicit import ball
 from twinct.specimen.organs import CELLS_PER_WAVE, TILE, Organ, random_field
 from twinct.specimen.phantom import Phantom, phantom
@@ -205,21 +202,6 @@ def beyond(hull, points):
     return (points @ hull.face_normals.T - heights).max(axis=1)
 
 
-def test_convex_parts_hold_a_solid_and_leave_its_hollow_free():
-    angle = np.linspace(0, np.pi, 40)
-    ring = [(60 * np.cos(a), 60 * np.sin(a)) for a in angle]
-    ring += [(40 * np.cos(a), 40 * np.sin(a)) for a in angle[::-1]]
-    arch = trimesh.creation.extrude_polygon(Polygon(ring), 30.0)
-    hulls = [trimesh.convex.convex_hull(points) for points in convex_parts(arch)]
-    assert 2 <= len(hulls) <= MOST_PARTS
-    inside, _ = trimesh.sample.sample_surface(arch, 2000, seed=0)
-    assert np.min([beyond(hull, np.array(inside)) for hull in hulls], axis=0).max() < 1e-9
-    hollow = np.array([[0.0, 5.0, 15.0], [10.0, 10.0, 15.0]])
-    assert (beyond(arch.convex_hull, hollow) < 0).all()
-    assert min(beyond(hull, hollow).min() for hull in hulls) > 1
-    assert len(convex_parts(trimesh.creation.icosphere(3))) == 1
-
-
 def test_skin_and_plate_are_bodies_of_their_own():
     """The arms may go beside the neck, and under the plate, where the hull of all is closed."""
     told = load_scenario(SCENARIOS / "patient_head.yaml").specimen.model_dump(mode="json")
@@ -233,8 +215,8 @@ def test_skin_and_plate_are_bodies_of_their_own():
     assert sum(hull.volume for hull in specimen.hulls) < 0.5 * specimen.hull.volume
     grown = specimen.obstacles(25.0)
     assert len(grown) == len(specimen.hulls)
-    assert all(
-        beyond(big, hull.vertices).max() < -24.9
+    assert all(  # the margin's corners lie in 4,000 directions, 3 degrees apart
+        beyond(big, hull.vertices).max() < -24.8
         for big, hull in zip(grown, specimen.hulls, strict=True)
     )
 

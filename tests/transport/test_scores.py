@@ -288,3 +288,35 @@ def test_scores_that_cannot_be_are_refused() -> None:
         Simulation(body, beam, detector=Detector(view((0, 0, 500), (0, 0, -200)), 1))
     with pytest.raises(InputError, match="needs a detector"):
         Simulation(body, beam).primary()
+
+
+def test_unscattered_and_scattered_energy_add_up() -> None:
+    """Energy along rays, and energy after the first collision, are the energy absorbed."""
+    body, beam = _mixed_body(), beam_down(50.0, [40.0, 100.0], [1.0, 2.0])
+    later = Simulation(body, beam, unscattered=False)
+    scores = later.run(4000, 20, seed=2)
+    primary = later.primary_energy()
+    scattered, error = scores.voxel_energy()
+    whole = Simulation(body, beam, expected=False).run(4000, 20, seed=2).absorbed_kev
+    assert primary.sum() + scattered.sum() == pytest.approx(whole, rel=0.01)
+    assert 0.3 < primary.sum() / whole < 0.9
+    alone = later.primary_energy(np.array([5, 700]))
+    np.testing.assert_allclose(alone, primary.ravel()[[5, 700]])
+
+
+def test_unscattered_energy_is_that_of_the_coefficients() -> None:
+    """In a column of water: fluence times E mu_en / rho of a table, behind 95 mm."""
+    body = box((20, 1, 1), (10.0, 10.0, 10.0))
+    simulation = Simulation(body, beam_down(2.0, 60.0, height_mm=1000.0), unscattered=False)
+    energy = simulation.primary_energy()[10, 0, 0]
+    water = material("water")
+    area = 16.0 / 1000.0**2 * 995.0**2  # of the field, at the middle of the voxel
+    # J. H. Hubbell, S. M. Seltzer, NISTIR 5632: 0.03190 cm^2/g.
+    kerma = 60 * 0.0319 * 0.1 * np.exp(-95 * water.mu_per_mm(60.0)) / area
+    assert energy == pytest.approx(kerma * 1000.0, rel=0.015)
+
+
+def test_unscattered_energy_cannot_be_told_from_collisions() -> None:
+    """The energy that a collision deposits is of both kinds."""
+    with pytest.raises(InputError, match="needs expected=True"):
+        Simulation(_mixed_body(), beam_down(50.0), expected=False, unscattered=False)

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from twinct.calibration.arm_calibration import Kinematics
 from twinct.calibration.circle_calibration import Circle
 from twinct.calibration.scan_calibration import Balls, Beads, OwnProjections
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.observers import Audience, Observers, audience_of
@@ -34,6 +35,7 @@ METHODS: Mapping[str, type[Method]] = {
 """All methods, by the names of their commands and of the geometries that they make."""
 
 
+@kinds_checked
 def calibrate(
     path: str | Path, method: Method | str, *, name: str | None = None, observers: Observers = ()
 ) -> Any:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from twinct.calibration.epipolar import PlaneDerivatives, tangents_of
+from twinct.calibration.epipolar import PlaneDerivatives
 from twinct.calibration.freedom import Freedom
 from twinct.calibration.plane_integrals import PlaneIntegrals
 from twinct.calibration.resection import moved
@@ -392,7 +392,7 @@ class _Pairs:
     def _tangents(self, change: Floats, across: int) -> Floats:
         each = np.tile(np.concatenate([np.zeros(3), change]), (len(self.believed), 1))
         free = Freedom("arms", self.circle.centre)
-        return tangents_of(self.believed, free, each, self.factor(across))[:, 3:]
+        return free.tangents(self.believed, each, self.factor(across))[:, 3:]
 
 
 def _stretched(on: Floats, mixed: Floats, hessian: Floats, deviations: Floats) -> Floats:

@@ -30,6 +30,7 @@ from twinct.recon import Projector, sart
 from twinct.recon.checks import start_volume
 from twinct.recon.fista import Variation, minimised
 from twinct.recon.order import subset_number
+from twinct.recon.ray_slopes import slopes_along
 from twinct.recon.resolution import binned, interpolated
 from twinct.recon.volume import Volume
 
@@ -197,26 +198,21 @@ def _normal_equations(
     factor: int,
 ) -> tuple[Floats, Floats, float]:
     """Return normal matrices, (views, n, n), right sides, (views, n), and the residuals' spread."""
-    steps = free.steps
+    size = len(free.steps)
+    geometry = free.all(believed, change).binned(factor, factor)
+    A, tangents = Projector(geometry, grid), free.tangents(believed, change, factor)
+    lengths = A.chords()
     rests: list[Floats] = []
     slopes: list[Floats] = []
-    for index, view in enumerate(believed):
-        about = [change[index]]
-        for one in np.diag(steps):
-            about += [change[index] + one, change[index] - one]
-        tried = ScanGeometry.joined([free.view(view, one) for one in about])
-        A = Projector(tried.binned(factor, factor), grid)
-        images = A(x)
-        seen = (A[0].chords()[0] > 0).ravel()
+    for view, (image, length) in enumerate(zip(A(x), lengths, strict=True)):
+        seen = length > 0
         if counts is not None:
-            seen &= (counts if counts.ndim == 2 else counts[index]).ravel()
-        flat = images.reshape(len(images), -1)[:, seen].astype(np.float64)
-        rests.append(p[index].ravel()[seen] - flat[0])
-        slopes.append((flat[1::2] - flat[2::2]).T / (2 * steps))
+            seen &= counts if counts.ndim == 2 else counts[view]
+        rests.append((p[view] - image)[seen].astype(np.float64))
+        slopes.append(slopes_along(A, x, view, tangents[view])[:, seen].T)
     pooled = np.concatenate(rests)
     spread = 1.4826 * float(np.median(np.abs(pooled)))
     spread = max(spread, 1e-9)
-    size = len(steps)
     normal, right = np.empty((len(rests), size, size)), np.empty((len(rests), size))
     for index, (rest, slope) in enumerate(zip(rests, slopes, strict=True)):
         weight = 1 / np.maximum(np.abs(rest) / (ROBUST * spread), 1.0)

@@ -119,7 +119,7 @@ def epipolar_consistent(
     with progress.stage("epipolar consistency", len(across) + 1) as step:
         for pixels_across in across:
             seen, factor = look(pixels_across)
-            tangents = tangents_of(believed, free, change, factor)
+            tangents = free.tangents(believed, change, factor)
             normal, right = seen.normal_equations(seen.weights(), tangents)
             pull = right - precision @ change.ravel()
             change = change + np.linalg.solve(precision + normal, pull).reshape(change.shape)
@@ -148,22 +148,6 @@ def _checked(
     if not across:
         raise InputError("across is empty; it must name at least one round")
     return p, pixels
-
-
-def tangents_of(believed: ScanGeometry, free: Freedom, change: Floats, factor: int) -> Floats:
-    """Return the derivatives of S, D, u and v of each view by its numbers, (views, n, 4, 3)."""
-
-    def vectors(at: Floats) -> Floats:
-        view = free.all(believed, at).binned(factor, factor)
-        return np.stack([view.source, view.detector, view.u, view.v], axis=1)
-
-    return np.stack(
-        [
-            (vectors(change + one) - vectors(change - one)) / (2 * one.sum())
-            for one in np.diag(free.steps)
-        ],
-        axis=1,
-    )
 
 
 @dataclass(frozen=True, eq=False)

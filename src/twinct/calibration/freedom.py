@@ -87,3 +87,24 @@ class Freedom:
             return moved(believed, change)
         parts = [self.view(view, one) for view, one in zip(believed, change, strict=True)]
         return ScanGeometry.joined(parts)
+
+    def tangents(self, believed: ScanGeometry, change: Floats, factor: int = 1) -> Floats:
+        """Return the derivatives of S, D, u and v of each view by its numbers, (views, n, 4, 3).
+
+        Args:
+            believed: the geometry at zero.
+            change: the numbers of each view, (views, n).
+            factor: binning factor of the pixels.
+        """
+
+        def vectors(at: Floats) -> Floats:
+            view = self.all(believed, at).binned(factor, factor)
+            return np.stack([view.source, view.detector, view.u, view.v], axis=1)
+
+        return np.stack(
+            [
+                (vectors(change + one) - vectors(change - one)) / (2 * one.sum())
+                for one in np.diag(self.steps)
+            ],
+            axis=1,
+        )

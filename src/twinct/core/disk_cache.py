@@ -27,7 +27,11 @@ MOST_FILES = 6
 
 
 def made_once(
-    kind: str, inputs: Iterable[bytes], make: Callable[[], dict[str, NDArray[Any]]]
+    kind: str,
+    inputs: Iterable[bytes],
+    make: Callable[[], dict[str, NDArray[Any]]],
+    *,
+    keep: int = MOST_FILES,
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays that ``make`` returns, from disk if they were made before.
 
@@ -38,6 +42,7 @@ def made_once(
         kind: first part of the file's name.
         inputs: everything on which the arrays depend, sources included.
         make: computes the arrays.
+        keep: number of files of this kind that stay on disk, the newest ones.
     """
     digest = hashlib.sha256(b"\0".join(inputs)).hexdigest()[:16]
     try:
@@ -56,14 +61,14 @@ def made_once(
         folder.mkdir(parents=True, exist_ok=True)
         with complete(path) as draft:
             np.savez(draft, allow_pickle=False, **arrays)
-        _remove_old(folder, kind)
+        _remove_old(folder, kind, keep)
     except OSError as error:
         log.info("%s: cannot be kept for later runs: %s", path, error)
     return arrays
 
 
-def _remove_old(folder: Path, kind: str) -> None:
+def _remove_old(folder: Path, kind: str, keep: int) -> None:
     files = sorted(folder.glob(f"{kind}-*.npz"), key=lambda path: path.stat().st_mtime)
-    for path in files[:-MOST_FILES]:
+    for path in files[:-keep]:
         with contextlib.suppress(OSError):
             path.unlink()

@@ -25,10 +25,12 @@ _IMPORTED: dict[str, tuple[str, ...]] = {
 """Modules that are cheap to import. They are imported, since an installed module may be broken."""
 
 _FOUND: dict[str, tuple[str, ...]] = {
+    "robots": ("coacd",),
     "xray": ("gvxrPython3",),
     "study": ("optuna",),
     "hdf5": ("h5py",),
-    "planning": ("cmaes",),
+    "planning": ("cmaes", "gymnasium"),
+    "torch": ("torch",),
     "cluster": ("ray",),
     "view": ("viser", "mjviser", "imageio_ffmpeg", "fast_simplification"),
 }
@@ -52,6 +54,7 @@ WAY_OUT = {
     "hdf5": "or store the images as .npy or Zarr",
     "cuda": "or use the engines vector and mesh, which need no card",
     "ros": "or use the link local (--link local)",
+    "torch": "or use twinct.recon.Projector, which needs only NumPy",
     "rtk": "or use reconstruction.algorithm: sart",
     "xray": "or scan with the engine mesh (--set xray.engine=mesh)",
     "xacro": "or expand the file with ROS's xacro",

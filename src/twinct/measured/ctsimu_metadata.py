@@ -64,7 +64,7 @@ def read_metadata(path: Path, data: Mapping[str, Any]) -> dict[str, Any]:
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{path}: CTSimU metadata without {error}: state images and geometry in a YAML file "
-            "(docs/measured_files.md)"
+            "(docs/measured.md)"
         ) from None
     return {
         "name": str(data["file"].get("name") or path.stem),

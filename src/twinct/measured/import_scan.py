@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.writing import storage_errors
@@ -19,6 +20,7 @@ from twinct.runs.folder import Folder
 from twinct.runs.importing import import_recordings
 
 
+@kinds_checked
 def import_scan(
     sources: str | Path | Sequence[str | Path],
     out: str | Path,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.files.boundary import no_file
 from twinct.core.files.lock import sole_owner
@@ -100,6 +101,7 @@ class Prediction:
         )
 
 
+@kinds_checked
 def predict(
     path: str | Path,
     overrides: Iterable[str] = (),

@@ -60,7 +60,7 @@ def _exported(folder: Path) -> dict[str, Any]:
         there = sorted(p.name for p in folder.iterdir())[:8]
         raise InputError(
             f"{folder}: images without geometry: it has no export.json, only {', '.join(there)}: "
-            "state images and geometry in a YAML file (docs/measured_files.md)"
+            "state images and geometry in a YAML file (docs/measured.md)"
         )
     facts_read = _read_json(facts)
     try:
@@ -130,7 +130,7 @@ def _json(path: Path) -> dict[str, Any]:
     if "geometry" not in data or not folder.is_dir():
         raise InputError(
             f"{path}: neither an OpenCT free trajectory, nor a CTSimU scenario with its images in "
-            f"{folder}: state images and geometry in a YAML file (docs/measured_files.md)"
+            f"{folder}: state images and geometry in a YAML file (docs/measured.md)"
         )
     return {
         "name": path.stem,

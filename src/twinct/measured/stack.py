@@ -40,7 +40,7 @@ _IMAGES = {*_TIFF, *_PICTURES, *_DICOM, *_RAW, *HDF5, ".npy", ".npz", ".mha", ".
 ZEISS = (".txrm", ".xrm", ".txm")
 NO_ZEISS = (
     "files of Zeiss are not read: convert the projections to TIFF, such as with txrm2tiff, and "
-    "state distances, pitch and angles as kind: circle in a YAML file (docs/measured_files.md)"
+    "state distances, pitch and angles as kind: circle in a YAML file (docs/measured.md)"
 )
 """Reason: no real file is public with which a reader, and its sense of rotation, can be tested."""
 

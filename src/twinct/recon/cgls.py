@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
-from twinct.recon.checks import Checks, Mask, counting_rays, masked_image, start_volume
+from twinct.recon.checks import Mask, counting_rays, masked_image
 from twinct.recon.engine import Singles
-from twinct.recon.memory import require_memory
+from twinct.recon.prepared import Prepared
 from twinct.recon.projector import Projector
 from twinct.recon.shared_keys import Iterations
-from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.steps import Callback, sum_of_squares
 from twinct.recon.volume import Volume
 
 
@@ -61,18 +61,13 @@ def cgls(
     Raises:
         InputError: as in ``sart``.
     """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
-    iterations = checks.count("iterations", iterations)
-    x0 = checks.start(x0, A.domain_shape)
-    checks.done()
-    require_memory(CGLS, A)
-    x = start_volume(A, x0, nonnegative=False)
-    counts, rest = _residual(A, p, pixels, None if x0 is None else x)
+    scan = Prepared(CGLS, A, line_integrals, mask)
+    iterations = scan.count("iterations", iterations)
+    x, listener = scan.begin(callback, x0=x0)
+    counts, rest = _residual(A, scan.p, scan.pixels, None if x0 is None else x)
     rays = int(counts.sum())
     direction = A.T(rest)
     slope = sum_of_squares(direction)
-    listener = Listener(callback)
     for iteration in range(iterations):
         if slope == 0.0:
             break

@@ -32,12 +32,12 @@ from twinct.core.settings import NonNegative
 from twinct.geometry import ScanGeometry, VolumeGrid
 from twinct.recon.air import KnownNoise, noise_in_air
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
-from twinct.recon.checks import Checks, Mask
+from twinct.recon.checks import Mask
 from twinct.recon.engine import Singles
 from twinct.recon.levels import SMALLEST, Level, with_margin
-from twinct.recon.memory import require_memory
 from twinct.recon.order import spread_order
 from twinct.recon.ordered_subsets import Minimiser, subsets_for
+from twinct.recon.prepared import Prepared
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.ray_weights import RayWeights, error_of_model
 from twinct.recon.resolution import interpolated
@@ -147,9 +147,8 @@ def fast(
     Raises:
         InputError: as in ``sart``; or the grid with its margin reaches behind a source.
     """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
-    known = checks.photons(photons)
+    checks = Prepared(FAST, A, line_integrals, mask)
+    p, pixels, known = checks.p, checks.pixels, checks.photons(photons)
     passes = checks.count("passes", passes)
     levels = checks.count("levels", levels)
     if margin is not None:
@@ -157,7 +156,6 @@ def fast(
     if strength is not None:
         strength = checks.not_negative("strength", strength)
     checks.done()
-    require_memory(FAST, A)
     factors = _factors(A.domain_shape, A.range_shape[1:], levels)
     if margin is None:
         margin = usual_margin(A, p, pixels, factors[0])

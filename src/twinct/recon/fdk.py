@@ -32,12 +32,12 @@ from twinct.geometry import Floats, ScanGeometry
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
 from twinct.recon.checks import Checks, Mask, mask_of, masked_image
 from twinct.recon.engine import Singles
-from twinct.recon.memory import require_memory
 from twinct.recon.orbit import CircularOrbit, fit_circle
+from twinct.recon.prepared import Prepared
 from twinct.recon.projector import Projector
 from twinct.recon.shared_keys import Nonnegative
 from twinct.recon.shifted_panel import ShiftedPanel, require_centred, shifted_panel
-from twinct.recon.steps import Callback, Listener
+from twinct.recon.steps import Callback
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -92,17 +92,16 @@ def fdk(
     Raises:
         InputError: the scan is no circle, the arc is too short, or as in ``sart``.
     """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
-    circle, shift = _checked_circle(checks, A.geometry, window, pixels)
-    require_memory(FDK, A)
+    scan = Prepared(FDK, A, line_integrals, mask)
+    p, pixels = scan.p, scan.pixels
+    circle, shift = _checked_circle(scan, A.geometry, window, pixels)
+    blocks = range(0, len(A), BLOCK)
+    x, listener = scan.begin(callback, len(blocks))
     sod = A.geometry.depth(circle.centre)
     weights = _weights(A.geometry, circle, sod, shift)
     wide = A if shift is None else A.on(A.grid, shift.extended(A.geometry))
     response = _response(wide.geometry.panel.columns, window)
-    work = WorkingVolume(A.kernels, np.zeros(A.domain_shape, np.float32))
-    blocks = range(0, len(A), BLOCK)
-    listener = Listener(callback, len(blocks))
+    work = WorkingVolume(A.kernels, x)
     for block, first in enumerate(blocks):
         views = range(first, min(first + BLOCK, len(A)))
         part = wide[views.start : views.stop]
@@ -122,7 +121,7 @@ def fdk(
 def _checked_circle(
     checks: Checks, geometry: ScanGeometry, window: str, mask: Mask | None
 ) -> tuple[CircularOrbit, ShiftedPanel | None]:
-    """Return circle and shift of the scan; raise InputError for all problems together."""
+    """Return circle and shift of the scan; without a circle, raise InputError for all problems."""
     if window not in get_args(Window):
         checks.problems.append(
             f"window is {quoted(window)}; choose from {', '.join(get_args(Window))}"
@@ -136,7 +135,6 @@ def _checked_circle(
         circle = circular(geometry)
     except InputError as error:
         raise InputError([*checks.problems, *error.problems]) from None
-    checks.done()
     return circle
 
 

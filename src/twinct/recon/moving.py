@@ -120,7 +120,7 @@ class MovingProjector(Projector):
             there[:] = 0.0
             moved.add_deformed(x, there)
             for view in views:
-                self.kernels.forward(there, self._rays[view], y[view])
+                self.kernels.forward(there, self.index_rays[view], y[view])
         return y
 
     def T(self, y: ArrayLike, out: Singles | None = None) -> Singles:  # noqa: N802 - its usual name
@@ -131,7 +131,7 @@ class MovingProjector(Projector):
         for moved, views in self._groups():
             there[:] = 0.0
             for view in views:
-                self.kernels.adjoint(y[view], self._rays[view], there)
+                self.kernels.adjoint(y[view], self.index_rays[view], there)
             moved.add_adjoint(there, x)
         return x
 

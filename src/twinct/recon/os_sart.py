@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
-from twinct.recon.checks import Checks, mask_of, masked_image, start_volume
-from twinct.recon.memory import require_memory
+from twinct.recon.checks import mask_of, masked_image
 from twinct.recon.order import subset_number, subsets_of
+from twinct.recon.prepared import Prepared
 from twinct.recon.projector import Projector
 from twinct.recon.shared_keys import Iterations, Nonnegative, Relaxation, Subsets
-from twinct.recon.steps import Callback, Listener, residual_of
+from twinct.recon.steps import Callback, residual_of
 from twinct.recon.volume import Volume
 
 
@@ -68,16 +68,11 @@ def os_sart(
     Raises:
         InputError: as in ``sart``.
     """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
-    iterations = checks.count("iterations", iterations)
-    relaxation = checks.relaxation(relaxation)
-    subsets = checks.count("subsets", subsets, at_most=len(A))
-    x0 = checks.start(x0, A.domain_shape)
-    checks.done()
-    require_memory(OS_SART, A)
-    x = start_volume(A, x0, nonnegative)
-    change, seen, listener = np.empty_like(x), np.empty_like(x), Listener(callback, subsets)
+    scan = Prepared(OS_SART, A, line_integrals, mask)
+    iterations, relaxation = scan.count("iterations", iterations), scan.relaxation(relaxation)
+    subsets = scan.count("subsets", subsets, at_most=len(A))
+    x, listener = scan.begin(callback, subsets, x0=x0, nonnegative=nonnegative)
+    p, pixels, change, seen = scan.p, scan.pixels, np.empty_like(x), np.empty_like(x)
     for iteration in range(iterations):
         for update, views in enumerate(subsets_of(A.geometry, subsets)):
             change[:] = seen[:] = 0.0

@@ -19,13 +19,13 @@ from twinct.core.settings import NonNegative, Positive, Section, Vector, facts, 
 from twinct.geometry import Pose, ScanGeometry, VolumeGrid
 from twinct.recon.air import known_noise
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, Problem, solve_by
-from twinct.recon.checks import Checks, Mask, start_volume
+from twinct.recon.checks import Mask, start_volume
 from twinct.recon.engine import Singles
 from twinct.recon.fista import KnownBefore, Variation, minimised
 from twinct.recon.left_out import judged_by_left_out_views
 from twinct.recon.levels import density
-from twinct.recon.memory import require_memory
 from twinct.recon.order import subset_number
+from twinct.recon.prepared import Prepared
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.registration import covered, means_at, moved, registered
 from twinct.recon.regularisation import strength_of_noise
@@ -214,8 +214,8 @@ def prior_tv(
     Raises:
         InputError: the prior cannot be used (``prior_problems``) or registered; or as in ``sart``.
     """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
+    checks = Prepared(PRIOR_TV, A, line_integrals, mask)
+    p, pixels = checks.p, checks.pixels
     iterations = checks.count("iterations", iterations)
     known_photons = checks.photons(photons)
     if regularisation is not None:
@@ -234,8 +234,7 @@ def prior_tv(
     if share is not None and not 0 <= share <= 1:
         checks.problems.append(f"share is {quoted(share)}; it must be a number from 0 to 1")
     checks.problems += prior_problems(prior, A.grid, start or Pose.identity())
-    checks.done()
-    require_memory(PRIOR_TV, A, _volumes_beyond(prior, A.grid))
+    checks.done((_volumes_beyond(prior, A.grid), 0.0))
     radius, extras = regularisation, dict[str, Any]()
     if radius is None:
         radius, source = _strength(A, p, known_photons, pixels)

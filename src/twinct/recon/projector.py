@@ -32,6 +32,8 @@ class Projector:
         range_shape: (views, rows, columns).
         engine: ``vector`` or ``plain``, if one was requested.
         kernels: kernels of the engine.
+        index_rays: rays of each view in voxel indices (x, y, z), and the voxel edges in mm, (views,
+            5, 3): source, pixel (0, 0), step per column, step per row, edges.
         blocks: blocks outside of which volumes hold zeros, and updates change nothing.
         own_volumes: float32 volumes that it allocates itself.
         leaves_out: whether ``within`` is supported.
@@ -50,7 +52,7 @@ class Projector:
         self.geometry, self.grid = geometry, grid
         self.domain_shape, self.range_shape = grid.shape, (len(geometry), *geometry.panel.shape)
         local = grid.world_from_grid.inverse() @ geometry
-        self._rays = _index_rays(local, grid)
+        self.index_rays = _index_rays(local, grid)
         self._pixels = local.matrices(grid.first_voxel_mm, grid.voxel)
         self._room: _Room | None = None
         self.engine, self.kernels = engine, kernels(engine)
@@ -64,7 +66,7 @@ class Projector:
         x = readable(x, self.domain_shape, "the volume")
         y = writable(out, self.range_shape)
         held = self.kernels.hold(x)
-        for rays, image in zip(self._rays, y, strict=True):
+        for rays, image in zip(self.index_rays, y, strict=True):
             self.kernels.forward(held, rays, image, self.blocks)
         return y
 
@@ -78,7 +80,7 @@ class Projector:
         x = writable(out, self.domain_shape)
         x[:] = 0.0
         held = self.kernels.hold(x)
-        for rays, image in zip(self._rays, y, strict=True):
+        for rays, image in zip(self.index_rays, y, strict=True):
             self.kernels.adjoint(image, rays, held)
         self.kernels.bring(held, x)
         return x
@@ -90,7 +92,11 @@ class Projector:
         part = copy(self)
         part.geometry = self.geometry[views]
         part.range_shape = (len(part.geometry), *self.range_shape[1:])
-        part._rays, part._pixels, part._room = self._rays[views], self._pixels[views], None
+        part.index_rays, part._pixels, part._room = (
+            self.index_rays[views],
+            self._pixels[views],
+            None,
+        )
         return part
 
     def on(self, grid: VolumeGrid, geometry: ScanGeometry | None = None) -> Projector:
@@ -116,14 +122,14 @@ class Projector:
     def chords(self) -> Singles:
         """Return each ray's path length in the grid, (views, rows, columns), mm; 0 if it misses."""
         lengths = np.empty(self.range_shape, np.float32)
-        for rays, image in zip(self._rays, lengths, strict=True):
+        for rays, image in zip(self.index_rays, lengths, strict=True):
             self.kernels.chords(rays, self.domain_shape, image)
         return lengths
 
     def chords_of(self, view: int) -> Singles:
         """Return the path lengths of one view's rays in the grid, (rows, columns), mm."""
         lengths = np.empty(self.range_shape[1:], np.float32)
-        self.kernels.chords(self._rays[view], self.domain_shape, lengths)
+        self.kernels.chords(self.index_rays[view], self.domain_shape, lengths)
         return lengths
 
     def update(
@@ -165,7 +171,7 @@ class Projector:
         if self._room is None:
             self._room = _Room.of(self.kernels, *self.range_shape[1:])
         estimate, length, ratio = self._room.estimate, self._room.length, self._room.ratio
-        self.kernels.forward(x, self._rays[view], estimate, self.blocks, length)
+        self.kernels.forward(x, self.index_rays[view], estimate, self.blocks, length)
         if mask is not None:
             self.kernels.leave_out(length, mask)
         shortest = np.float32(self.grid.voxel.min())
@@ -194,7 +200,7 @@ class Projector:
         if self._room is None:
             self._room = _Room.of(self.kernels, *self.range_shape[1:])
         estimate, length = self._room.estimate, self._room.length
-        self.kernels.forward(x, self._rays[view], estimate, self.blocks, length)
+        self.kernels.forward(x, self.index_rays[view], estimate, self.blocks, length)
         shown, lengths = self._room.shown[0], self._room.lengths
         self.kernels.bring(estimate, shown)
         self.kernels.bring(length, lengths)

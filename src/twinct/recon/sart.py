@@ -21,20 +21,18 @@ from __future__ import annotations
 from functools import partial
 from typing import Literal
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
-from twinct.recon.checks import Checks, Mask, mask_of, masked_image, start_volume
-from twinct.recon.engine import Singles
+from twinct.recon.checks import mask_of, masked_image
 from twinct.recon.error_estimate import error_estimate
 from twinct.recon.fast import FAST, Fast
-from twinct.recon.memory import require_memory
 from twinct.recon.order import Order, Rng, view_order
+from twinct.recon.prepared import Prepared
 from twinct.recon.projector import LOWEST, Projector
 from twinct.recon.shared_keys import Iterations, Nonnegative, Ordering, Relaxation, Stop, StopName
-from twinct.recon.steps import Callback, Listener, residual_of
-from twinct.recon.stopping import PROJECTIONS, VOLUMES, BestPass, Estimate
+from twinct.recon.steps import Callback, residual_of
+from twinct.recon.stopping import PROJECTIONS, VOLUMES, BestPass
 from twinct.recon.volume import Volume
 from twinct.recon.working import WorkingVolume
 
@@ -98,22 +96,19 @@ def sart(
         InputError: an argument is out of range, has another shape, or is not finite; or the memory
             does not suffice.
     """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
-    iterations = checks.count("iterations", iterations)
-    relaxation = checks.relaxation(relaxation)
-    x0 = checks.start(x0, A.domain_shape)
-    views = view_order(checks, A.geometry, order, rng)
-    known = checks.photons(photons)
-    checks.stop(stop)
-    checks.done()
-    require_memory(SART, A, *_more(stop))
-    best = BestPass(_estimate(A, p, pixels, known, preparing) if stop else None)
-    x = start_volume(A, x0, nonnegative)
+    scan = Prepared(SART, A, line_integrals, mask)
+    iterations, relaxation = scan.count("iterations", iterations), scan.relaxation(relaxation)
+    views, known = view_order(scan, A.geometry, order, rng), scan.photons(photons)
+    scan.stop(stop)
+    more = (VOLUMES, PROJECTIONS) if stop else (0.0, 0.0)
+    x, listener = scan.begin(callback, len(views), x0=x0, nonnegative=nonnegative, more=more)
+    p, pixels, estimate_of = scan.p, scan.pixels, None
+    if stop:
+        estimate_of = error_estimate(A, p, pixels, known, preparing)
+    best = BestPass(estimate_of)
     if x0 is not None:
         best.start(x)
-    floor = 0.0 if nonnegative else LOWEST
-    listener, work = Listener(callback, len(views)), WorkingVolume(A.kernels, x)
+    floor, work = 0.0 if nonnegative else LOWEST, WorkingVolume(A.kernels, x)
     for iteration in range(iterations):
         for update, view in enumerate(views):
             measured, mask = masked_image(p, view, pixels), mask_of(pixels, view)
@@ -128,21 +123,6 @@ def sart(
     return Volume(work.array, A.grid, best.extras)
 
 
-def _estimate(
-    A: Projector,
-    p: Singles,
-    pixels: Mask | None,
-    photons: NDArray[np.float64] | None,
-    preparing: Callback | None,
-) -> Estimate:
-    return error_estimate(A, p, pixels, photons, preparing)
-
-
-def _more(stop: StopName | None) -> tuple[float, float]:
-    """Return the memory that the rule takes: volumes, and copies of the projections."""
-    return (VOLUMES, PROJECTIONS) if stop else (0.0, 0.0)
-
-
 def _prepares(own: Sart, views: int) -> int:
     if not own.stop:
         return 0
@@ -153,7 +133,7 @@ SART = Algorithm(
     Sart,
     partial(solve_by, sart),
     volumes=1,
-    extra=lambda own: _more(own.stop),
+    extra=lambda own: (VOLUMES, PROJECTIONS) if own.stop else (0.0, 0.0),
     resumes=True,
     updates=lambda _, views: views,
     prepares=_prepares,

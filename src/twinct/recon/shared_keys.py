@@ -54,8 +54,8 @@ StopName = Literal["auto"]
 Stop = Annotated[
     StopName | None,
     Field(
-        description="auto: the algorithm chooses the number of passes (docs/algorithms.md); the "
-        "stated number is then the maximum."
+        description="auto: the algorithm chooses the number of passes, at most the stated number "
+        "(docs/reconstruction.md)."
     ),
 ]
 Nonnegative = Annotated[bool, Field(description="Whether voxels are kept at 0 or above.")]

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twinct.recon.algorithm import Algorithm, AlgorithmSettings, solve_by
-from twinct.recon.checks import Checks, Mask, counting_rays, remainder, start_volume
+from twinct.recon.checks import Mask, counting_rays, remainder
 from twinct.recon.engine import Singles
-from twinct.recon.memory import require_memory
+from twinct.recon.prepared import Prepared
 from twinct.recon.projector import Projector
 from twinct.recon.shared_keys import Iterations, Nonnegative, Relaxation
-from twinct.recon.steps import Callback, Listener, sum_of_squares
+from twinct.recon.steps import Callback, sum_of_squares
 from twinct.recon.volume import Volume
 
 
@@ -66,18 +66,12 @@ def sirt(
     Raises:
         InputError: as in ``sart``.
     """
-    checks = Checks(A.range_shape)
-    p, pixels = checks.projections(line_integrals, mask)
-    iterations = checks.count("iterations", iterations)
-    relaxation = checks.relaxation(relaxation)
-    x0 = checks.start(x0, A.domain_shape)
-    checks.done()
-    require_memory(SIRT, A)
-    x = start_volume(A, x0, nonnegative)
-    rows, columns, rays = _weights(A, pixels, relaxation)
-    listener = Listener(callback)
+    scan = Prepared(SIRT, A, line_integrals, mask)
+    iterations, relaxation = scan.count("iterations", iterations), scan.relaxation(relaxation)
+    x, listener = scan.begin(callback, x0=x0, nonnegative=nonnegative)
+    rows, columns, rays = _weights(A, scan.pixels, relaxation)
     for iteration in range(iterations):
-        rest = remainder(A, x, p, range(len(A)), pixels)
+        rest = remainder(A, x, scan.p, range(len(A)), scan.pixels)
         if listener.wanted:
             rest[rows == 0] = 0.0
         square = sum_of_squares(rest) if listener.wanted else 0.0

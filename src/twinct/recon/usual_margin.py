@@ -6,7 +6,7 @@ grid. So a small scan is made of the real one, in pixels and voxels many times l
 reconstructed with margins of several widths. The narrowest one that leaves about as little of the
 line integrals as a very wide one is the usual margin.
 
-docs/algorithms.md gives the reasons for these numbers.
+docs/reconstruction.md gives the reasons for these numbers.
 """
 
 from __future__ import annotations

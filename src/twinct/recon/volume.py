@@ -13,6 +13,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.extras import optional
 from twinct.core.files.nifti import read_nifti
@@ -238,6 +239,7 @@ class Volume(NDArrayOperatorsMixin):
         scale = (self.array - np.float32(air_per_mm)) / np.float32(water_per_mm - air_per_mm)
         return Volume(np.float32(AIR_HU) * (1 - scale), self.grid)
 
+    @kinds_checked
     def write(
         self,
         path: str | Path,

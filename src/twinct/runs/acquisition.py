@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.core.extras import require
 from twinct.geometry.wire import Reached
@@ -98,6 +99,7 @@ def scenario_with(
     return as_scenario(scenario, keys)
 
 
+@kinds_checked
 def simulate(
     scenario: Scenario | str | Path,
     *,

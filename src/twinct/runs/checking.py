@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.files.writing import check_plan_file
 from twinct.core.progress import Progress
@@ -42,6 +43,7 @@ class Checked:
     warnings: tuple[str, ...]
 
 
+@kinds_checked
 def check(
     scenario: Scenario | str | Path,
     *,

@@ -27,9 +27,13 @@ from twinct.runs.metal_reduction import check_metal
 from twinct.runs.on_table import larger_than_table
 from twinct.runs.regions import Places
 from twinct.runs.repeated_figures import check_repeats
+from twinct.runs.scatter_correction import check_scatter_correction
+from twinct.runs.slips import doubted_lengths, doubted_times
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
+from twinct.specimen.convex_parts import Fit
+from twinct.specimen.room_bodies import mesh_pieces
 from twinct.specimen.size import SpecimenSize, specimen_size
 from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
@@ -73,14 +77,19 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
             "grid into the beam (reconstruction.grid.centre_mm), or use a larger panel or a "
             "smaller orbit"
         )
+    size, middle = _size(builder), grid.world_from_grid.position
+    to_middle_mm = float(builder.commanded.depth(middle).min())
+    doubts = doubted_lengths(builder.scenario, size, to_middle_mm)
     if problems:
-        raise TrajectoryError(problems)
+        raise TrajectoryError([*problems, *doubts])
     check_places(builder)
     _ = builder.beam_objects  # names unknown materials before anything moves
     warnings: list[str] = []
     if seen.blind:
         warnings.append(f"{where} is not visible in {_views(seen.blind)}, of {seen.views} in all")
-    warnings += _size(builder).warnings
+    # A doubted panel or grid explains why parts seem too large or too small.
+    warnings += doubts or size.warnings
+    warnings += doubted_times(builder.scenario)
     warnings += _cut(builder)
     warnings += larger_than_table(builder)
     warnings += _scatter(builder)
@@ -154,6 +163,7 @@ def check_physics(builder: SimulationBuilder) -> None:
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
         MissingExtraError: SpekPy is needed and not installed.
+        TrajectoryError: a gantry would collide with an object of its room.
     """
     scenario = builder.scenario
     _check_all(
@@ -162,6 +172,7 @@ def check_physics(builder: SimulationBuilder) -> None:
         lambda: _check_scatter(builder),
         lambda: _check_errors(builder),
     )
+    _ = builder.gantry_gap
 
 
 def _check_scatter(builder: SimulationBuilder) -> None:
@@ -180,12 +191,16 @@ def _check_errors(builder: SimulationBuilder) -> None:
 
 
 def check_corrections(settings: ScanSettings) -> None:
-    """Check that beam hardening and metal can be corrected, before any other work.
+    """Check that scatter, beam hardening and metal can be corrected, before any other work.
 
     Raises:
         InputError: every file, material or number that cannot be used, each with its key.
     """
-    _check_all(lambda: check_hardening(settings), lambda: check_metal(settings))
+    _check_all(
+        lambda: check_scatter_correction(settings),
+        lambda: check_hardening(settings),
+        lambda: check_metal(settings),
+    )
 
 
 def _check_all(*checks: Callable[[], object]) -> None:
@@ -212,6 +227,10 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
     physics = physics_in_words(scenario, *builder.commanded_poses[0], builder.mas)
     if plan is None:
         clearance = {"motion": "a gantry, exactly at its commanded poses"}
+        if gap := builder.gantry_gap:
+            clearance["smallest clearance"] = (
+                f"{gap.distance_mm:.1f} mm, between {' and '.join(gap.bodies)}"
+            )
     else:
         worst = int(plan.clearance_mm.argmin())
         clearance = {} if builder.followed is None else {"motion": _duration(builder, plan)}
@@ -219,8 +238,10 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
             "smallest clearance": f"{plan.clearance_mm.min():.1f} mm, "
             f"at view {worst}, between {' and '.join(plan.nearest[worst])}"
         }
-    if builder.scenario.cell.kind == "arms" and builder.cell.notes:
+    if scenario.cell.kind == "arms" and builder.cell.notes:
         clearance["arms, supplied or changed"] = "; ".join(builder.cell.notes)
+    if scenario.cell.kind == "arms" and (fits := _fits(builder)):
+        clearance["shapes that collide"] = "; ".join(f"{n}: {fit.words}" for n, fit in fits.items())
     parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
         "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",
@@ -233,6 +254,16 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         "reconstruction": scenario.reconstruction.in_words,
         "digest": stage_digests(scenario)["images"],
     }
+
+
+def _fits(builder: SimulationBuilder) -> dict[str, Fit]:
+    """Return how closely convex bodies hold skins, and objects that are meshes, by name."""
+    meshes = {
+        one.name: mesh_pieces(one, key).fit
+        for key, one in builder.scenario.cell.keyed_objects
+        if one.shape.kind == "mesh" and one.collides
+    }
+    return builder.specimen.skin_fits | meshes
 
 
 LIMITS = 3
@@ -303,7 +334,8 @@ def require_extras(scenario: Scenario) -> None:
         InputError: a package is missing; names the extra that provides it. Or the X-ray engine is
             unknown or cannot be used.
     """
-    robots = ["robots"] if scenario.cell.kind == "arms" else []
+    obstacles = any(one.collides for _, one in scenario.cell.keyed_objects)
+    robots = ["robots"] if scenario.cell.kind == "arms" or obstacles else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
     require(*robots, *engine_extras(scenario.engine), *rtk)
     if scenario.engine is not None:

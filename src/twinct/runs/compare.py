@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import counted
 from twinct.evaluation import region_of_interest
@@ -32,6 +33,7 @@ from twinct.version import __version__
 from twinct.xray.build import effective_energy_kev
 
 
+@kinds_checked
 def compare(folders: Iterable[str | Path], observers: Observers = ()) -> Comparison:
     """Compare volumes with the first one: of finished runs, or of imported scans.
 

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.writing import require_space, storage_errors
 from twinct.core.foreign_text import quoted
@@ -31,6 +32,7 @@ ExportedValues = Literal["line-integrals", "transmission", "attenuation", "houns
 OF_SCAN = "line-integrals", "transmission"
 
 
+@kinds_checked
 def export(
     path: str | Path,
     to: str,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.files.lock import sole_owner
 from twinct.core.files.plain_yaml import read_file
@@ -129,6 +130,7 @@ def scan_of(folder: Folder, settings: ScanSettings) -> Scan:
     return replace(scan, derived=named_geometries(folder.geometries))
 
 
+@kinds_checked
 def run(
     scenario: Scenario | str | Path,
     out: str | Path,
@@ -257,6 +259,7 @@ def again_in_words(folder: Folder) -> str:
     return f"'twinct run {folder.scenario} --out {folder.path} --resume' makes it again"
 
 
+@kinds_checked
 def rewrite_report(
     path: str | Path, observers: Observers = (), overrides: Iterable[str] = ()
 ) -> Run:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.progress import SILENT, Progress
@@ -48,6 +49,7 @@ def motion_program(
     return program, gate_of(builder.cell, scenario.motion)
 
 
+@kinds_checked
 def write_motion(
     scenario: Scenario | str | Path,
     to: str,

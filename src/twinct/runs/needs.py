@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import MemoryShortageError
 from twinct.core.foreign_text import quoted
 from twinct.core.memory import available_bytes
@@ -12,7 +14,7 @@ from twinct.core.threads import threads
 from twinct.runs.acquisition import Link
 from twinct.runs.volumes import memory_needed
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Scenario
+from twinct.scenario import Scenario, as_scenario
 from twinct.specimen.memory import moved_bytes, part_bytes, specimen_bytes
 from twinct.xray.engines import engine_named
 
@@ -42,7 +44,8 @@ class Need:
     processes: int = 1
 
 
-def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
+@kinds_checked
+def needs(scenario: Scenario | str | Path, link: Link = "ros2") -> dict[str, Need]:
     """Estimate bytes and threads of each stage of a run, before anything is built or rendered.
 
     The memory of the engines was measured with software OpenGL; specimens from files are estimated
@@ -52,9 +55,9 @@ def needs(scenario: Scenario, link: Link = "ros2") -> dict[str, Need]:
         The stages in their order: ``specimen``, ``plan``, ``views``, ``truth``, ``reconstruction``
         and ``report``.
     """
-    views = SimulationBuilder(
-        scenario
-    ).requested  # choices of the plan, such as an order, need no memory
+    scenario = as_scenario(scenario)
+    # Choices of the plan, such as an order, need no memory.
+    views = SimulationBuilder(scenario).requested
     grid, panel = scenario.reconstruction.volume_grid, scenario.detector.panel
     voxels, image = math.prod(grid.shape), 4 * math.prod(panel.shape)
     number, many, local = len(views), threads(), link == "local"

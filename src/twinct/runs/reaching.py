@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, storage_errors
@@ -68,6 +69,7 @@ class Placed:
         return self.placement.overrides
 
 
+@kinds_checked
 def reach(
     scenario: Scenario | str | Path,
     *,
@@ -127,6 +129,7 @@ def reach(
     return result
 
 
+@kinds_checked
 def place(
     scenario: Scenario | str | Path,
     *,

@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.lock import sole_owner
@@ -46,6 +47,7 @@ from twinct.scenario.imported import ScanSettings
 log = logging.getLogger(__name__)
 
 
+@kinds_checked
 def load_scan(path: str | Path) -> Scan:
     """Load a finished scan from a scan.zarr, or from a run's folder with its derived geometries.
 
@@ -59,6 +61,7 @@ def load_scan(path: str | Path) -> Scan:
     return scan_of(folder, _settings_of(folder))
 
 
+@kinds_checked
 def derive_geometry(
     path: str | Path, name: str, overrides: Iterable[str] = (), observers: Observers = ()
 ) -> NamedGeometry:
@@ -90,6 +93,7 @@ def derive_geometry(
     return poses
 
 
+@kinds_checked
 def reconstruct_run(
     path: str | Path,
     overrides: Iterable[str] = (),

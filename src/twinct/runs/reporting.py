@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import DrawingError, MissingExtraError
 from twinct.core.files.private import temporary_folder
 from twinct.core.files.writing import write_json
@@ -94,6 +95,7 @@ def judge(
     return replace(figures, further=further).honest()
 
 
+@kinds_checked
 def evaluate(scan: Scan, volume: Volume, truth: Truth | None = None) -> ImageFigures:
     """Compute the figures of merit of a volume against the true specimen of its scan.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.writing import (
@@ -24,6 +25,7 @@ from twinct.specimen.preview import preview_specimen
 from twinct.xray.build import effective_energy_kev
 
 
+@kinds_checked
 def draw_view(
     scenario: Scenario | str | Path,
     out: str | Path,
@@ -65,6 +67,7 @@ def draw_view(
         return draw_anyway(builder, out, view, width, height)
 
 
+@kinds_checked
 def write_specimen(scenario: Scenario | str | Path, out: str | Path) -> tuple[BuiltSpecimen, float]:
     """Build the specimen only, and write a mesh for each part, the voxel truth and a picture.
 
@@ -95,6 +98,7 @@ def write_specimen(scenario: Scenario | str | Path, out: str | Path) -> tuple[Bu
     return built, energy
 
 
+@kinds_checked
 def write_urdf(
     scenario: Scenario | str | Path, out: str | Path, *, moveit: bool = False
 ) -> list[Path]:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.recon.volume import Volume
 from twinct.runs.folder import Folder, read_metrics
@@ -30,6 +31,7 @@ class Verdict:
     in_words: str
 
 
+@kinds_checked
 def verify(path: str | Path) -> Verdict:
     """Check each file of a scan store, and all results made from it.
 

@@ -14,6 +14,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.draws import view_rng
 from twinct.core.errors import InputError
 from twinct.core.interruption import keeping
@@ -44,6 +45,7 @@ from twinct.runs.model_doubts import (
     doubt_of_prior,
     judged_by_rays,
 )
+from twinct.runs.scatter_correction import scatter_bytes, scatter_subtracted
 from twinct.runs.truth import held_bytes
 from twinct.scan import Scan
 from twinct.scenario import (
@@ -60,6 +62,7 @@ Function = Callable[[Projector, NDArray[np.float32]], ArrayLike]
 """``f(A, y)``: from the projector and line integrals to a volume (z, y, x), 1/mm."""
 
 
+@kinds_checked
 def reconstruct(
     scan: Scan,
     *,
@@ -160,6 +163,7 @@ def _reconstruct(
         if (results := saved.results()) is not None:
             return _counted(Volume(finished, grid, results), section, done)
     # Only here: few modules at the start.
+    scan = scatter_subtracted(scan, poses, audience)
     A = projector_of(scan, poses, grid)
     integrals, metal, warnings = _corrected(scan, A, algorithm, pixels, audience)
     if finished is not None:
@@ -367,6 +371,8 @@ def memory_needed(settings: ScanSettings, views: ScanGeometry) -> dict[str, int]
     # Transmission and line integrals, the truth and its region.
     held = 8 * pixels + held_bytes(grid)
     stages: dict[str, int] = {}
+    if section.scatter is not None:
+        stages["scatter"] = held + scatter_bytes(section, pixels)
     if section.beam_hardening is not None:
         stages["beam hardening"] = held + hardening_bytes(section.beam_hardening, voxels, pixels)
     if around := section.around:

@@ -29,7 +29,7 @@ from twinct.uncertainty import TrueCell
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-    from twinct.robots.cell import CellModel
+    from twinct.robots.cell import CellModel, Gap
     from twinct.robots.motion import MotionPlan, PursuingSimulation, Shutter
     from twinct.xray import Imager
 
@@ -289,6 +289,23 @@ class SimulationBuilder:
         return plan_motion(
             self.cell, scenario.motion, targets, roll_free=self.roll_free, shutter=self.shutter
         )
+
+    @cached_property
+    def gantry_gap(self) -> Gap | None:
+        """Smallest gap of a gantry to the objects of its room; None for arms, or without objects.
+
+        Raises:
+            MissingExtraError: MuJoCo is not installed.
+            TrajectoryError: source or panel comes too near to an object.
+        """
+        scenario = self.scenario
+        if not isinstance(scenario.cell, GantryCell):
+            return None
+        from twinct.robots.cell import require_free_way
+
+        views = [(source, panel) for source, panel, *_ in self.commanded_poses]
+        clearance = scenario.motion.clearance_mm
+        return require_free_way(scenario.cell, scenario.detector.panel, views, clearance)
 
     @property
     def plan_digest(self) -> str:

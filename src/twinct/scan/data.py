@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import optional
 from twinct.core.files.pictures import show
@@ -179,6 +180,7 @@ class Scan:
         """
         return replace(self, provenance=self.provenance.with_settings(settings))
 
+    @kinds_checked
     def of_views(self, views: Sequence[int]) -> Scan:
         """Return the scan of some views, without derived geometries."""
         chosen = list(views)
@@ -334,6 +336,7 @@ class Scan:
             attrs={"scenario": self.settings.name, "geometry": which or self.reported.name},
         )
 
+    @kinds_checked
     def show(
         self, path: str | Path | io.BytesIO | None = None, views: Sequence[int] | None = None
     ) -> None:

@@ -11,32 +11,43 @@ from pydantic import BaseModel
 
 from twinct.core.files.plain_yaml import written_on_a_line
 from twinct.scenario.loading import load_scenario
+from twinct.scenario.objects import with_paths
 from twinct.scenario.reading import drafted, is_list, is_mapping
+from twinct.scenario.starting import Start
 
 WIDTH = 100
 _HEAD = """\
-# A scenario of twinct, made by 'twinct init' from the built-in scenario {name}.
+# A scenario of twinct, made by 'twinct init' from the built-in scenario {name}{own}.
 #   {check}  can it be run?
 #   {run}  images, volume, report
 # Keys that are left out have defaults: 'twinct schema' lists all keys. Lengths are in mm.
 """
 
 
-def commented_scenario(name: str, file: str) -> str:
-    """Return a built-in scenario as YAML, each key with its description as a comment.
+def commented_scenario(start: Start, file: Path) -> str:
+    """Return a scenario to start from as YAML, each key with its description as a comment.
 
-    What the scenario extends is part of the text, so that it stands alone.
+    What the scenario extends is part of the text, so that it stands alone. Files in the folder of
+    the text are named relative to it.
 
     Args:
-        name: name of the built-in scenario.
-        file: name of the file that the text is for.
+        start: the built-in scenario and what differs from it.
+        file: file that the text is for.
 
     Raises:
-        ScenarioError: there is no such scenario.
+        ScenarioError: there is no such scenario, or what differs is wrong.
     """
-    data, model = drafted(Path(name)).data, load_scenario(name)
-    run = f"twinct run {file} --out out/{name}"
-    head = _HEAD.format(name=name, check=f"twinct check {file}".ljust(len(run)), run=run)
+    folder = file.absolute().parent
+
+    def named(path: Path) -> Path:
+        return path.relative_to(folder) if path.is_relative_to(folder) else path
+
+    model = load_scenario(start.name, start.changes)
+    data = with_paths(drafted(Path(start.name), start.changes).data, named)
+    run = f"twinct run {file} --out out/{start.changes.get('name', start.name)}"
+    own = ", for files of yours" if start.changes else ""
+    check = f"twinct check {file}".ljust(len(run))
+    head = _HEAD.format(name=start.name, own=own, check=check, run=run)
     return "\n".join([head, *_section(data, model, "")]) + "\n"
 
 

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, ScenarioError
 from twinct.core.files.boundary import ABSENT, no_file
 from twinct.core.files.plain_yaml import written
@@ -22,7 +23,7 @@ from twinct.core.foreign_text import shortened
 from twinct.core.settings import Section
 from twinct.scenario.messages import place, refusal
 from twinct.scenario.objects import with_paths
-from twinct.scenario.reading import Draft, Overrides, Source, drafted, key_of, varied
+from twinct.scenario.reading import Draft, Overrides, ScenarioText, Source, drafted, key_of, varied
 from twinct.scenario.scenario import Scenario
 
 log = logging.getLogger(__name__)
@@ -30,7 +31,13 @@ log = logging.getLogger(__name__)
 ModelT = TypeVar("ModelT", bound=Section)
 
 
-def load_scenario(source: Source, overrides: Overrides = (), *, resolved: bool = False) -> Scenario:
+@kinds_checked
+def load_scenario(
+    source: str | Path | Mapping[str, Any] | ScenarioText,
+    overrides: Overrides = (),
+    *,
+    resolved: bool = False,
+) -> Scenario:
     """Read, extend, override and validate a scenario.
 
     Args:
@@ -46,10 +53,9 @@ def load_scenario(source: Source, overrides: Overrides = (), *, resolved: bool =
         ScenarioError: with one sentence for each problem, naming key, value and origin.
     """
     draft = drafted(source, overrides)
-    scenario = _checked(draft)
     for sentence in () if resolved else draft.left_out:
         _warn_once(sentence)
-    return scenario
+    return _checked(draft)
 
 
 def as_scenario(scenario: Scenario | str | Path, keys: Mapping[str, Any] | None = None) -> Scenario:

@@ -20,6 +20,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from twinct.core.arguments import came
 from twinct.core.errors import ScenarioError
 from twinct.core.files.links import own_folder
 from twinct.core.files.meshes import read_mesh, write_ply
@@ -43,7 +44,7 @@ def as_settings(key: str, value: Any) -> Any:
         value: the value of the key.
 
     Raises:
-        ScenarioError: the views are invalid.
+        ScenarioError: the views are invalid, or the specimen is a path or an array.
         SpecimenError: the mesh is not closed.
     """
     if key in ("shape", "specimen") and hasattr(value, "vertices") and hasattr(value, "faces"):
@@ -55,6 +56,12 @@ def as_settings(key: str, value: Any) -> Any:
         path = _file("volume", ".nii", lambda draft: value.write(draft, "HU"))
         shape = {"kind": "volume", "path": str(path)}
         return shape if key == "shape" else {"parts": [{"shape": shape}]}
+    if key == "specimen" and isinstance(value, str | os.PathLike | np.ndarray):
+        raise ScenarioError(
+            "specimen: must be a closed mesh, such as trimesh.load('part.stl'), a Volume of HU, or "
+            "the keys of the section, such as {'parts': [{'shape': {'kind': 'mesh', 'path': "
+            f"'part.stl'}}, 'material': 'bone'}}]}}, but is {came(value)}"
+        )
     if key == "trajectory" and _views(value):
         try:
             rows = rows_of_views(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeGuard, cast
@@ -39,13 +39,17 @@ class Draft:
 
     A section counts as set by the last file or override that set one of its keys, since that change
     caused any problem of the section as a whole. ``left_out`` has one sentence for each key that
-    was dropped together with its algorithm. ``overridden`` holds the keys that overrides set,
+    was dropped together with its algorithm. ``afresh`` has the keys that a section lost with its
+    kind, and the override that changed it. ``overridden`` holds the keys that overrides set,
     ``beneath`` the origins in files that sections had before overrides of keys in them.
     """
 
     data: dict[str, Any] = field(default_factory=dict[str, Any])
     origins: dict[Key, str] = field(default_factory=dict[Key, str])
     left_out: list[str] = field(default_factory=list[str])
+    afresh: dict[Key, tuple[str, tuple[str, ...]]] = field(
+        default_factory=dict[Key, tuple[str, tuple[str, ...]]]
+    )
     overridden: set[Key] = field(default_factory=set[Key])
     beneath: dict[Key, str] = field(default_factory=dict[Key, str])
 
@@ -136,6 +140,8 @@ def drafted(source: Source, overrides: Overrides = (), *, extends: bool = True) 
     else:
         for override in overrides:
             _apply_override(draft, override)
+        # Python code that changes a kind knows the section.
+        draft.left_out += _without_former_keys(draft)
     return draft
 
 
@@ -295,7 +301,7 @@ def _apply(draft: Draft, dotted: str, value: Any, place: str) -> None:
         if depth == len(steps) - 1:
             if is_mapping(here) and step in KIND_KEYS:
                 if here.get(step, DEFAULT_KINDS.get(key[:-1], value)) != value:
-                    _start_afresh(draft, here, key[:-1])
+                    _start_afresh(draft, here, key[:-1], place)
             if step == "algorithm":
                 _change_algorithm(draft, key[:-1], value)
             here[index] = value
@@ -322,12 +328,24 @@ def _index(here: Any, step: str, place: str) -> Any:
     return number
 
 
-def _start_afresh(draft: Draft, section: dict[str, Any], key: Key) -> None:
+def _start_afresh(draft: Draft, section: dict[str, Any], key: Key, place: str) -> None:
     """Empty a section whose kind changes, except for keys that overrides have set."""
-    for name in list(section):
-        if not draft.set_over((*key, name)):
-            del section[name]
-            draft.forget((*key, name))
+    dropped = [name for name in section if not draft.set_over((*key, name))]
+    for name in dropped:
+        del section[name]
+        draft.forget((*key, name))
+    draft.afresh[key] = place, tuple(name for name in dropped if name not in KIND_KEYS)
+
+
+def _without_former_keys(draft: Draft) -> Iterator[str]:
+    """Yield a sentence for each section that started afresh, and what it lost on the way."""
+    for key, (place, names) in draft.afresh.items():
+        # Another override may have replaced the section since.
+        if lost := [name for name in names if not draft.set_over((*key, name))]:
+            yield (
+                f"{place}: a new kind starts afresh, without the former {', '.join(lost)}; set "
+                f"what you need with it, such as --set {'.'.join(map(str, key))}.{lost[0]}=..."
+            )
 
 
 def _change_algorithm(draft: Draft, key: Key, algorithm: Any) -> None:

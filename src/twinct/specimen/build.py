@@ -18,7 +18,7 @@ from twinct.geometry import Floats, Panel, Pose, VolumeGrid
 from twinct.specimen import sections
 from twinct.specimen.body_motion import body_motion, require_possible
 from twinct.specimen.breathing import Breath
-from twinct.specimen.convex_parts import convex_parts
+from twinct.specimen.convex_parts import ROUNDING_MM, Fit, beyond, convex_parts, fit_of
 from twinct.specimen.grey_part import GreyPart
 from twinct.specimen.grey_volume import grey_part
 from twinct.specimen.materials import BUILT_IN, Material, material
@@ -257,12 +257,19 @@ class BuiltSpecimen:
             return (self.hull,)
         convex: list[trimesh.Trimesh] = []
         for part in self.mixtures:
-            for points in convex_parts(part.mesh):
-                if self.motion is not None and part.name == self.motion.part:
-                    points = np.concatenate([points, *self._breathing(points)])
+            moves = self.motion is not None and part.name == self.motion.part
+            for body in convex_parts(part.mesh):
+                points = np.asarray(body.vertices)
+                if moves:
+                    points = np.concatenate([points, *self._breathing(_skin_in(part.mesh, body))])
                 convex.append(_hull(points))
         pure = (_hull(np.asarray(part.mesh.vertices)) for part in self.pure)
         return (*convex, *(one for one in pure if not any(_holds(skin, one) for skin in convex)))
+
+    @cached_property
+    def skin_fits(self) -> dict[str, Fit]:
+        """Closeness of convex bodies to the skin of each mixture at rest, by the part's name."""
+        return {part.name: fit_of(part.mesh, convex_parts(part.mesh)) for part in self.mixtures}
 
     def _breathing(self, points: Floats) -> Iterator[Floats]:
         """Yield points of the moving part in deep breaths."""
@@ -379,9 +386,13 @@ def _hull(points: Floats) -> trimesh.Trimesh:
 
 def _holds(hull: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
     """Return True if a convex body lies in another one."""
-    normals, corners = hull.face_normals, hull.triangles[:, 0]
-    beyond = other.vertices @ normals.T - np.einsum("ij,ij->i", normals, corners)
-    return bool((beyond <= 0).all())
+    return bool(beyond(hull, other.vertices).max() <= 0)
+
+
+def _skin_in(mesh: trimesh.Trimesh, body: trimesh.Trimesh) -> Floats:
+    """Return the corners of all triangles of which a corner lies in a convex body."""
+    inside = beyond(body, mesh.vertices) <= ROUNDING_MM
+    return np.asarray(mesh.vertices[np.unique(mesh.faces[inside[mesh.faces].any(axis=1)])])
 
 
 def _grown(hull: trimesh.Trimesh, margin_mm: float) -> trimesh.Trimesh:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from twinct.core.errors import SpecimenError
 from twinct.core.foreign_text import quoted
 from twinct.specimen import sections
 from twinct.specimen.build import BuiltPart
+from twinct.specimen.convex_parts import Fit, convex_parts, fit_of
 from twinct.specimen.materials import material
 from twinct.specimen.shapes import mesh_file_surface, shape_surface
 from twinct.specimen.surface import solids_once, subtract, surface
@@ -35,11 +36,21 @@ class MeshPieces:
 
     Attributes:
         look: whole closed surface.
-        hulls: convex hull of each connected piece.
     """
 
     look: trimesh.Trimesh
-    hulls: tuple[trimesh.Trimesh, ...]
+
+    @cached_property
+    def hulls(self) -> tuple[trimesh.Trimesh, ...]:
+        """Convex bodies that collide in place of the connected pieces."""
+        look = self.look
+        pieces = look.split(only_watertight=False) if look.body_count > 1 else [look]
+        return tuple(body for piece in pieces for body in convex_parts(piece))
+
+    @cached_property
+    def fit(self) -> Fit:
+        """Closeness of the convex bodies to the mesh."""
+        return fit_of(self.look, self.hulls)
 
 
 def mesh_pieces(body: sections.RoomObject, key: str) -> MeshPieces:
@@ -77,8 +88,7 @@ def _mesh_pieces(
             else "does shape.unit_mm state its unit?"
         )
         raise SpecimenError(f"{owner}: mesh file {path} measures {size} mm: {advice}")
-    pieces = mesh.split(only_watertight=False) if mesh.body_count > 1 else [mesh]
-    return MeshPieces(mesh, tuple(piece.convex_hull for piece in pieces))
+    return MeshPieces(mesh)
 
 
 def beam_bodies(objects: Sequence[tuple[str, sections.RoomObject]]) -> tuple[BuiltPart, ...]:

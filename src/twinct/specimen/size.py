@@ -20,7 +20,13 @@ MANY_FIELDS = 3
 Shapes that state their edges in mm may be larger, such as a table under a patient.
 """
 
-UNITS_MM = {"micrometres": 1e-3, "millimetres": 1, "centimetres": 10, "inches": 25.4, "metres": 1e3}
+UNITS_MM: dict[str, float] = {
+    "micrometres": 1e-3,
+    "millimetres": 1,
+    "centimetres": 10,
+    "inches": 25.4,
+    "metres": 1e3,
+}
 
 
 @dataclass(frozen=True)

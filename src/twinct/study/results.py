@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError
 from twinct.core.extras import require
 from twinct.core.files.packed import require_unpacked
@@ -139,6 +140,7 @@ def _require_table(path: Path, whole: Any) -> None:
     require_unpacked(path.stat().st_size, stated, f"{path}: the table", copies=2)
 
 
+@kinds_checked
 def load_results(folder: str | Path) -> StudyTable:
     """Load the results of a finished or running study as a pandas table; see ``results_table``.
 

@@ -208,16 +208,17 @@ def _collide(
 
 
 @njit(**OPTIONS)
-def _follow(state, field, voxels, media, pixels, deposits, rows, expected, images, totals):
+def _follow(state, field, voxels, media, pixels, deposits, rows, ways, images, totals):
     """Follow one photon; add its deposits, its expected signals and its totals."""
     length = media.coefficients.shape[1]
     state, dx, dy, dz, energy = _emitted(state, field)
     x, y, z = field.source[0], field.source[1], field.source[2]
     totals[EMITTED] += energy
     order = MULTIPLE + 1
-    scores = rows, deposits, expected
+    expected, unscattered = ways
     while energy > 0.0:
         index, fraction = place_of(energy, length)
+        scores = rows, deposits, expected and (unscattered or order <= MULTIPLE)
         state, t = fly(state, x, y, z, dx, dy, dz, index, fraction, voxels, media, scores)
         if t < 0.0:
             totals[ESCAPED] += energy
@@ -241,7 +242,7 @@ def _follow(state, field, voxels, media, pixels, deposits, rows, expected, image
 
 
 @njit(parallel=True, **OPTIONS)
-def follow(keys, photons, field, voxels, media, pixels, deposits, rows, expected, images, totals):
+def follow(keys, photons, field, voxels, media, pixels, deposits, rows, ways, images, totals):
     """Follow the photons of some batches, each of them in one thread.
 
     Args:
@@ -254,7 +255,8 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, rows, expected
         deposits: energy of each batch and voxel, (batches, z, y, x), keV; added to. Without
             elements, none is scored.
         rows: energy of each batch and row of the palette, (batches, rows), keV; added to.
-        expected: add mean energies along the flights, not what collisions happen to deposit.
+        ways: whether to add mean energies along the flights, not what collisions happen to
+            deposit; and whether flights before the first collision add theirs.
         images: signal of each batch by order, (batches, 3, rows, columns); added to. Without
             elements, none is scored.
         totals: totals of each batch, (batches, 4); added to.
@@ -269,7 +271,7 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, rows, expected
                 pixels,
                 deposits[batch],
                 rows[batch],
-                expected,
+                ways,
                 images[batch],
                 totals[batch],
             )
@@ -334,3 +336,45 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
                     signal += weights[line] * math.exp(-depth)
                 value += signal * -(nx * dx + ny * dy + nz * dz) * area / (r * r)
             image[row, column] = value
+
+
+@njit(parallel=True, **OPTIONS)
+def primary_energy(field, weights, attenuation, transfer, voxels, cells, energies):
+    """Write the energy that unscattered photons give to electrons, by a ray through each voxel.
+
+    The ray goes through the middle; their number is averaged along its chord.
+
+    Args:
+        field: the beam.
+        weights: photons of each line per solid angle, (lines,).
+        attenuation: mu per density of each medium and line, (media, lines), 1/mm per g/cm^3.
+        transfer: energy given to electrons, (media, lines), keV/mm per g/cm^3.
+        voxels: the body.
+        cells: places of the voxels in the flattened grid.
+        energies: energy of each of them, keV.
+    """
+    _, ny, nx = voxels.codes.shape
+    ex, ey, ez = voxels.edges
+    for n in prange(len(cells)):
+        k, j, i = cells[n] // (ny * nx), cells[n] // nx % ny, cells[n] % nx
+        dx = (i + 0.5) * ex - field.source[0]
+        dy = (j + 0.5) * ey - field.source[1]
+        dz = (k + 0.5) * ez - field.source[2]
+        if not _in_field(field.inside, dx, dy, dz):
+            continue
+        r = math.sqrt(dx * dx + dy * dy + dz * dz)
+        amounts = np.zeros(len(attenuation))
+        x, y, z = field.source
+        add_amounts(x, y, z, dx / r, dy / r, dz / r, r, voxels, amounts)
+        code = voxels.codes[k, j, i]
+        own, density = voxels.media[code], voxels.densities[code]
+        chord = r / max(abs(dx) / ex, abs(dy) / ey, abs(dz) / ez)
+        energy = 0.0
+        for line in range(len(weights)):
+            depth = 0.0
+            for medium in range(len(amounts)):
+                depth += amounts[medium] * attenuation[medium, line]
+            x = chord * density * attenuation[own, line]
+            mean = math.exp(x / 2) * -math.expm1(-x) / x if x > 0.0 else 1.0
+            energy += weights[line] * math.exp(-depth) * mean * transfer[own, line]
+        energies[n] = energy * density * ex * ey * ez / (r * r)

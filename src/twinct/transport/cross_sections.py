@@ -219,12 +219,18 @@ def _lines(material: Material) -> list[tuple[float, NDArray[np.float64]]]:
     return [(e, share * emission) for s, share in shares for e, emission in _element(s).lines]
 
 
+@cache
+def _gauss_nodes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return nodes and weights of the integrals over all angles, an eigenvalue problem."""
+    return np.polynomial.legendre.leggauss(256)
+
+
 def _compton_integrals(
     incoherent: NDArray[np.float64], energies: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the integrals of KN S, and of KN S times the electron's energy in keV."""
     coarse = _coarse(energies)
-    points, weights = np.polynomial.legendre.leggauss(256)
+    points, weights = _gauss_nodes()
     # sqrt(x) runs over [0, 1] of its largest value: most nodes lie where S rises.
     share = (points + 1) / 2
     c = 1 - 2 * share**4

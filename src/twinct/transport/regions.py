@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.errors import InputError
 
@@ -43,7 +43,7 @@ class Regions:
         empty = [name for name, p in zip(names.values(), places, strict=True) if not len(p)]
         if empty:
             raise InputError(f"region {empty[0]}: no voxel has its label")
-        return cls._of(tuple(names.values()), array.shape, places, [1.0] * len(places))
+        return cls.of_places(tuple(names.values()), array.shape, places, [1.0] * len(places))
 
     @classmethod
     def of_shares(cls, shares: Mapping[str, ArrayLike]) -> Regions:
@@ -61,10 +61,17 @@ class Regions:
         if empty:
             raise InputError(f"region {empty[0]}: it has no voxel")
         values = [array.ravel()[p] for array, p in zip(arrays.values(), places, strict=True)]
-        return cls._of(tuple(arrays), shapes.pop(), places, values)
+        return cls.of_places(tuple(arrays), shapes.pop(), places, values)
 
     @classmethod
-    def _of(cls, names: tuple[str, ...], shape: tuple[int, ...], places: Any, values: Any) -> Any:
+    def of_places(
+        cls,
+        names: tuple[str, ...],
+        shape: tuple[int, ...],
+        places: Sequence[NDArray[np.intp]],
+        values: Sequence[ArrayLike],
+    ) -> Regions:
+        """Return regions by the places of their voxels in the flattened grid, and their shares."""
         rows = np.concatenate([[0], np.cumsum([len(p) for p in places])])
         data = [np.broadcast_to(v, len(p)) for v, p in zip(values, places, strict=True)]
         size = (len(names), int(np.prod(shape)))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from twinct.core.draws import batch_key
 from twinct.core.errors import InputError
@@ -22,9 +22,9 @@ from twinct.core.interruption import postponed
 from twinct.core.progress import SILENT, Progress
 from twinct.core.threads import load_numba
 from twinct.geometry import Floats, ScanGeometry, VolumeGrid
-from twinct.transport._histories import Field, Pixels, follow, primary
+from twinct.transport._histories import Field, Pixels, follow, primary, primary_energy
 from twinct.transport.beam import Beam
-from twinct.transport.cross_sections import TOTAL, energies_kev
+from twinct.transport.cross_sections import TOTAL, TRANSFER, energies_kev
 from twinct.transport.regions import Regions
 from twinct.transport.scores import ORDERS, Scores
 from twinct.transport.voxel_body import VoxelBody
@@ -93,6 +93,7 @@ class Simulation:
         *,
         dose: bool = True,
         expected: bool = True,
+        unscattered: bool = True,
         oversampling: float = OVERSAMPLING,
         regions: Regions | None = None,
         detector: Detector | None = None,
@@ -107,14 +108,20 @@ class Simulation:
             expected: tentative collisions along a flight deposit the mean energy that it transfers
                 to electrons (collision kerma); False: collisions deposit what they happen to.
                 Both have one mean; the first has the smaller variance.
+            unscattered: score the energy of photons before their first collision too; False leaves
+                it to ``primary_energy``, which has no chance in it. Needs ``expected``.
             oversampling: tentative collisions for each that is needed, at least 1.
             regions: regions in which energy is summed; needs ``dose``.
             detector: panel that gets images of scatter, if any.
 
         Raises:
-            InputError: the regions belong to another grid, or have no dose to sum, or the
-                oversampling is out of range.
+            InputError: the regions belong to another grid, or have no dose to sum, the
+                oversampling is out of range, or unscattered energy cannot be told apart.
         """
+        if not (unscattered or expected):
+            raise InputError(
+                "unscattered=False needs expected=True: a collision deposits energy of both kinds"
+            )
         if not 1 <= oversampling <= _MOST_OVERSAMPLING:
             raise InputError(
                 f"oversampling {oversampling:g}: must be from 1 to {_MOST_OVERSAMPLING:g}"
@@ -127,7 +134,7 @@ class Simulation:
             )
         load_numba()
         self._body, self._beam, self._regions = body, beam, regions
-        self._dose, self._expected = dose, expected
+        self._dose, self._ways = dose, (expected, unscattered)
         self._voxels, self._media = body.tables(oversampling if expected else 1.0)
         self._field = _local_field(beam, body.grid)
         self._detector = detector
@@ -186,19 +193,49 @@ class Simulation:
         """
         if self._detector is None:
             raise InputError("a primary image needs a detector")
-        energies = energies_kev()
-        attenuation = np.array(
-            [
-                np.interp(self._beam.energies_kev, energies, medium)
-                for medium in self._media.coefficients[:, :, TOTAL].astype(np.float64)
-            ]
-        )
-        share = self._beam.photons / self._beam.photons.sum()
-        signal = np.interp(self._beam.energies_kev, energies, self._pixels.response)
-        weights = share * signal / self._beam.solid_angle
+        signal = np.interp(self._beam.energies_kev, energies_kev(), self._pixels.response)
+        weights = self._photons_per_sr * signal
         image = np.empty(self._image_shape[1:])
-        primary(self._field, weights, attenuation, self._voxels, self._pixels, int(samples), image)
+        mu = self._at_lines(TOTAL)
+        primary(self._field, weights, mu, self._voxels, self._pixels, int(samples), image)
         return image
+
+    def primary_energy(self, cells: ArrayLike | None = None) -> Floats:
+        """Return the energy that unscattered photons give to electrons, keV per photon.
+
+        It is the collision kerma on a ray through the middle of each voxel, times its mass, without
+        chance. With the energy scored after the first collision it is the energy deposited.
+
+        Args:
+            cells: places of voxels in the flattened grid; all voxels by default.
+
+        Returns:
+            As ``cells``, or in the shape of the grid.
+        """
+        shape = self._body.grid.shape
+        places = np.arange(np.prod(shape)) if cells is None else np.asarray(cells, np.int64)
+        energies = np.zeros(len(places))
+        primary_energy(
+            self._field,
+            self._photons_per_sr,
+            self._at_lines(TOTAL),
+            self._at_lines(TRANSFER),
+            self._voxels,
+            places,
+            energies,
+        )
+        return energies.reshape(shape) if cells is None else energies
+
+    @property
+    def _photons_per_sr(self) -> Floats:
+        """Share of the photons in each line, per solid angle of the field, (lines,)."""
+        return self._beam.photons / self._beam.photons.sum() / self._beam.solid_angle
+
+    def _at_lines(self, column: int) -> Floats:
+        """Return a coefficient of each medium at the lines of the spectrum, (media, lines)."""
+        media = self._media.coefficients[:, :, column].astype(np.float64)
+        lines, energies = self._beam.energies_kev, energies_kev()
+        return np.array([np.interp(lines, energies, medium) for medium in media])
 
     def _begun(self, photons: int, seed: int, view: int, kept: Path | None) -> Scores:
         """Return scores of the batches that are kept, or of none."""
@@ -231,7 +268,7 @@ class Simulation:
             self._pixels,
             sums.deposits,
             sums.rows,
-            self._expected,
+            self._ways,
             sums.images,
             sums.totals,
         )
@@ -245,7 +282,7 @@ class Simulation:
     def _digest(self, photons: int, seed: int, view: int) -> str:
         """Return the digest of all that the scores depend on."""
         total = hashlib.sha256()
-        numbers = (photons, seed, view, self._dose, self._expected, *self._image_shape, *ORDERS)
+        numbers = (photons, seed, view, self._dose, *self._ways, *self._image_shape, *ORDERS)
         total.update(repr(numbers).encode())
         shares = self._regions
         arrays: list[NDArray[Any]] = []

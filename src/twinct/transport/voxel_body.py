@@ -232,7 +232,8 @@ class VoxelBody:
         at mid energy is taken.
         """
         total = media.coefficients[: len(self.materials), :, TOTAL].astype(np.float64)
-        ratio = (total[:, None] / total[None]).max(axis=2)
+        # One medium at a time: all pairs at all energies would take gigabytes.
+        ratio = np.array([(total / other).max(axis=1) for other in total]).T
         middle = total[:, total.shape[1] // 2]
         shape = tuple(-(-n // BRICK) for n in self.grid.shape)
         density = np.zeros((len(self.materials), *shape))

@@ -9,7 +9,6 @@ from twinct.view_planning.objectives.completeness import (
     plane_normals,
 )
 from twinct.view_planning.objectives.detectability import Detectability, Task, detectability_of
-from twinct.view_planning.objectives.dose import primary_kerma
 from twinct.view_planning.objectives.measures import Coverage, Mean, Measure
 from twinct.view_planning.objectives.metal_paths import metal_paths, spectral_shift, starved_share
 from twinct.view_planning.objectives.motion_time import PathTime, TourTime
@@ -49,7 +48,6 @@ __all__ = [
     "local_completeness",
     "metal_paths",
     "plane_normals",
-    "primary_kerma",
     "search_views",
     "spectral_shift",
     "starved_share",

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.extras import require
 from twinct.core.files.writing import check_folder, complete, storage_errors, write_text
 from twinct.geometry import Floats
@@ -41,6 +42,7 @@ class Effects:
     data: Mapping[str, Any]
 
 
+@kinds_checked
 def effects_of_errors(
     scenario: Scenario | str | Path,
     *,

@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from twinct.core.cached import once
+from twinct.core.disk_cache import made_once
 from twinct.core.errors import InputError
 from twinct.core.foreign_text import quoted
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
@@ -18,15 +20,20 @@ from twinct.robots.motion import shortest_tour
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
 from twinct.specimen import Material, Part, material
-from twinct.view_plans.candidates import seconds_between
+from twinct.trajectory import OrbitSettings
+from twinct.version import __version__
+from twinct.view_planning.objectives import Views
+from twinct.view_plans.candidates import candidates_of, seconds_between
 from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.dose import PlaceDoses
 from twinct.xray.spectrum import PhotonSpectrum
+from twinct.xray.view_nodes import ViewNodes
 
 PRIOR_MM = 3.0
 """Voxel size of the patient's attenuation volume."""
 
 PART_POINTS = 200
-"""Largest number of points of a part, such as for its mean kerma."""
+"""Largest number of points of a part, such as for the rays that meet it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +119,44 @@ class Patient:
             )
         return spectrum
 
-    def beam(self, bins: int, key: str) -> tuple[Floats, Floats]:
-        """See ``PatientModel``."""
-        spectrum = self._absolute(key)
-        spectrum = spectrum.rebinned(min(bins, len(spectrum.photons)))
-        return spectrum.energies_kev, spectrum.photons * self.builder.scenario.source.mas
+    def doses(
+        self, views: Views, part: str, *, photons: int, simulated: int, voxel_mm: float, key: str
+    ) -> Floats:
+        """See ``PatientModel``. The table is kept on disk for later plans."""
+        specimen, spectrum = self.builder.specimen, self._absolute(key)
+        materials = [
+            (m.density_g_cm3, sorted(m.mass_fractions.items())) for m in specimen.materials
+        ]
+        inputs = [specimen.digest, materials, part, voxel_mm, __version__]
+        inputs += [spectrum.energies_kev.tolist(), spectrum.photons.tolist()]
+        digest = repr(inputs)
+        places = once(
+            "dose",
+            f"{digest} {specimen.world_from_specimen}",
+            lambda: PlaceDoses(specimen, spectrum, [part], voxel_mm, f"{key}.voxel_mm"),
+        )
+        all_over = self._all_over(views, simulated)
+        nodes = ViewNodes(all_over, simulated)
+        of_nodes = all_over[nodes.chosen.tolist()]
+        seen = places.seen(of_nodes)
+        vectors = [array.tobytes() for array in (seen.source, seen.detector, seen.u, seen.v)]
+        numbers = repr([photons, seen.panel])
+        table = made_once(
+            "dose",
+            [digest.encode(), numbers.encode(), *vectors],
+            lambda: {"scattered": places.scattered(of_nodes, photons, progress=views.progress)[0]},
+        )["scattered"]
+        # Weights beyond the nodes may be negative; a dose is not.
+        scattered = np.maximum(nodes.weights(views.geometry) @ table, 0.0)
+        doses = places.unscattered(views.geometry) + scattered
+        return doses[:, 0] * self.builder.scenario.source.mas
+
+    def _all_over(self, views: Views, number: int) -> ScanGeometry:
+        """Return views about the orbit's isocentre, or the evenly spread ones without an orbit."""
+        orbit = self.builder.scenario.trajectory
+        if isinstance(orbit, OrbitSettings):
+            return candidates_of(orbit, number, views.geometry.panel)
+        return views.geometry[list(views.even)]
 
     def signals(self) -> tuple[Floats, Floats]:
         """See ``PatientModel``."""

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, TrajectoryError
 from twinct.core.extras import require
 from twinct.core.files.lock import sole_owner
@@ -76,6 +77,7 @@ class ViewPlan:
     tried: Mapping[str, float] | None = None
 
 
+@kinds_checked
 def plan(
     source: str | Path,
     out: str | Path,

@@ -364,10 +364,10 @@ class Imager(SceneOwner):
         sections = self._source, self._detector
         chain = ImagingChain(*sections, self._materials, commanded, self._seed, self._mas)
         if isinstance(settings := self._detector.scatter, MonteCarloScatter):
-            from twinct.xray.monte_carlo_scatter import ScatterNodes
+            from twinct.xray.monte_carlo_scatter import scatter_of
 
             model = chain.spectrum, chain.response, chain.panel
-            self._scatter = ScatterNodes(settings, self._specimen, *model, commanded)
+            self._scatter = scatter_of(settings, self._specimen, *model, commanded)
         return chain
 
     def _ideal(

@@ -1,28 +1,27 @@
 """Scattered radiation by Monte Carlo: a few views and coarse pixels, interpolated to all.
 
 Scatter is smooth over the panel, and changes slowly with source and panel. So it is simulated for
-nodes, views of the path that lie far from each other, on coarse pixels. Distance between two views
-is that of (S, D, h u, h v) in the frame of the specimen, with half the panel's diagonal h: it has
-no order of views, and serves free paths. Between the nodes, scatter is the radial basis function of
-the kernel -r plus a constant: piecewise linear along a line, and exact at the nodes.
+nodes, views of the path that lie far from each other, on coarse pixels (``ViewNodes``).
 """
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 import scipy.ndimage
 from numpy.typing import NDArray
 
-from twinct.core.errors import InputError
-from twinct.geometry import Floats, Panel, Pose, ScanGeometry, VolumeGrid
+from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.specimen import BuiltSpecimen
 from twinct.transport import Beam, Detector, Simulation, VoxelBody
 from twinct.transport.cross_sections import require_energies
 from twinct.xray.response import PhotonResponse
 from twinct.xray.sections import MonteCarloScatter
 from twinct.xray.spectrum import PhotonSpectrum
+from twinct.xray.view_nodes import ViewNodes
+from twinct.xray.voxel_specimen import grid_of, in_voxels
 
 LEAST_WEIGHT = 1e-6
 """Weight of a node below which its image does not count; at another node, rounding gives 1e-15."""
@@ -30,64 +29,81 @@ LEAST_WEIGHT = 1e-6
 BATCHES = 16
 """A batch is the least share of the work of a thread."""
 
-MOST_VOXELS = 2**28
-_KEY = "detector.scatter"
+
+class ScatterSettings(Protocol):
+    """Keys of the simulated views: see ``MonteCarloScatter``."""
+
+    @property
+    def photons(self) -> int:
+        """Photons of each simulated view."""
+        ...
+
+    @property
+    def views(self) -> int:
+        """Views that are simulated."""
+        ...
+
+    @property
+    def pixel_mm(self) -> float:
+        """Edge of the coarse pixels."""
+        ...
+
+
+_VOXELS = "detector.scatter.voxel_mm"
 _MM2_PER_SR_AT_1_M = 1e6
 
 
 class ScatterNodes:
-    """Scatter of a specimen on one panel, from simulated views.
+    """Scatter of a body on one panel, from simulated views.
 
-    The specimen is at rest, in its reference state, and alone: objects of the room and air do not
-    scatter. The beam covers just the panel.
+    The body is at rest, and alone: objects of the room and air do not scatter. The beam covers just
+    the panel.
     """
 
     def __init__(
         self,
-        settings: MonteCarloScatter,
-        specimen: BuiltSpecimen,
+        body: VoxelBody,
+        views: ScanGeometry,
         spectrum: PhotonSpectrum,
         response: PhotonResponse,
-        panel: Panel,
-        commanded: ScanGeometry,
+        settings: ScatterSettings,
+        seed: int = 0,
     ) -> None:
         """Choose the nodes; each is simulated when a view needs it.
 
         Args:
-            settings: ``detector.scatter``.
-            specimen: the specimen, in its frame.
+            body: the body.
+            views: views from which the nodes are chosen, in the body's frame.
             spectrum: photons of the free beam.
             response: signal of a photon.
-            panel: physical pixels.
-            commanded: commanded views, in the world.
+            settings: number of nodes, their photons, and size of the coarse pixels.
+            seed: seed of the random numbers.
 
         Raises:
-            InputError: a photon energy is outside the tables, or there are too many voxels.
+            InputError: a photon energy is outside the tables.
         """
-        self._settings, self._specimen = settings, specimen
-        self._spectrum, self._response, self._panel = spectrum, response, panel
-        width, height = panel.size_mm
+        self._body, self._settings, self._seed = body, settings, seed
+        self._spectrum, self._response, self._panel = spectrum, response, views.panel
+        width, height = views.panel.size_mm
         columns, rows = (max(round(n / settings.pixel_mm), 1) for n in (width, height))
         self._coarse = Panel(rows, columns, width / columns, height / rows)
-        views = specimen.world_from_specimen.inverse() @ commanded
         self._views = ScanGeometry(views.source, views.detector, views.u, views.v, self._coarse)
-        self._places = self._places_of(self._views)
-        self._nodes = _far_apart(self._places, settings.views)
+        self._nodes = ViewNodes(self._views, settings.views)
         self._images: dict[int, Floats] = {}
-        self._body = _in_voxels(settings, specimen)
         Beam.of_view(self._views, 0, spectrum.energies_kev, spectrum.photons)
 
     def image(self, view: ScanGeometry) -> NDArray[np.float32]:
         """Return the scatter in one view, (rows, columns).
 
         Args:
-            view: exactly one view, in the frame of the specimen.
+            view: exactly one view, in the frame of the body.
 
         Returns:
             Expected signal per mm^2 of the panel, for the photons of the spectrum.
         """
         coarse = np.zeros(self._coarse.shape)
-        for node, weight in zip(self._nodes.tolist(), self._weights(view), strict=True):
+        (weights,) = self._nodes.weights(view).tolist()
+        for node, weight in zip(self._nodes.chosen.tolist(), weights, strict=True):
             if abs(weight) > LEAST_WEIGHT:
                 coarse += weight * self._simulated(node)
         panel, cells = self._panel, self._coarse
@@ -98,20 +114,6 @@ class ScatterNodes:
         at = np.meshgrid(rows, columns, indexing="ij")
         fine = scipy.ndimage.map_coordinates(coarse, at, order=1, mode="nearest")
         return fine.astype(np.float32)
-
-    def _weights(self, view: ScanGeometry) -> list[float]:
-        """Return the weight of each node; they add up to 1."""
-        nodes = self._places[self._nodes]
-        number = len(nodes)
-        system = np.ones((number + 1, number + 1))
-        system[:-1, :-1] = -np.linalg.norm(nodes[:, None] - nodes, axis=2)
-        system[-1, -1] = 0.0
-        to_view = np.append(-np.linalg.norm(nodes - self._places_of(view), axis=1), 1.0)
-        return np.linalg.solve(system, to_view)[:-1].tolist()
-
-    def _places_of(self, views: ScanGeometry) -> Floats:
-        half = math.hypot(*self._panel.size_mm) / 2
-        return np.hstack([views.source, views.detector, half * views.u, half * views.v])
 
     def _simulated(self, node: int) -> Floats:
         """Return the scatter of a node on the coarse pixels, as ``image`` does."""
@@ -125,11 +127,38 @@ class ScatterNodes:
                 detector=Detector(self._views, node, self._response.mean),
             )
             photons = -(-self._settings.photons // BATCHES)
-            scatter, _ = simulation.run(photons, BATCHES, view=node).scatter()
+            scores = simulation.run(photons, BATCHES, seed=self._seed, view=node)
+            scatter, _ = scores.scatter()
             in_field = float(spectrum.photons.sum()) * _MM2_PER_SR_AT_1_M * beam.solid_angle
             area = self._coarse.pitch_u * self._coarse.pitch_v
             self._images[node] = scatter.sum(axis=0) * (in_field / area)
         return self._images[node]
+
+
+def scatter_of(
+    settings: MonteCarloScatter,
+    specimen: BuiltSpecimen,
+    spectrum: PhotonSpectrum,
+    response: PhotonResponse,
+    panel: Panel,
+    commanded: ScanGeometry,
+) -> ScatterNodes:
+    """Return the scatter of a specimen in its reference state.
+
+    Args:
+        settings: ``detector.scatter``.
+        specimen: the specimen.
+        spectrum: photons of the free beam.
+        response: signal of a photon.
+        panel: physical pixels.
+        commanded: commanded views, in the world.
+
+    Raises:
+        InputError: a photon energy is outside the tables, or there are too many voxels.
+    """
+    body = in_voxels(specimen, grid_of(specimen, settings.voxel_mm, _VOXELS))
+    views = replace(specimen.world_from_specimen.inverse() @ commanded, panel=panel)
+    return ScatterNodes(body, views, spectrum, response, settings)
 
 
 def check_scatter(
@@ -141,34 +170,4 @@ def check_scatter(
         InputError: a photon energy is outside the tables, or there are too many voxels.
     """
     require_energies(spectrum.energies_kev, "source")
-    _grid_of(settings, specimen)
-
-
-def _grid_of(settings: MonteCarloScatter, specimen: BuiltSpecimen) -> VolumeGrid:
-    """Return the voxels that stand for a specimen."""
-    low, high = specimen.bounds
-    shape = np.ceil((high - low) / settings.voxel_mm).astype(int)
-    if math.prod(shape.tolist()) > MOST_VOXELS:
-        raise InputError(
-            f"{_KEY}.voxel_mm {settings.voxel_mm:g}: the specimen would have "
-            f"{' x '.join(map(str, shape))} voxels; at most {MOST_VOXELS} are allowed"
-        )
-    middle = Pose.from_matrix((low + high) / 2, np.eye(3))
-    return VolumeGrid(shape[::-1].tolist(), settings.voxel_mm, middle)
-
-
-def _in_voxels(settings: MonteCarloScatter, specimen: BuiltSpecimen) -> VoxelBody:
-    """Return a specimen in voxels."""
-    grid = _grid_of(settings, specimen)
-    shares = [pair for part in specimen.parts for pair in part.shares(grid, Pose.identity())]
-    return VoxelBody.of_shares(grid, shares)
-
-
-def _far_apart(places: Floats, number: int) -> NDArray[np.int64]:
-    """Return rows that lie far from each other: each next one is the farthest from all before."""
-    chosen = [0]
-    nearest = np.linalg.norm(places - places[0], axis=1)
-    while len(chosen) < min(number, len(places)) and nearest.max() > 0:
-        chosen.append(int(nearest.argmax()))
-        nearest = np.minimum(nearest, np.linalg.norm(places - places[chosen[-1]], axis=1))
-    return np.array(chosen)
+    grid_of(specimen, settings.voxel_mm, _VOXELS)

@@ -18,8 +18,9 @@ from twinct.core.foreign_text import quoted
 
 GROUPS = {
     "start": {
-        "demo": "Run the built-in scenario demo with the engines and the link that are installed.",
+        "demo": "Run the built-in scenario demo with what is installed.",
         "init": "Write a scenario to start from, with a comment on each key.",
+        "doctor": "Say what works on this machine, and what to type for the rest.",
         "check": "Validate a scenario, build its specimen, plan its motion and rehearse it, "
         "without running it.",
         "run": "Run a scenario: plan, move, expose, reconstruct, evaluate, report.",
@@ -31,8 +32,8 @@ GROUPS = {
         "reach": "Show which directions source and panel can reach, all over the sphere, at one or "
         "more radii.",
         "specimen": "Build the specimen only: a mesh for each part, the voxel truth and a picture.",
-        "uncertainty": "Compute the effects of a scenario's errors on poses and images, by cause, "
-        "without rendering.",
+        "dose": "Compute the dose of a scenario's views to its parts and labels.",
+        "uncertainty": "Compute the effects of a scenario's errors, without rendering.",
     },
     "plan": {
         "plan": "Choose views for the section task of a scenario, among the views that the arms "

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,6 +10,7 @@ import tyro
 
 from twinct import runs
 from twinct.cli.arguments import Overrides, Threads
+from twinct.cli.parts import try_gvxr
 from twinct.cli.progress import on_terminal, say
 from twinct.cli.summary import say_result
 from twinct.core.errors import InputError, MissingExtraError
@@ -21,15 +20,6 @@ from twinct.link import require_ros
 from twinct.scenario import load_scenario, named_places
 
 NAME = "demo"
-_TRY_GVXR = """
-import sys
-from twinct.core.errors import TwinctError
-from twinct.xray import prepare_engine
-try:
-    prepare_engine("gvxr")
-except TwinctError as error:
-    sys.exit(str(error))
-"""
 
 
 def demo(
@@ -38,7 +28,7 @@ def demo(
     threads: Threads = None,
     set_: Overrides = (),
 ) -> None:
-    """Run the built-in scenario demo with the engines and the link that are installed.
+    """Run the built-in scenario demo with what is installed.
 
     If a part is not installed or does not work, the demo uses a substitute and says which and why.
     Takes one to three minutes; the last line is the path of the report. Repeat the command to
@@ -80,14 +70,7 @@ def _engine(set_: Overrides) -> Sequence[str]:
     if any(override.strip().startswith("xray") for override in set_):
         return ()
     try:
-        require("xray")
-        # In another process: a library may end it, and gVXR keeps 2 GB.
-        tried = subprocess.run(
-            [sys.executable, "-P", "-c", _TRY_GVXR], capture_output=True, text=True
-        )
-        if tried.returncode:
-            lines = tried.stderr.strip().splitlines()
-            raise InputError(lines[0] if lines else f"it ended with {tried.returncode}")
+        try_gvxr()
     except InputError as error:
         say(f"X-ray engine: mesh instead of gvxr, because {_why(error)}")
         return ("xray.engine=mesh",)

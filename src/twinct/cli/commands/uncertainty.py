@@ -31,7 +31,9 @@ def uncertainty(
     as_json: Json = False,
     set_: Overrides = (),
 ) -> None:
-    """Compute the effects of a scenario's errors on poses and images, by cause, without rendering.
+    """Compute the effects of a scenario's errors, without rendering.
+
+    They are those on poses and images, by cause, and on the task of the views.
 
     Args:
         draws: Number of scans to draw.

@@ -127,8 +127,7 @@ _IMAGES = (".tif", ".tiff", ".png", ".raw", ".img", ".npy", ".npz", ".h5", ".hdf
 """Endings of images, which somebody may give in place of their description."""
 
 _OF_IMAGES = (
-    ", but images without geometry: state images and geometry in a YAML file "
-    "(docs/measured_files.md)"
+    ", but images without geometry: state images and geometry in a YAML file (docs/measured.md)"
 )
 
 

@@ -18,6 +18,7 @@ from twinct.recon.algorithms import algorithms
 from twinct.recon.sections.beam_hardening import BeamHardening
 from twinct.recon.sections.known_motion import KnownMotion
 from twinct.recon.sections.metal import Metal
+from twinct.recon.sections.scatter import ScatterCorrection
 
 DEFAULT_ALGORITHM = "sart"
 
@@ -106,6 +107,9 @@ class Reconstruction(Section):
         source="the paper",
     )
     surroundings: Surroundings | None = setting(None, "Remove the surroundings of the grid first.")
+    scatter: ScatterCorrection | None = setting(
+        None, "Subtraction of scatter from the images, before all other corrections."
+    )
     beam_hardening: BeamHardening | None = setting(
         None, "Correction of line integrals before reconstruction."
     )
@@ -181,6 +185,8 @@ class Reconstruction(Section):
         """Algorithm, its own keys and the corrections, in one line."""
         words = [self.algorithm]
         words += [_in_words(key, getattr(self, key)) for key in own_keys(type(self))]
+        if self.scatter:
+            words.append(f"scatter subtracted in {counted(self.scatter.rounds, 'round')}")
         if self.beam_hardening:
             words.append(f"beam hardening of {self.beam_hardening.kind.replace('_', ' ')}")
         if self.motion:

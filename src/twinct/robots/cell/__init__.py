@@ -9,6 +9,7 @@ from twinct.robots.cell.chains import chains_of, joint_names_of, nominal_chains
 from twinct.robots.cell.clearance import Clearance, Gap
 from twinct.robots.cell.fixed import Overlap, apart, overlaps
 from twinct.robots.cell.frames import LinkFrames
+from twinct.robots.cell.gantry_clearance import GantryClearance, require_free_way
 from twinct.robots.cell.render import (
     Marks,
     PictureContent,
@@ -36,6 +37,7 @@ __all__ = [
     "OPTICAL",
     "CellModel",
     "Clearance",
+    "GantryClearance",
     "GantryModel",
     "Gap",
     "Marks",
@@ -55,6 +57,7 @@ __all__ = [
     "overlaps",
     "paint_specimen",
     "render_cell",
+    "require_free_way",
     "room_pictures",
     "tell_if_undrawable",
     "whole_camera",

@@ -27,15 +27,18 @@ from twinct.core.files.boundary import read_bytes
 from twinct.core.files.ros_packages import PATHS, package_folder
 from twinct.core.files.writing import complete, storage_errors
 from twinct.core.foreign_text import number, quoted, shortened
-from twinct.robots.cell.convex_parts import convex_parts
 from twinct.robots.cell.own_arms import check_scale
 from twinct.robots.cell.urdf_tree import way_to_flange
+from twinct.specimen.convex_parts import pieces_or_hull
 
 if TYPE_CHECKING:
     import trimesh
 
 FILE, MESHES = "arm.urdf", "meshes"
 """What the folder holds."""
+
+MOST_PARTS = 8
+"""Largest number of parts of a collision mesh; one of more pieces counts as one convex hull."""
 
 LARGEST_FACES = 200
 """Number of triangles to which the hull of a picture is decimated, if it collides."""
@@ -234,7 +237,7 @@ class _Meshes:
                         continue
                     raise
                 self._measure(mesh, read)
-                pieces = [read] if role == "visual" else convex_parts(read)
+                pieces = [read] if role == "visual" else pieces_or_hull(read, MOST_PARTS)
                 if role == "collision" and name in self.pictures:
                     pieces = [_decimated(piece) for piece in pieces]
                 if len(pieces) > 1:

@@ -369,7 +369,7 @@ class Cell(Section):
 
 
 class GantryCell(Section):
-    """No arms: source and panel take their commanded poses, regardless of obstacles.
+    """No arms: source and panel take their commanded poses, if no object stands in their way.
 
     Only ``uncertainty.views`` makes executed poses differ from commanded ones.
     """
@@ -387,7 +387,9 @@ class GantryCell(Section):
     floor_z_mm: Coordinate = setting(
         -1200.0, "Height of the floor, for pictures only.", read_by="plan"
     )
-    objects: tuple[RoomObject, ...] = setting((), f"{OBJECTS} A gantry ignores obstacles.")
+    objects: tuple[RoomObject, ...] = setting(
+        (), f"{OBJECTS} A way through one that collides is refused."
+    )
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> GantryCell:

@@ -66,7 +66,8 @@ class RoomObject(Standing):
     shape: Annotated[
         Box | Sphere | Cylinder | Capsule | MeshFile, Field(discriminator="kind"), ReadBy("plan")
     ] = Field(
-        description="Shape. Arms keep away from the convex hull of each connected piece of a mesh."
+        description="Shape. Arms keep away from convex bodies that hold a mesh; twinct check "
+        "states how closely."
     )
     group: Group = setting(
         "furniture",

@@ -121,11 +121,21 @@ class PatientModel(Protocol):
         """
         ...
 
-    def beam(self, bins: int, key: str) -> tuple[Floats, Floats]:
-        """Return energies, keV, and photons of a view per mm^2 at 1 m, in a few bins, (bins,).
+    def doses(
+        self, views: Views, part: str, *, photons: int, simulated: int, voxel_mm: float, key: str
+    ) -> Floats:
+        """Return the mean dose of a part or label in each view, at ``source.mas``, Gy, (views,).
+
+        Args:
+            views: the views.
+            part: name of the part or label.
+            photons: photons of each simulated view.
+            simulated: number of views in which scattered photons are simulated.
+            voxel_mm: edge of the voxels.
+            key: key of the scenario, for messages.
 
         Raises:
-            InputError: the source has no photon number.
+            InputError: the source has no photon number, or an energy is outside the tables.
         """
         ...
 
