@@ -4,7 +4,7 @@ from twinct.study.design import Design, Trial, load_study
 from twinct.study.driver import Tally
 from twinct.study.estimate import Estimate
 from twinct.study.results import load_results
-from twinct.study.running import DryRun, StudyRun, dry_run, run_study
+from twinct.study.running import DryRun, StudyRun, dry_run, merge_study, run_study
 
 __all__ = [
     "Design",
@@ -16,5 +16,6 @@ __all__ = [
     "dry_run",
     "load_results",
     "load_study",
+    "merge_study",
     "run_study",
 ]

@@ -28,6 +28,7 @@ from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
 from twinct.study.rows import Rows
 from twinct.study.search import Tried, next_values, trial_of
+from twinct.study.shards import Shard, merge_shards, rows_of_shards
 from twinct.study.timings import TrialTimings
 from twinct.workers import LocalPool, Pool
 from twinct.workers.cluster import RayPool
@@ -90,6 +91,7 @@ def run_study(
     memory_bytes: int | None = None,
     resume: bool = False,
     retry: bool = False,
+    shard: str | None = None,
     tell: Callable[[Tally], None] | None = None,
     observers: Observers = (),
 ) -> StudyRun:
@@ -104,6 +106,8 @@ def run_study(
         memory_bytes: memory limit of all trials together; by default this machine's memory.
         resume: continue or extend an existing study.
         retry: run failed trials again.
+        shard: ``2/4``: run the second of four parts, in a folder of its own; ``merge_study`` joins
+            them.
         tell: called at each change.
         observers: notified of the stages before the first trial.
 
@@ -115,10 +119,17 @@ def run_study(
     require("study")
     design, folder = load_study(source), StudyFolder(Path(out))
     study = design.study
+    part = None if shard is None else Shard.parse(shard)
+    if part and study.search:
+        raise InputError(
+            f"shard {shard}: a search has no shards, as each batch needs the one before"
+        )
     with audience_of(observers) as audience:
         folder.check(design, resume=resume)
         checker = Checker(design)
         trials = _first_trials(design, checker, audience)
+    if part and not (trials := part.part(trials)):
+        raise InputError(f"shard {shard}: the study has fewer scans than shards, none for this one")
     with ExitStack() as stack:
         name = folder.name
         pool = _pool(folder, name, study.threads, address, jobs, memory_bytes)
@@ -140,6 +151,53 @@ def run_study(
             else:
                 driver.run(trials, retry=retry)
         status = list(rows.status.values())
+    return StudyRun(folder, status.count("done"), status.count("failed"), rows.first_problem)
+
+
+def merge_study(
+    source: StudySource,
+    out: str | Path,
+    shards: Sequence[str | Path],
+    *,
+    observers: Observers = (),
+) -> StudyRun:
+    """Join the shards of a study in one folder, with its table and page.
+
+    The shards stay. Trials that none of them has are named in a message; ``run_study`` with
+    ``resume`` runs them.
+
+    Args:
+        source: the study's file, or its content as plain data.
+        out: folder for the whole study, which may hold a part of it already.
+        shards: folders of ``run_study`` with ``shard``.
+        observers: notified of missing trials.
+
+    Raises:
+        InputError: a folder holds another study, trials of another scenario, or none.
+        FolderInUseError: another process works in the folder.
+    """
+    require("study")
+    began, design, folder = time.monotonic(), load_study(source), StudyFolder(Path(out))
+    parts = [StudyFolder(Path(path)) for path in shards]
+    with audience_of(observers) as audience:
+        for one in (folder, *parts):
+            one.check(design, resume=True)
+        trials = _first_trials(design, Checker(design), audience)
+        rows_of_shards(trials, parts)
+        with ExitStack() as stack:
+            stack.enter_context(storage_errors(folder.path))
+            folder.path.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(sole_owner(folder.lock))
+            folder.claim(design, folder.name)
+            rows = Rows(folder, design.study)
+            missing = merge_shards(trials, parts, folder, rows)
+            _conclude(design, folder, rows, len(trials), time.monotonic() - began)
+        if missing:
+            audience.say(
+                f"{len(missing)} of {len(trials)} trials are in no shard, such as {missing[0]}; "
+                "--resume runs them"
+            )
+    status = list(rows.status.values())
     return StudyRun(folder, status.count("done"), status.count("failed"), rows.first_problem)
 
 

@@ -19,7 +19,7 @@ from twinct.core.errors import InputError
 from twinct.core.foreign_text import counted, shortened
 from twinct.core.memory import if_little
 from twinct.report.template import duration
-from twinct.study import DryRun, Tally, run_study
+from twinct.study import DryRun, Tally, merge_study, run_study
 from twinct.study import dry_run as preview
 
 _LINE_EVERY_S = 30.0
@@ -40,6 +40,8 @@ def study(
     resume: Flag = False,
     retry_failed: Flag = False,
     dry_run: Flag = False,
+    shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
+    merge: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR")] = (),
 ) -> None:
     """Run a study: many trials of one scenario, which share their common steps.
 
@@ -52,25 +54,33 @@ def study(
         resume: Resume an interrupted study, or extend one.
         retry_failed: With --resume, try failed trials again, too.
         dry_run: Only list the trials and their expected cost.
+        shard: Run one of N parts, such as 2/4, each in a DIR of its own, as a job array does.
+        merge: Join the folders of all shards in DIR, instead of running trials.
     """
     if retry_failed and not resume:
         raise InputError("--retry-failed needs --resume")
     if jobs is not None and jobs < 1:
         raise InputError(f"--jobs {jobs}: must be at least 1")
+    if merge and (shard or dry_run or address or jobs or retry_failed):
+        raise InputError("--merge runs no trials: only --out goes with it")
     if dry_run:
         _show(_planned(file, out, jobs, retry_failed))
         return
     with on_terminal() as audience, _Line() as line:
-        finished = run_study(
-            file,
-            out,
-            address=address,
-            jobs=jobs,
-            resume=resume,
-            retry=retry_failed,
-            tell=line.tell,
-            observers=audience,
-        )
+        if merge:
+            finished = merge_study(file, out, merge, observers=audience)
+        else:
+            finished = run_study(
+                file,
+                out,
+                address=address,
+                jobs=jobs,
+                resume=resume,
+                retry=retry_failed,
+                shard=shard,
+                tell=line.tell,
+                observers=audience,
+            )
     failed = f", {finished.failed} failed" if finished.failed else ""
     Console().print(
         f"{counted(finished.done, 'trial')} done{failed}; the page is {finished.folder.page}",
