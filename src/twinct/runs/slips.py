@@ -36,7 +36,7 @@ def doubted_lengths(scenario: Scenario, size: SpecimenSize, to_middle_mm: float)
         size: sizes of specimen, field of view and grid.
         to_middle_mm: smallest distance from the source to the middle of the grid.
     """
-    lengths = _lengths(scenario, size)
+    lengths = [one for one in _lengths(scenario, size) if one.mm > 0]  # 0: nothing is in the beam
     median = float(np.median([max(size.specimen_mm), to_middle_mm, *(one.mm for one in lengths)]))
     return [_doubt(one, median) for one in lengths if not 1 / FACTOR <= one.mm / median <= FACTOR]
 
