@@ -18,19 +18,18 @@ reinforcement learning expect.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from twinct import NextViewEnv
+from twinct import NextViewEnv, load_scenario
 from twinct.recon import Projector, sart
 
 VIEWS = 10
 env = NextViewEnv(
-    "demo",
+    load_scenario("demo", {"trajectory.views": 12}),
     views=VIEWS,
     directions=120,
     voxels=32,
     prices={"second": 1e-4},
-    **{"trajectory.views": 12},
 )
-print(env.action_space, env.observation_space["projection"].shape)
+print(env.action_space, env.observation_space)
 
 # %%
 # Three policies
