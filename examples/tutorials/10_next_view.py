@@ -77,7 +77,7 @@ def what_is_open(env, rng, taken):
 # Episodes
 # --------
 #
-# A seed draws the noise of the images and the errors of the poses, and here the first view.
+# A seed draws the noise of the images, and here the first view.
 
 
 def errors_of(policy, seed):

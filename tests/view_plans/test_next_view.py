@@ -173,3 +173,8 @@ def test_a_wrong_action_is_named(env):
     env.reset(seed=1)
     with pytest.raises(InputError, match=r"action 20: it must be in Discrete\(20\)"):
         env.step(20)
+
+
+def test_errors_that_would_not_act_are_refused():
+    with pytest.raises(InputError, match=r"uncertainty\.views: these errors belong to the views"):
+        NextViewEnv(load_scenario(GANTRY, {"uncertainty.views.source_mm": 0.2}), **SMALL)

@@ -140,8 +140,8 @@ class NextViewEnv(gymnasium.Env[dict[str, NDArray[np.float32]], Any]):
             **keys: other values of the scenario's sections.
 
         Raises:
-            InputError: an argument is wrong, the trajectory has no isocentre, or no direction is
-                within reach.
+            InputError: an argument is wrong, the trajectory has no isocentre, no direction is in
+                reach, or the scenario has ``uncertainty.views``, errors of numbered views.
         """
         self._prices = prices if isinstance(prices, Prices) else Prices(**prices)
         self._figure = figure
@@ -200,8 +200,8 @@ class NextViewEnv(gymnasium.Env[dict[str, NDArray[np.float32]], Any]):
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
         """Begin an episode: the arms stand where a scan begins, and there is no view.
 
-        The seed draws the scenario, if a function was given, the errors of the poses, and the noise
-        of the images.
+        The seed draws the scenario, if a function was given, and the noise of the images. Errors of
+        the poses follow from the scenario's own seed: a function that draws it varies them.
         """
         super().reset(seed=seed, options=options)
         if self._draw is not None:
@@ -211,7 +211,7 @@ class NextViewEnv(gymnasium.Env[dict[str, NDArray[np.float32]], Any]):
         if self._imager is None:
             self._imager = self._builder.imager()
         self._robots = self._builder.robots()
-        # Views of different episodes have different numbers, which key their noise and errors.
+        # Views of different episodes have different numbers, which key their noise.
         self._first = int(self.np_random.integers(MOST_NUMBER))
         self._targets: list[PosePairs] = []
         self._images: list[NDArray[np.float32]] = []
@@ -268,6 +268,12 @@ class NextViewEnv(gymnasium.Env[dict[str, NDArray[np.float32]], Any]):
     def _build(self, scenario: Scenario) -> None:
         """Take a scenario, and what does not change with its views."""
         self.close()
+        of_views = scenario.uncertainty.views
+        if of_views != type(of_views)():
+            raise InputError(
+                "uncertainty.views: these errors belong to the views of a planned path, and would "
+                "not act here; use uncertainty.arms, or leave them out"
+            )
         builder = self._builder = SimulationBuilder(scenario)
         grid, stands = scenario.reconstruction.volume_grid, builder.specimen.world_from_specimen
         energy = effective_energy_kev(scenario.source, scenario.detector)
