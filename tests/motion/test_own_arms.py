@@ -13,7 +13,7 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, targets_of
 from twinct.robots.cell import CellModel, build_cell
 from twinct.robots.motion import RobotSimulation, TimeLaw, plan_motion
-from twinct.robots.motion.strength import Strength
+from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.scenario import Cell, Detector, Motion
 from twinct.trajectory import ArcTrajectory, commanded_views
 
@@ -67,7 +67,7 @@ def test_a_light_configuration_is_chosen_where_the_shortest_way_is_too_heavy() -
     wide = targets_of(commanded_views(arc, Detector().panel))
     cell = room(None, None, tool_mass_kg=22.0, rail={"range_mm": [-600, 600]})
     found = plan_motion(cell, Motion(), wide)
-    assert Strength(cell).holding(found.joints).max() < 0.85
+    assert Strength(cell).holding(found.joints).max() < TORQUE_SHARE
     laws = TimeLaw(cell, Motion()).shares(found.at(np.linspace(0, found.duration_s, 200)))
     assert laws["torque"].max() < 1.01
     heavy = room(None, None, tool_mass_kg=60.0, rail={"range_mm": [-600, 600]})

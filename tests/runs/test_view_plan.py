@@ -119,7 +119,7 @@ def test_what_is_achieved_is_tried(file: Path, tmp_path: Path) -> None:
     """Images are made once."""
     keys = ["reconstruction.grid={voxels: 24, voxel_mm: 4}", COARSE]
     found = plan_views(file, tmp_path / "out", keys, try_views=True)
-    assert found.tried is not None and set(found.tried) == {"own_path", "planned"}
+    assert found.tried is not None and set(found.tried) == {"own_path", "spread_evenly", "planned"}
     assert all(0 < error < 1 for error in found.tried.values())
     told = json.loads((tmp_path / "out" / "plan.json").read_text())
     assert told["region_rmse_rel"] == dict(found.tried)

@@ -218,7 +218,12 @@ def plan_views(
         figures, chosen = choice.figures, choice.views
         errors = None
         if try_views:
-            every = {"own_path": (own, None), "planned": (chosen, choice.mas)}
+            even = within[spread_evenly(within.source, task.views)]
+            every = {
+                "own_path": (own, None),
+                "spread_evenly": (even, None),
+                "planned": (chosen, choice.mas),
+            }
             errors = tried(builder, every, out, progress)
         plan = ViewPlan(
             chosen, figures, len(all_views), len(within), scan_s, clearance, seen, errors

@@ -75,8 +75,13 @@ def plan(
             f"registering {seen.views} scout views moved the specimen by {moved}", highlight=False
         )
     if plan.tried is not None:
-        own, planned = (100 * plan.tried[name] for name in ("own_path", "planned"))
-        words = f"error in the region: {planned:.2f} % planned, {own:.2f} % on the scenario's path"
+        names = {
+            "planned": "planned",
+            "spread_evenly": "evenly spread",
+            "own_path": "on the scenario's path",
+        }
+        each = (f"{100 * plan.tried[key]:.2f} % {name}" for key, name in names.items())
+        words = f"error in the region: {', '.join(each)}"
         console.print(words, highlight=False)
     if plan.scan_s is not None:
         motion = f"motion {plan.scan_s:.1f} s, smallest clearance {plan.clearance_mm:.1f} mm"

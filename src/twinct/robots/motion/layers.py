@@ -147,6 +147,10 @@ class LayerSearch:
         """Raise the cost of the move from a node to a node of the next layer; inf forbids it."""
         self._costs[layer][edge] += seconds
 
+    def raise_costs(self, layer: int, seconds: Floats) -> None:
+        """Raise the costs of all moves from a layer to the next one, (m, p)."""
+        self._costs[layer] += seconds
+
     def best(self) -> tuple[Indices, float]:
         """Return the node of each layer on the best path, and its cost, inf if no path exists."""
         value, back = self._start, []

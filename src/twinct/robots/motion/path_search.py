@@ -20,6 +20,7 @@ from twinct.geometry import Floats, Pose
 from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel
 from twinct.robots.motion.branches import SIDES
+from twinct.robots.motion.course import Course
 from twinct.robots.motion.feasible import SHORTFALL_MM, Feasible, Flags, Indices
 from twinct.robots.motion.home import home_off
 from twinct.robots.motion.layers import (
@@ -42,6 +43,7 @@ from twinct.robots.motion.refusals import (
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.motion.tour import moving_seconds, shortest_tour
 from twinct.robots.motion.view_configurations import Candidates, ViewConfigurations
+from twinct.robots.motion.view_order import order_of_views
 from twinct.robots.sections import Motion
 
 SETTLED_ROOM_MM = 0.5
@@ -52,6 +54,12 @@ DETOURS_TRIED = 20
 
 TRIED_S = 0.15
 """Cost that a failed search adds to a move, so that other moves are tried before more effort."""
+
+JUDGED = 4
+"""Orders are compared after this part of the usual checks."""
+
+OF_FASTER = 0.1
+"""Part of the faster arm's time that counts: it need not hurry, but should not wander."""
 
 STRONG_LOOKS = 100_000
 """Largest number of configurations that searches for detours check where torques count."""
@@ -145,6 +153,7 @@ class _Finder:
         self._detours = Detours(cell, self._both, self._turns, seed, most_looks)
         self._strength, self._strong = Strength(cell), False
         self._known: dict[bytes, Floats | None] = {}
+        self._clear: dict[tuple[frozenset[bytes], float, bool], bool] = {}
 
     def find(self, start: Floats | None) -> JointPath:
         of_arms = [self._configurations.of_arm(arm) for arm in range(2)]
@@ -181,19 +190,20 @@ class _Finder:
     def _path(self, candidates: list[list[Candidates]], start: Floats | None) -> JointPath:
         """Return a path through one candidate of each arm in every view."""
         order = list(range(len(self._targets)))
+        if start is not None:
+            start = self._checked(start)
         if self._motion.order == "shortest":
             joints = [[c.joints for c in arm] for arm in candidates]
-            order = shortest_tour(moving_seconds(joints, self._arms))
-        layers = [[arm[view] for view in order] for arm in candidates]
-        views = np.array(order)
-        if start is not None:
-            # The start is a layer, too, because it decides which candidates are promising.
-            start = self._checked(start)
-            for arm, part in zip(layers, self._cell.arm_joints, strict=True):
-                arm.insert(0, Candidates(start[None, part], np.zeros(1), np.zeros(1)))
-            views = np.concatenate([[-1], views])
-        pairs = self._pairs(views, layers)
-        ways, chosen = self._through(views, layers, pairs, start is not None)
+            first = shortest_tour(moving_seconds(joints, self._arms))
+            order = order_of_views(
+                first,
+                lambda order: self._taken(self._course(candidates, order, start)),
+                self._seconds,
+                lambda a, b: self._straight(a, a + self._shorter(b - a), self._least_mm),
+            )
+        course = self._course(candidates, order, start)
+        views, layers = course.views, course.layers
+        ways, chosen = self._through(course)
         targets = list(self._targets)
         for layer, view in enumerate(views):
             if view >= 0:
@@ -265,37 +275,53 @@ class _Finder:
             raise TrajectoryError(f"start: {gap_text(gap, self._least_mm)}")
         return start
 
-    def _through(
-        self,
-        views: NDArray[np.intp],
-        layers: list[list[Candidates]],
-        pairs: list[Indices],
-        from_start: bool,
-    ) -> tuple[list[Floats], list[Indices]]:
-        """Return the paths between layers, knots (m, n) each, and each layer's candidate pair."""
+    def _course(
+        self, candidates: list[list[Candidates]], order: list[int], start: Floats | None
+    ) -> Course:
+        """Return the layers of an order, the start among them, and the moves between them."""
+        layers = [[arm[view] for view in order] for arm in candidates]
+        views = np.array(order)
+        least = np.full(len(order) - 1 + (start is not None), self._least_mm)
+        if start is not None:
+            # The start is a layer, too, because it decides which candidates are promising.
+            for arm, part in zip(layers, self._cell.arm_joints, strict=True):
+                arm.insert(0, Candidates(start[None, part], np.zeros(1), np.zeros(1)))
+            views = np.concatenate([[-1], views])
+            least[0] = self._first_mm
+        pairs = self._pairs(views, layers)
         nodes = [
             np.hstack([arm[k].joints[p] for arm, p in zip(layers, pair.T, strict=True)])
             for k, pair in enumerate(pairs)
         ]
-        of_arms = list(zip(self._arms, self._cell.arm_joints, strict=True))
-        costs = [
-            np.sum([speeds.seconds(a[:, part], b[:, part]) for speeds, part in of_arms], axis=0)
-            for a, b in zip(nodes[:-1], nodes[1:], strict=True)
-        ]
+        costs = [self._seconds(a, b) for a, b in zip(nodes[:-1], nodes[1:], strict=True)]
         loads = [
             layer[0].load_s[pair[:, 0]] + layer[1].load_s[pair[:, 1]]
             for *layer, pair in zip(*layers, pairs, strict=True)
         ]
-        choice = LayerSearch(costs, loads)
-        least = np.full(len(costs), self._least_mm)
-        if from_start:
-            least[0] = self._first_mm
-        straight: dict[tuple[int, int, int], bool] = {}
+        return Course(views, layers, pairs, nodes, LayerSearch(costs, loads), least, self._shorter)
+
+    def _seconds(self, a: Floats, b: Floats) -> Floats:
+        """Return the time from each of (m, n) configurations to each of (p, n), (m, p)."""
+        of_arms = zip(self._arms, self._cell.arm_joints, strict=True)
+        one, other = (speeds.seconds(a[:, part], b[:, part]) for speeds, part in of_arms)
+        return np.maximum(one, other) + OF_FASTER * np.minimum(one, other)
+
+    def _taken(self, course: Course) -> tuple[float, Floats]:
+        """Return the time of a course, detours included, and its joints by view, (views, n)."""
+        path = course.mostly_straight(self._straight, ROUNDS // JUDGED)
+        of_views = course.views >= 0
+        joints = course.joints(path)[of_views]
+        return course.choice.best()[1], joints[np.argsort(course.views[of_views])]
+
+    def _through(self, course: Course) -> tuple[list[Floats], list[Indices]]:
+        """Return the paths between layers, knots (m, n) each, and each layer's candidate pair."""
+        views, pairs, choice = course.views, course.pairs, course.choice
+        straight, least, from_start = course.straight, course.least_mm, course.views[0] < 0
         tried: Counter[tuple[int, int, int]] = Counter()
         while True:
-            path = self._mostly_straight(choice, nodes, straight, least)
-            knots = np.array([layer[node] for layer, node in zip(nodes, path, strict=True)])
-            edges = [(k, int(path[k]), int(path[k + 1])) for k in range(len(costs))]
+            path = course.mostly_straight(self._straight)
+            knots = course.joints(path)
+            edges = [(k, int(path[k]), int(path[k + 1])) for k in range(len(least))]
             legs: list[Floats] = []
             for edge, a, b in zip(edges, knots[:-1], knots[1:], strict=True):
                 if straight[edge]:
@@ -305,7 +331,7 @@ class _Finder:
                 else:
                     break
             blocked = len(legs)
-            if blocked == len(costs):
+            if blocked == len(least):
                 ways, blocked = self._in_range(knots, legs, least, from_start)
                 if ways:
                     return ways, [pair[node] for pair, node in zip(pairs, path, strict=True)]
@@ -320,43 +346,18 @@ class _Finder:
                 text = no_path_text(before, after, count, self._detours.looked)
                 raise NoPathError(text, [after])
 
-    def _mostly_straight(
-        self,
-        choice: LayerSearch,
-        nodes: list[Floats],
-        straight: dict[tuple[int, int, int], bool],
-        least_mm: Floats,
-    ) -> Indices:
-        """Return the best path, after checking which of its straight moves are clear."""
-        path = np.zeros(0, np.intp)
-        for _ in range(ROUNDS):
-            path, _ = choice.best()
-            edges = [
-                (k, int(i), int(j))
-                for k, (i, j) in enumerate(zip(path[:-1], path[1:], strict=True))
-            ]
-            unknown = [edge for edge in edges if edge not in straight]
-            if not unknown:
-                break
-            starts = np.array([nodes[k][i] for k, i, _ in unknown])
-            ends = np.array([nodes[k + 1][j] for k, _, j in unknown])
-            way = self._shorter(ends - starts)
-            for least in np.unique(least_mm):
-                mine = [m for m, edge in enumerate(unknown) if least_mm[edge[0]] == least]
-                clear = self._straight(starts[mine], starts[mine] + way[mine], float(least))
-                for m, good in zip(mine, clear.tolist(), strict=True):
-                    k, i, j = unknown[m]
-                    straight[k, i, j] = good
-                    if not good:
-                        choice.raise_cost(k, (i, j), DETOUR_S)
-        return path
-
     def _straight(self, starts: Floats, ends: Floats, least_mm: float) -> Flags:
         """Return flags of the straight joint paths that are clear, (m,), and held if need be."""
-        clear = self._both.straight(starts, ends, least_mm)
+        keys = [
+            (frozenset((a.tobytes(), b.tobytes())), least_mm, self._strong)
+            for a, b in zip(starts, ends, strict=True)
+        ]
+        new = [m for m, key in enumerate(keys) if key not in self._clear]
+        clear = self._both.straight(starts[new], ends[new], least_mm)
         if self._strong:
-            clear[clear] = self._strength.straight(starts[clear], ends[clear])
-        return clear
+            clear[clear] = self._strength.straight(starts[new][clear], ends[new][clear])
+        self._clear |= {keys[m]: bool(good) for m, good in zip(new, clear, strict=True)}
+        return np.array([self._clear[key] for key in keys], np.bool_)
 
     def _shorter(self, moves: Floats) -> Floats:
         """Take the shorter way round for joints that can make a full turn."""
