@@ -25,7 +25,7 @@ from twinct.robots.cell import (
 )
 from twinct.robots.cell.render import _add_names, _corners, _shown
 from twinct.robots.cell.scene import _compile
-from twinct.robots.cell.standing import VISUAL_GROUP
+from twinct.robots.cell.solids import VISUAL_GROUP
 from twinct.scenario import Cell, Detector, GantryCell
 from twinct.specimen.colours import BONE, METAL, PLASTIC, SKIN, WATER, colour_of
 from twinct.specimen.materials import material

@@ -21,7 +21,8 @@ from twinct.core.system_libraries import EGL, apt_line, egl_is_there
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
-from twinct.robots.cell.standing import OBJECT, VISUAL_GROUP, ZONE
+from twinct.robots.cell.solids import VISUAL_GROUP
+from twinct.robots.cell.standing import OBJECT, ZONE
 
 _ADVICE = "leave MUJOCO_GL unset to use EGL, which needs no display"
 _OFF = ("disable", "disabled", "off", "false", "0")
