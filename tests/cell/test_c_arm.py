@@ -223,3 +223,26 @@ def _nearest(model: Any, point_mm: np.ndarray) -> float:
 def test_machines_that_cannot_be_are_refused(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         scenario(UPRIGHT | {"views": 4, "centre_longitude_deg": 45}, **keys)
+
+
+def test_the_live_page_moves_the_carrier_as_a_room_built_afresh() -> None:
+    """Every body that moves, at other views than that of the room."""
+    pytest.importorskip("mjviser")
+    from twinct.viewer.room import GantryPlaces, Room
+
+    cell = GantryCell.model_validate({"kind": "gantry", "c_arm": MACHINE})
+    panel = scenario(UPRIGHT | {"views": 4, "centre_longitude_deg": 45}).detector.panel
+    rows = np.array([(10, 5, 100), (-80, 30, 250), (140, -20, 0)], dtype=float)
+    views = views_at(rows)
+
+    def built(view: tuple[Pose, Pose]) -> Room:
+        return Room(build_gantry(cell, None, Pose.identity(), panel, *view))
+
+    room = built(views[0])
+    places = GantryPlaces(room, *views[0], cell.c_arm)
+    assert {"source", "detector", "c_arm", "c_arm_sleeve", "c_arm_lift"} <= places.moving
+    for view in views:
+        moved, fresh = places.at(*view), built(view).at(None)
+        assert np.allclose(moved[0], fresh[0], atol=1e-6)
+        aligned = np.abs((moved[1] * fresh[1]).sum(axis=1))
+        assert np.allclose(aligned, 1, atol=1e-6)
