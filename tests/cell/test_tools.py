@@ -9,11 +9,20 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from twinct.core.errors import ScenarioError, SpecimenError
 from twinct.geometry import Pose
 from twinct.geometry.wire import targets_of
-from twinct.robots.cell import CellModel, Clearance, build_cell, cell_urdf, chains_of, mujoco
+from twinct.robots.cell import (
+    CellModel,
+    Clearance,
+    build_cell,
+    cell_urdf,
+    chains_of,
+    mujoco,
+    render_cell,
+)
 from twinct.robots.motion import find_joint_path
 from twinct.scenario import Cell, Detector, Motion
 from twinct.trajectory import ArcTrajectory, commanded_views
@@ -182,6 +191,16 @@ def test_the_robot_description_has_the_tools_shapes_and_mass(tmp_path: Path) -> 
     mass = link.find("inertial/mass")
     assert mass is not None and float(mass.get("value", "0")) == pytest.approx(6.0)
     assert len(link.findall("visual")) == 2 and len(link.findall("collision")) > 2
+
+
+def test_a_picture_shows_a_described_tool(tmp_path: Path) -> None:
+    """In its colour, which no other body has."""
+    red = {**BOX, "colour": "#ff0000"}
+    section = Cell.model_validate({"source_arm": {"tool": tool(red), "tool_mass_kg": 6.0}})
+    cell = build_cell(section, None, Pose.identity(), Detector().panel)
+    render_cell(cell, tmp_path / "room.png", np.zeros(12), 320, 200)
+    pixels = np.asarray(Image.open(tmp_path / "room.png")).astype(int)
+    assert ((pixels[..., 0] > 100) & (pixels[..., 1:3].max(axis=-1) < 60)).sum() > 20
 
 
 @pytest.mark.parametrize(
