@@ -45,6 +45,9 @@ from twinct.trajectory import ArcTrajectory, commanded_views
 STEP_S = 0.005
 VIEWS, SECONDS = 20, 15.0
 BUILT_IN = ("ur10e", "lbr_iiwa14")
+ROUNDING = 1e-6
+"""Angle or length, rad or m, by which a range may be exceeded."""
+
 SPEED_ROUNDING = 1e-6
 """Share by which a speed from differences may exceed a limit."""
 
@@ -143,7 +146,8 @@ def judged(cell: CellModel, plan: MotionPlan, never: np.ndarray) -> dict[str, An
     times = np.arange(0, plan.duration_s + STEP_S, STEP_S)
     joints: Floats = plan.at(times)[:, 0]
     low, high = cell.joint_ranges.T
-    outside = int(((joints < low - 1e-9) | (joints > high + 1e-9)).any(axis=1).sum())
+    beyond = np.maximum(joints - high, low - joints)
+    outside = int((beyond > ROUNDING).any(axis=1).sum())
     speeds = np.abs(np.diff(joints, axis=0)) / STEP_S
     most = cell.speed_limits * cell.speed_scales * (1 + SPEED_ROUNDING)
     fast = int((speeds > most).any(axis=1).sum())
@@ -154,7 +158,7 @@ def judged(cell: CellModel, plan: MotionPlan, never: np.ndarray) -> dict[str, An
         least = min(least, coal.smallest(data, pairs))
     return {
         "duration_s": round(plan.duration_s, 1), "instants": len(times), "outside": outside,
-        "fast": fast, "least_mm": round(1e3 * least, 2),
+        "beyond": float(f"{beyond.max():.2g}"), "fast": fast, "least_mm": round(1e3 * least, 2),
         "planned_mm": round(float(plan.clearance_mm.min()), 2),
     }  # fmt: skip
 
