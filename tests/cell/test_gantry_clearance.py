@@ -73,3 +73,19 @@ def test_gaps_are_those_of_the_housings_at_any_pose() -> None:
         gap = room.at((source, away))
         assert gap.bodies == ("source", "object lamp")
         assert gap.distance_mm == pytest.approx(300 - 20 - BALL_MM, abs=0.01)
+
+
+def test_a_described_tool_collides_in_place_of_the_housing() -> None:
+    """A mast, 300 mm tall, on the tube meets a ball above it that the usual housing misses."""
+    mast = {"shape": {"kind": "box", "size_mm": [40, 600, 40]}, "position_mm": [0, 0, 50]}
+    tool = {"parts": [mast], "tip_mm": [0, 0, 100]}
+    lamp = ball(310, 0, 320)
+    for keys, least in (({}, 100.0), ({"source_tool": tool}, -np.inf)):
+        cell = {"kind": "gantry", "objects": [lamp], **keys}
+        plain = scenario(lamp, views=4)
+        built = plain.model_copy(update={"cell": GantryCell.model_validate(cell)})
+        builder = SimulationBuilder(built)
+        poses = [(source, panel) for source, panel, *_ in builder.commanded_poses]
+        room = GantryClearance(built.cell, built.detector.panel, poses[0])
+        gap = min(room.at(pair).distance_mm for pair in poses)
+        assert gap > least and (least > 0 or gap < 10)

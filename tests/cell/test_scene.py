@@ -25,7 +25,7 @@ from twinct.robots.cell import (
 )
 from twinct.robots.cell.render import _add_names, _corners, _shown
 from twinct.robots.cell.scene import _compile
-from twinct.robots.cell.standing import VISUAL_GROUP
+from twinct.robots.cell.solids import VISUAL_GROUP
 from twinct.scenario import Cell, Detector, GantryCell
 from twinct.specimen.colours import BONE, METAL, PLASTIC, SKIN, WATER, colour_of
 from twinct.specimen.materials import material
@@ -227,7 +227,7 @@ def test_a_camera_knows_how_much_of_the_panel_other_bodies_hide(head: trimesh.Tr
     data = mujoco.MjData(room.model)
     mujoco.mj_forward(room.model, data)
     eyes = [(-1.0, 0.0, 0.0), (0.5, -2.0, 0.5)]  # behind source and head, and beside them
-    behind, beside = (_shown(room.model, data, "detector_panel", np.array(eye)) for eye in eyes)
+    behind, beside = (_shown(room.model, data, "detector", np.array(eye)) for eye in eyes)
     assert behind < 0.8
     assert beside == 1
 

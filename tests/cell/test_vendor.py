@@ -181,3 +181,42 @@ def test_links_whose_hulls_overlap_in_every_pose_are_not_checked_and_told(tmp_pa
     assert note.startswith("not checked against each other, as their hulls overlap in every pose: ")
     told = note.partition(": ")[2].split(", ")
     assert len(arm.spec.excludes) == len(told) > 0
+
+
+@pytest.mark.parametrize(("unit_m", "scale"), [(1.0, ""), (0.001, "0.001 0.001 0.001")])
+def test_a_hollow_link_is_cut_if_asked(tmp_path: Path, unit_m: float, scale: str) -> None:
+    """A fork of 200 mm: its hull is a full box, its parts leave the gap open, in any unit."""
+    here = package(tmp_path / "maker", "maker")
+    inner = trimesh.creation.box((0.1, 0.3, 0.15))
+    inner.apply_translation((0, 0, 0.05))
+    fork = trimesh.creation.box((0.2, 0.1, 0.2)).difference(inner)
+    fork.apply_scale(1 / unit_m)
+    fork.export(here / "meshes" / "w.stl")
+    file = with_mesh(here / "arm.urdf", "meshes/w.stl")
+    if scale:
+        file.write_text(file.read_text().replace('w.stl"', f'w.stl" scale="{scale}"'))
+    whole = write_arm(file, {}, tmp_path / "whole")
+    cut = write_arm(file, {}, tmp_path / "cut", concave=True)
+    assert not whole.parts and not cut.holed
+    (parts,) = cut.parts.values()
+    assert parts >= 2
+    volumes = []
+    for written in (whole, cut):
+        model = loaded(written.file).spec.compile()
+        hulls = [
+            trimesh.Trimesh(model.mesh_vert[first : first + count]).convex_hull.volume
+            for first, count in zip(model.mesh_vertadr, model.mesh_vertnum, strict=True)
+        ]
+        volumes.append(sum(hulls))
+    assert volumes[0] == pytest.approx(0.2 * 0.1 * 0.2, rel=1e-4)
+    assert volumes[1] == pytest.approx(0.2 * 0.1 * 0.2 - 0.1 * 0.1 * 0.125, rel=0.02)
+
+
+def test_a_mesh_with_holes_is_not_cut_and_told(tmp_path: Path) -> None:
+    here = package(tmp_path / "maker", "maker")
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.update_faces(np.arange(12) > 0)
+    box.export(here / "meshes" / "w.stl")
+    file = with_mesh(here / "arm.urdf", "meshes/w.stl")
+    written = write_arm(file, {}, tmp_path / "own", concave=True)
+    assert len(written.holed) == 1 and not written.parts

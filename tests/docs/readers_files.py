@@ -30,6 +30,7 @@ def _arm(path: Path) -> None:
 MAKERS: dict[str, Callable[[Path], object]] = {
     "part.stl": _mesh,
     "stand.stl": _mesh,
+    "tube.stl": _mesh,
     "scan.nii.gz": _ct,
     "head.nii.gz": _ct,
     "robot.urdf": _arm,

@@ -213,6 +213,16 @@ def test_an_arm_elsewhere_is_named_and_nothing_is_sent(arms, run, program) -> No
     assert not right.goals
 
 
+def test_two_owners_of_an_arm_are_noticed_and_nothing_is_sent(arms, run, program) -> None:
+    """A second driver states the joints of the left arm, elsewhere."""
+    stands = arms(0), arms(1)
+    home = program.states(0)[0, 0]
+    other = arms(0, home=home + 0.3, action="/other/follow_joint_trajectory")
+    with pytest.raises(InputError, match=r"although nothing was sent: something else moves"):
+        run()
+    assert not any(stand_in.goals for stand_in in (*stands, other))
+
+
 def test_unknown_joints_are_named(arms, run, program) -> None:
     arms(0, joints=[name.replace("left_", "") for name in program.names[0]])
     arms(1)

@@ -17,7 +17,9 @@ SHUTTER = Shutter(exposure_s=0.02, samples=2, remember=True)
 
 @pytest.fixture
 def true_cell(cell: CellModel) -> TrueCell:
-    section = Uncertainty.model_validate({"preset": "collaborative", "patient": {"nod_mm": 3}})
+    servos = {"source": {"resonance_hz": 9.0}, "detector": {"clock_ms": 2.0, "clock_ppm": 40.0}}
+    keys = {"preset": "collaborative", "patient": {"nod_mm": 3}, "servos": servos}
+    section = Uncertainty.model_validate(keys)
     return TrueCell(section, 1, 2, chains_of(cell))
 
 

@@ -19,6 +19,7 @@ from twinct.link.follow import (
     ControllerError,
     Course,
     check_limits,
+    check_rest,
     check_start,
     limits_of,
     stamp_after,
@@ -38,6 +39,9 @@ QUIET_S = 1.0
 
 NOTICE_S = 0.5
 """Time before a common start at which both controllers must have accepted, or neither starts."""
+
+OFTEN = 10
+"""Times that each joint must be heard before a goal is sent: two publishers would be heard."""
 
 ENDED = (2, 3)
 """Answers to a stop that find no goal, or one that has ended, of ``action_msgs/srv/CancelGoal``."""
@@ -127,6 +131,7 @@ class Drive:
         ]
         self._action = action
         self._at: dict[str, float] = {}
+        self._before: dict[str, list[float]] = {}
         self._limits: dict[str, str] = {}
         self._sent_ns: dict[str, int] = {}
         self._heard_at: dict[str, float] = {}
@@ -237,7 +242,10 @@ class Drive:
         self._sent_ns[topic.name], self._heard_at[topic.name] = raw.sent_ns, self._clock()
         if topic in self._settings.joint_states:
             message = deserialize_message(raw.data, topic.message_class)
-            self._at.update(zip(message.name, message.position, strict=False))
+            here = dict(zip(message.name, message.position, strict=False))
+            self._at.update(here)
+            for name, at in {} if self.sent else here.items():
+                self._before.setdefault(name, []).append(float(at))
             names, stamp = tuple(message.name), Stamp.of(message.header.stamp)
             if stamp <= self._newest.get(names, Stamp(-1, 0)):
                 self._backwards[topic.name] = self._backwards.get(topic.name, 0) + 1
@@ -254,7 +262,8 @@ class Drive:
         described = [n for n in self._settings.descriptions if self._station.kind_of(n)]
 
         def complete() -> bool:
-            return names <= self._at.keys() and all(name in self._limits for name in described)
+            often = all(len(self._before.get(name, ())) >= OFTEN for name in names)
+            return often and all(name in self._limits for name in described)
 
         self._wait(complete, self._settings.patience_s)
         limits = {}
@@ -271,8 +280,9 @@ class Drive:
             gate = self._gate.of(joints, part.course.joints)
             check_limits(part.course, gate, limits, ", ".join(self._limits))
             first = joints.stop
-            tolerance = np.radians(self._settings.start_tolerance_deg)
-            check_start(part.course, self._at, float(tolerance))
+            tolerance = float(np.radians(self._settings.start_tolerance_deg))
+            check_rest(part.course, self._before, tolerance)
+            check_start(part.course, self._at, tolerance)
 
     def _send(self) -> Stamp:
         """Send all goals, and wait until all are accepted.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -175,6 +175,26 @@ def check_limits(course: Course, gate: Gate, drivers: Mapping[str, Limit], where
     start = np.stack([states[0, 0], np.zeros(len(names))])
     if (reason := Gate(limits, gate.cycle_s).reason(start, states)) is not None:
         raise InputError(f"{course.action}: {reason} ({where or 'the scenario'})")
+
+
+def check_rest(course: Course, before: Mapping[str, Sequence[float]], tolerance_rad: float) -> None:
+    """Check that nothing else owns an arm: its joints rest before they get a goal.
+
+    Args:
+        course: the motion.
+        before: positions of each joint that were heard before, rad.
+        tolerance_rad: largest range of positions of a joint at rest, for a rail in m.
+
+    Raises:
+        InputError: a joint moves, or several publishers contradict each other.
+    """
+    for name in course.joints:
+        if (heard := before.get(name)) and max(heard) - min(heard) > tolerance_rad:
+            low, high = (in_unit(name, at, 2) for at in (min(heard), max(heard)))
+            raise InputError(
+                f"{course.action}: {name} is reported between {low} and {high} although nothing "
+                "was sent: something else moves the arm, or two publishers state this joint"
+            )
 
 
 def check_start(course: Course, heard: Mapping[str, float], tolerance_rad: float) -> None:

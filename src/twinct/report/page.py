@@ -240,7 +240,8 @@ def _source(poses: PosePairs | None) -> Floats:
 def _machine(cell: AnyCell) -> dict[str, str]:
     """Return the machine that carries source and panel."""
     if isinstance(cell, GantryCell):
-        return {"Gantry": "source and panel exactly at their commanded poses"}
+        machine = "Gantry" if cell.c_arm is None else "C-arm"
+        return {machine: "source and panel exactly at their commanded poses"}
     return {"Arms": f"{cell.source_arm.label} (source), {cell.detector_arm.label} (detector)"}
 
 

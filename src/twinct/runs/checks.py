@@ -22,6 +22,7 @@ from twinct.evaluation import sight
 from twinct.recon.engine import requested_engine
 from twinct.recon.moving import refuse_card
 from twinct.report import physics_in_words
+from twinct.robots.c_arm import CArmKinematics
 from twinct.runs.integrals import check_hardening
 from twinct.runs.metal_reduction import check_metal
 from twinct.runs.on_table import larger_than_table
@@ -33,7 +34,7 @@ from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
 from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
 from twinct.specimen.convex_parts import Fit
-from twinct.specimen.room_bodies import mesh_pieces
+from twinct.specimen.room_bodies import convex_pieces, object_in_words
 from twinct.specimen.size import SpecimenSize, specimen_size
 from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
@@ -226,7 +227,7 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
     grid = scenario.reconstruction.volume_grid
     physics = physics_in_words(scenario, *builder.commanded_poses[0], builder.mas)
     if plan is None:
-        clearance = {"motion": "a gantry, exactly at its commanded poses"}
+        clearance = {"motion": machine_in_words(builder)}
         if gap := builder.gantry_gap:
             clearance["smallest clearance"] = (
                 f"{gap.distance_mm:.1f} mm, between {' and '.join(gap.bodies)}"
@@ -256,14 +257,37 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
     }
 
 
+def machine_in_words(builder: SimulationBuilder) -> str:
+    """Return the machine without arms, with the range of its joints if it is a C-arm."""
+    cell = builder.scenario.cell
+    if cell.kind == "arms" or cell.c_arm is None:
+        return "a gantry, exactly at its commanded poses"
+    views = [(source, panel) for source, panel, *_ in builder.commanded_poses]
+    joints = CArmKinematics(cell.c_arm).joints(views)
+    rotation, orbit = np.degrees(joints[:, :2]).T
+    lift = joints[:, 2]
+    return (
+        f"a C-arm: rotation {rotation.min():.1f} to {rotation.max():.1f} deg, orbit "
+        f"{orbit.min():.1f} to {orbit.max():.1f} deg, lift {lift.min():.1f} to {lift.max():.1f} mm"
+    )
+
+
 def _fits(builder: SimulationBuilder) -> dict[str, Fit]:
-    """Return how closely convex bodies hold skins, and objects that are meshes, by name."""
+    """Return how closely convex bodies hold skins, objects and tools that are meshes, by name."""
+    cell = builder.scenario.cell
     meshes = {
-        one.name: mesh_pieces(one, key).fit
-        for key, one in builder.scenario.cell.keyed_objects
+        one.name: convex_pieces(one.shape, object_in_words(one, key)).fit
+        for key, one in cell.keyed_objects
         if one.shape.kind == "mesh" and one.collides
     }
-    return builder.specimen.skin_fits | meshes
+    tools = {
+        key: convex_pieces(part.shape, key).fit
+        for keyed, tool in cell.keyed_tools
+        for index, part in enumerate(tool.parts)
+        for key in (f"{keyed}.parts.{index}",)
+        if part.shape.kind == "mesh"
+    }
+    return builder.specimen.skin_fits | meshes | tools
 
 
 LIMITS = 3
@@ -334,8 +358,10 @@ def require_extras(scenario: Scenario) -> None:
         InputError: a package is missing; names the extra that provides it. Or the X-ray engine is
             unknown or cannot be used.
     """
-    obstacles = any(one.collides for _, one in scenario.cell.keyed_objects)
-    robots = ["robots"] if scenario.cell.kind == "arms" or obstacles else []
+    cell = scenario.cell
+    obstacles = any(one.collides for _, one in cell.keyed_objects)
+    needed = cell.kind == "arms" or obstacles or cell.c_arm is not None
+    robots = ["robots"] if needed else []
     rtk = ["rtk"] if scenario.reconstruction.algorithm == "rtk_sart" else []
     require(*robots, *engine_extras(scenario.engine), *rtk)
     if scenario.engine is not None:

@@ -40,7 +40,10 @@ def nominal_scan(builder: SimulationBuilder) -> NominalScan:
     plan = builder.plan
     assert plan is not None
     speeds = plan.state[plan.waypoints, 1]
-    return NominalScan.of_arms(chains_of(builder.cell), plan.joints, speeds, plan.exposures_s)
+    return NominalScan.of_arms(
+        *(chains_of(builder.cell), plan.joints, speeds, plan.exposures_s),
+        lambda times: plan.at(times)[:, 2],
+    )
 
 
 def errors_of(builder: SimulationBuilder, draws: int = 1000) -> Propagation:

@@ -292,11 +292,11 @@ class SimulationBuilder:
 
     @cached_property
     def gantry_gap(self) -> Gap | None:
-        """Smallest gap of a gantry to the objects of its room; None for arms, or without objects.
+        """Smallest gap of a gantry to the bodies of its room; None for arms, or without any.
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
-            TrajectoryError: source or panel comes too near to an object.
+            TrajectoryError: a gantry comes too near to a body, or a C-arm cannot hold a view.
         """
         scenario = self.scenario
         if not isinstance(scenario.cell, GantryCell):
@@ -305,7 +305,11 @@ class SimulationBuilder:
 
         views = [(source, panel) for source, panel, *_ in self.commanded_poses]
         clearance = scenario.motion.clearance_mm
-        return require_free_way(scenario.cell, scenario.detector.panel, views, clearance)
+        place = self.specimen.world_from_specimen if scenario.cell.c_arm else None
+        solids = self._obstacles if scenario.cell.c_arm else ()
+        return require_free_way(
+            scenario.cell, scenario.detector.panel, views, clearance, place, solids
+        )
 
     @property
     def plan_digest(self) -> str:

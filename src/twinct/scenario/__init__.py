@@ -9,6 +9,7 @@ from twinct.recon.sections.beam_hardening import (
 from twinct.recon.sections.known_motion import KnownMotion
 from twinct.recon.sections.metal import Implant, KnownImplants, Nmar
 from twinct.recon.sections.reconstruction import SECTIONS, Grid, Reconstruction, Surroundings
+from twinct.robots.sections.c_arm import CArm
 from twinct.robots.sections.cell import (
     AnyCell,
     Arm,
@@ -16,11 +17,13 @@ from twinct.robots.sections.cell import (
     DetectorArm,
     GantryCell,
     Rail,
+    Servo,
     SourceArm,
     Table,
     Turntable,
 )
 from twinct.robots.sections.motion import InverseKinematics, Motion
+from twinct.robots.sections.tool import Tool, ToolPart
 from twinct.scenario.catalogue import scenario_names
 from twinct.scenario.digests import plan_digest, specimen_digest, stage_digests
 from twinct.scenario.loading import (
@@ -49,7 +52,13 @@ from twinct.specimen.sections.grey_volume import (
     Tissues,
     TissueTable,
 )
-from twinct.specimen.sections.room_objects import Capsule, GroupClearance, RoomObject, Zone
+from twinct.specimen.sections.room_objects import (
+    Capsule,
+    CShape,
+    GroupClearance,
+    RoomObject,
+    Zone,
+)
 from twinct.specimen.sections.specimen import (
     BallHelix,
     Box,
@@ -70,8 +79,10 @@ from twinct.specimen.signals import GaussianSignal, SphereSignal
 from twinct.uncertainty.sections import (
     PRESETS,
     ArmErrors,
+    ArmServo,
     PatientMotion,
     PoseNoise,
+    Servos,
     Uncertainty,
     ViewErrors,
 )
@@ -123,6 +134,7 @@ __all__ = [
     "AnyTrajectory",
     "Arm",
     "ArmErrors",
+    "ArmServo",
     "AttenuationValues",
     "BadPixels",
     "BallHelix",
@@ -130,6 +142,8 @@ __all__ = [
     "Box",
     "Brain",
     "Calibration",
+    "CArm",
+    "CShape",
     "Capsule",
     "Cell",
     "Composition",
@@ -197,6 +211,8 @@ __all__ = [
     "ScintillatorResponse",
     "Shape",
     "Shell",
+    "Servo",
+    "Servos",
     "Skull",
     "SnrNoise",
     "Source",
@@ -214,6 +230,8 @@ __all__ = [
     "Tissues",
     "TissueTable",
     "TubeSpectrum",
+    "Tool",
+    "ToolPart",
     "Turntable",
     "TwoMaterialHardening",
     "Uncertainty",

@@ -109,7 +109,7 @@ class Scenario(Section):
                 self._something_to_correct(),
             ),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
-            *(self._arms_to_err(), self._time_of_a_frame()),
+            *(self._arms_to_err(), self._plan_to_vibrate(), self._time_of_a_frame()),
             *self._motion(),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
             *(self.task.conflicts(self.specimen.names) if self.task else ()),
@@ -195,6 +195,20 @@ class Scenario(Section):
             f"{' and '.join(keys)}: a gantry has no arms; uncertainty.views applies to any machine"
         )
         return Conflict(what, (*keys, "uncertainty.preset", "cell.kind"))
+
+    def _plan_to_vibrate(self) -> Conflict | None:
+        servos = self.uncertainty.servos
+        shaken = [
+            f"uncertainty.servos.{side}.resonance_hz"
+            for side, servo in (("source", servos.source), ("detector", servos.detector))
+            if servo.resonance_hz
+        ]
+        if self.motion.scheme == "planned" or not shaken:
+            return None
+        what = (
+            f"{' and '.join(shaken)}: vibration follows from the plan: set motion.scheme: planned"
+        )
+        return Conflict(what, (*shaken, "motion.scheme"))
 
     def _motion(self) -> Iterator[Conflict]:
         section = self.reconstruction

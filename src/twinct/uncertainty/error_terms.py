@@ -64,6 +64,8 @@ class ToolMotion(NamedTuple):
         chain: nominal arm; None with a gantry.
         joints: joint positions by the encoders, (views, joints), rad; (views, 0) with a gantry.
         speeds: joint speeds, (views, joints), rad/s.
+        accelerations: planned joint accelerations at some times, (times, joints), rad/s^2, before
+            the views as well; None if nothing moves by a plan.
     """
 
     side: str
@@ -72,6 +74,14 @@ class ToolMotion(NamedTuple):
     chain: Chain | None
     joints: Array
     speeds: Array
+    accelerations: Callable[[Array], Array] | None = None
+
+
+def own_accelerations(
+    both: Callable[[Array], Array] | None, own: slice
+) -> Callable[[Array], Array] | None:
+    """Return the accelerations of one arm's joints from those of both arms."""
+    return None if both is None else lambda times: both(times)[:, own]
 
 
 class Spread(NamedTuple):

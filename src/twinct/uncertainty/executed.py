@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from twinct.geometry import Chain, Floats, Pose, ScanGeometry
 from twinct.geometry.wire import PosePairs
 from twinct.uncertainty.correlation import view_normals
 from twinct.uncertainty.drawn_tool import DrawnTool
-from twinct.uncertainty.error_terms import SIDES, ToolMotion, ViewDraws
+from twinct.uncertainty.error_terms import SIDES, ToolMotion, ViewDraws, own_accelerations
 from twinct.uncertainty.patient import world_from_moved
 from twinct.uncertainty.sections import Uncertainty
 from twinct.uncertainty.terms.registry import terms_of
@@ -62,6 +64,7 @@ class TrueCell:
         time_s: float,
         joints: Floats | None = None,
         speeds: Floats | None = None,
+        accelerations: Callable[[Floats], Floats] | None = None,
     ) -> PosePairs:
         """Return the executed poses at an instant.
 
@@ -71,6 +74,8 @@ class TrueCell:
             time_s: simulated time.
             joints: joint positions of both arms, source first, rad; None with a gantry.
             speeds: joint speeds, rad/s.
+            accelerations: planned joint accelerations of both arms at some simulated times,
+                (times, joints), rad/s^2; None if nothing moves by a plan.
         """
         of_views, poses = self._draws_of(view), list(nominal[0])
         for k, (tool, chain, own) in enumerate(self._tools):
@@ -78,7 +83,10 @@ class TrueCell:
             here, times = at.matrix[None], np.array([time_s])
             if joints is None or speeds is None:
                 chain, joints, speeds = None, np.zeros(0), np.zeros(0)
-            motion = ToolMotion(SIDES[k], here, times, chain, joints[None, own], speeds[None, own])
+            motion = ToolMotion(
+                *(SIDES[k], here, times, chain, joints[None, own], speeds[None, own]),
+                own_accelerations(accelerations, own),
+            )
             moved, twists = tool.executed(motion, of_views)
             if moved is not None:
                 matrix = moved[0, 0]

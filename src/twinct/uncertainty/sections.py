@@ -136,6 +136,45 @@ class ArmErrors(ErrorSettings):
         return *super().sizes, (self.ageing_mm + self.ageing_deg) * self.age_months
 
 
+class ArmServo(Section):
+    """Deviation of one arm from its encoders while it moves, and after it stops."""
+
+    resonance_hz: float = setting(
+        0.0,
+        "First resonance of the joints behind their encoders: accelerations bend them, and after "
+        "a stop they ring down. 0: stiff joints.",
+        ge=0,
+        le=200,
+        source="measure yours: it depends on arm, payload and pose",
+    )
+    damping: float = setting(
+        0.03,
+        "Damping ratio of that resonance.",
+        gt=0,
+        lt=1,
+        source="0.020 to 0.036 measured: Sci. Rep. 14 (2024), 10.1038/s41598-024-61362-2, table 3",
+    )
+    clock_ms: Finite = setting(
+        0.0, "Clock of the arm's controller behind that of the detector at the scan's beginning."
+    )
+    clock_ppm: Finite = setting(
+        0.0, "Rate at which that clock goes slower, 1e-6 s per s.", unit="ppm"
+    )
+
+
+class Servos(ErrorSettings):
+    """Dynamics of each arm that its encoders do not see; sag is ``arms.windup_deg``."""
+
+    source: ArmServo = setting(ArmServo(), "The arm with the X-ray source.")
+    detector: ArmServo = setting(ArmServo(), "The arm with the panel.")
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Parameters that move a tool unless they are 0."""
+        both = self.source, self.detector
+        return tuple(v for one in both for v in (one.resonance_hz, one.clock_ms, one.clock_ppm))
+
+
 class ViewErrors(ErrorSettings):
     """Errors of executed poses, drawn for each view: standard deviations for each axis."""
 
@@ -235,6 +274,9 @@ class Uncertainty(Extensible):
     arms: ArmErrors = setting(
         ArmErrors(), "Differences between the arms and their nominal models.", read_by="executed"
     )
+    servos: Servos = setting(
+        Servos(), "Vibration of the joints, and clocks that differ.", read_by="executed"
+    )
     views: ViewErrors = setting(
         ViewErrors(), "Errors that differ from view to view.", read_by="executed"
     )
@@ -291,6 +333,7 @@ class Uncertainty(Extensible):
         """Keys with an effect that only arms can have."""
         given = {
             "arms": any(self.arms.sizes),
+            "servos": any(self.servos.sizes),
             "encoder_step_deg": self.encoder_step_deg > 0,
             "calibration": self.calibration is not None,
         }

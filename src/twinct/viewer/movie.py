@@ -144,7 +144,7 @@ def _rooms(show: Show, specimen: BuiltSpecimen | None) -> Iterator[NDArray[np.ui
     else:
         model = gantry_of(show, mesh)
         room = Room(model)
-        moved = room, GantryPlaces(room, *show.first[0])
+        moved = room, GantryPlaces(room, *show.first[0], show.c_arm)
 
     def moments() -> Iterator[PictureContent]:
         for view in range(len(show)):
@@ -181,7 +181,7 @@ def _tools(show: Show, view: int, room: Room, places: GantryPlaces) -> dict[str,
     return {
         body.name: _pose(positions[index], quats[index])
         for index, body in enumerate(room.bodies)
-        if body.name in ("source", "detector")
+        if body.name in places.moving
     }
 
 

@@ -15,7 +15,9 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from twinct.geometry import Floats, Pose
+from twinct.robots.c_arm import CArmKinematics
 from twinct.robots.cell import BodyPlaces, CellModel, GantryModel
+from twinct.robots.sections import CArm
 
 GAMMA = 2.2
 """Exponent from a screen's colours to the light that a browser's materials state."""
@@ -80,26 +82,38 @@ def _matt(rgba: Floats) -> PBRMaterial:
 
 
 class GantryPlaces:
-    """Poses of all bodies of a gantry's room, for given poses of source and panel."""
+    """Poses of all bodies of a gantry's room, for given poses of source and panel.
 
-    def __init__(self, room: Room, source: Pose, detector: Pose) -> None:
-        """Take a room that was built for these two poses."""
+    Attributes:
+        moving: names of the bodies that move.
+    """
+
+    def __init__(self, room: Room, source: Pose, detector: Pose, c_arm: CArm | None = None) -> None:
+        """Take a room that was built for these two poses, with a C-arm, if any."""
         positions, quats = room.at(None)
         self._fixed = positions, quats
-        self._tools: dict[int, tuple[bool, Pose]] = {}
+        self._c_arm = None if c_arm is None else CArmKinematics(c_arm)
+        places = self._places(source, detector)
+        self._mounts: dict[int, tuple[str, Pose]] = {}
         for index, body in enumerate(room.bodies):
-            if body.name in ("source", "detector"):
-                is_source = body.name == "source"
+            if body.name in places:
                 w, x, y, z = quats[index]
                 here = Pose.from_metres(positions[index], (x, y, z, w))
-                shall = source if is_source else detector
-                self._tools[index] = is_source, shall.inverse() @ here
+                self._mounts[index] = body.name, places[body.name].inverse() @ here
+        self.moving = frozenset(name for name, _ in self._mounts.values())
 
     def at(self, source: Pose, detector: Pose) -> tuple[Floats, Floats]:
         """Return positions and quaternions for given poses of source and panel."""
         positions, quats = (numbers.copy() for numbers in self._fixed)
-        for index, (is_source, mount) in self._tools.items():
-            position, quat = ((source if is_source else detector) @ mount).to_metres()
+        places = self._places(source, detector)
+        for index, (name, mount) in self._mounts.items():
+            position, quat = (places[name] @ mount).to_metres()
             positions[index] = position
             quats[index] = quat[[3, 0, 1, 2]]
         return positions, quats
+
+    def _places(self, source: Pose, detector: Pose) -> dict[str, Pose]:
+        tools = {"source": source, "detector": detector}
+        if self._c_arm is None:
+            return tools
+        return tools | self._c_arm.carriers(self._c_arm.nearest(source, detector))

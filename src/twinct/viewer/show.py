@@ -15,7 +15,7 @@ from twinct.geometry.wire import PosePairs
 from twinct.recon.volume import Volume
 from twinct.robots.motion import MotionPlan
 from twinct.scan import Provenance, Simulated
-from twinct.scenario import AnyCell, Scenario
+from twinct.scenario import AnyCell, CArm, GantryCell, Scenario
 from twinct.scenario.imported import ScanSettings
 from twinct.viewer.slices import release
 
@@ -73,6 +73,11 @@ class Show:
     def __len__(self) -> int:
         """Return the number of views of the complete run."""
         return len(self.first)
+
+    @property
+    def c_arm(self) -> CArm | None:
+        """The C-arm that carries source and panel, if any."""
+        return self.cell.c_arm if isinstance(self.cell, GantryCell) else None
 
     @property
     def first_name(self) -> str:

@@ -105,7 +105,7 @@ class Stage:
         kept = self._room is not None and _same_bodies(self._room, room)
         self._room, self._places = room, [(b"", b"")] * len(room.bodies)
         has_arms = show.cell is not None and show.cell.kind == "arms"
-        self._gantry = None if has_arms else GantryPlaces(room, *show.first[0])
+        self._gantry = None if has_arms else GantryPlaces(room, *show.first[0], show.c_arm)
         for node in () if kept else self._bodies:
             node.remove()
         self._bodies = self._bodies if kept else []

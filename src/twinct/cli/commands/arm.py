@@ -34,6 +34,7 @@ def arm(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     srdf: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     collide_visuals: bool = False,
+    concave: bool = False,
 ) -> None:
     """Write the URDF of a vendor's arm into a folder of its own, with all meshes.
 
@@ -47,13 +48,18 @@ def arm(
         srdf: SRDF of the arm (MoveIt): pairs of links that it disables are not checked.
         collide_visuals: Let links without collision shapes collide by their pictures: decimated,
             convex.
+        concave: Cut hollow links into convex parts (CoACD), instead of taking their hulls.
     """
     given = dict(_pair(text) for text in arguments)
     check_absent(out)
-    written = write_arm(file, given, out, srdf=srdf, collide_visuals=collide_visuals)
+    written = write_arm(
+        file, given, out, srdf=srdf, collide_visuals=collide_visuals, concave=concave
+    )
     say(f"wrote {written.file}: {len(written.links)} links, {written.meshes} meshes")
     for link, parts in written.parts.items():
         say(f"{link}: collides as {parts} convex parts")
+    if written.holed:
+        say(f"not cut, because their meshes have holes: {', '.join(written.holed)}")
     if written.pictures:
         say(f"collides by its pictures: {', '.join(written.pictures)}")
     if written.disabled:

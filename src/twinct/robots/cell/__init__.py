@@ -22,7 +22,6 @@ from twinct.robots.cell.render import (
     whole_camera,
 )
 from twinct.robots.cell.scene import (
-    BANDWIDTH_RAD_S,
     CellModel,
     GantryModel,
     build_cell,
@@ -31,7 +30,6 @@ from twinct.robots.cell.scene import (
 from twinct.robots.cell.urdf import OPTICAL, cell_urdf
 
 __all__ = [
-    "BANDWIDTH_RAD_S",
     "BodyPlaces",
     "LinkFrames",
     "OPTICAL",

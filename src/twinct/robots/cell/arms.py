@@ -83,7 +83,7 @@ def load_arm(arm: Arm, key: str) -> ArmModel:
 
 _PLACED = (
     *("base_position_mm", "base_rotation_deg", "standoff_mm", "tool_rotation_deg"),
-    *("rail", "turntable"),
+    *("rail", "turntable", "tool"),
 )
 """Keys of an arm that its model does not depend on."""
 

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from twinct.geometry import Floats
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import CellModel, GantryModel
-from twinct.robots.cell.standing import COLLISION_GROUP, OBJECT, ZONE
+from twinct.robots.cell.solids import COLLISION_GROUP
+from twinct.robots.cell.standing import OBJECT, ZONE
 
 Indices = NDArray[np.intp]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +18,13 @@ FAR_M = 0.3
 """Gap beyond which a body that stands still affects no plan."""
 
 
-def exclude_adjacent(spec: mujoco.MjSpec) -> None:
-    """Let bodies that are joined touch each other; MuJoCo itself filters only moving parents."""
+def exclude_adjacent(spec: mujoco.MjSpec, tools: Collection[str] = ()) -> None:
+    """Let bodies that are joined touch each other; MuJoCo itself filters only moving parents.
+
+    Args:
+        spec: the cell.
+        tools: bodies whose shapes are a user's, and may reach back to the link before the last.
+    """
     listed = {frozenset((e.bodyname1, e.bodyname2)) for e in spec.excludes}
     bodies = [body for body in spec.bodies if body.name != "world"]
     for link in (body for body in bodies if body.joints):
@@ -28,7 +34,7 @@ def exclude_adjacent(spec: mujoco.MjSpec) -> None:
             carriers = sorted({b.name for b in bodies if _link_of(b).name == carrier.name})
         pieces = [body.name for body in bodies if _link_of(body).name == link.name]
         for pair in product(pieces, carriers):
-            if frozenset(pair) not in listed:
+            if frozenset(pair) not in listed and pair[0] not in tools:
                 spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
 
 

@@ -11,7 +11,7 @@ import scipy
 from twinct.geometry import Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel
-from twinct.robots.cell.standing import MM, VISUAL_GROUP
+from twinct.robots.cell.solids import MM, VISUAL_GROUP
 from twinct.robots.sections import Arm, Rail, Turntable
 
 if TYPE_CHECKING:

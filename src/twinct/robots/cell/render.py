@@ -21,7 +21,8 @@ from twinct.core.system_libraries import EGL, apt_line, egl_is_there
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import LARGEST_PICTURE, CellModel, GantryModel
-from twinct.robots.cell.standing import OBJECT, VISUAL_GROUP, ZONE
+from twinct.robots.cell.solids import VISUAL_GROUP
+from twinct.robots.cell.standing import OBJECT, ZONE
 
 _ADVICE = "leave MUJOCO_GL unset to use EGL, which needs no display"
 _OFF = ("disable", "disabled", "off", "false", "0")
@@ -257,7 +258,7 @@ def whole_camera(cell_model: CellModel | GantryModel, joints: Floats | None, asp
         a, e = np.radians([azimuth, camera.elevation])
         forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
         eye = camera.lookat - camera.distance * forward
-        return min(_shown(model, data, name, eye) for name in ("source_housing", "detector_panel"))
+        return min(_shown(model, data, tool, eye) for tool in ("source", "detector"))
 
     shares = [seen(azimuth) for azimuth in AZIMUTHS_DEG]
     best = 0 if shares[0] >= AS_CLEAR * max(shares) else int(np.argmax(shares))
@@ -303,10 +304,14 @@ def _corners(model: Any, data: Any) -> Floats:
     return np.concatenate(corners)
 
 
-def _shown(model: Any, data: Any, name: str, eye: Floats) -> float:
-    """Return the share of a box's points that no other body hides from an eye."""
-    geom, hit = model.geom(name).id, np.zeros(1, np.int32)
-    grid = np.array(np.meshgrid(*[[-0.8, 0.0, 0.8]] * 3)).reshape(3, -1).T * model.geom_size[geom]
+def _shown(model: Any, data: Any, tool: str, eye: Floats) -> float:
+    """Return the share of points of a tool's largest shape that no other body hides from an eye."""
+    seen = np.flatnonzero(
+        (model.geom_bodyid == model.body(tool).id) & np.array(SHOWN_GROUPS)[model.geom_group]
+    )
+    geom, hit = int(seen[model.geom_rbound[seen].argmax()]), np.zeros(1, np.int32)
+    middle, half = np.split(model.geom_aabb[geom], 2)
+    grid = middle + np.array(np.meshgrid(*[[-0.8, 0.0, 0.8]] * 3)).reshape(3, -1).T * half
     points = data.geom_xpos[geom] + grid @ data.geom_xmat[geom].reshape(3, 3).T
     own = 0
     for point in points:

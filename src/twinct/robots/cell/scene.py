@@ -16,6 +16,7 @@ from twinct.core.progress import spend
 from twinct.geometry import Floats, Panel, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.arms import ArmModel, load_arm
+from twinct.robots.cell.c_arm_bodies import add_c_arm
 from twinct.robots.cell.collision_pairs import (
     exclude_adjacent,
     levers,
@@ -23,16 +24,18 @@ from twinct.robots.cell.collision_pairs import (
     non_adjacent_pairs,
 )
 from twinct.robots.cell.rails import add_rail, add_turntable, on_rail, on_turntable
-from twinct.robots.cell.standing import (
+from twinct.robots.cell.solids import (
     COLLISION_GROUP,
+    LOOK_ONLY,
     MM,
-    OBJECT,
     VISUAL_GROUP,
+    add_box,
     add_mesh,
-    add_objects,
-    add_zones,
-    object_margins,
+    add_rod,
 )
+from twinct.robots.cell.standing import OBJECT, add_objects, add_zones, object_margins
+from twinct.robots.cell.structural_pairs import without_structural
+from twinct.robots.cell.tools import add_tool, flange_from_tip
 from twinct.robots.sections import Arm, Cell, DetectorArm, GantryCell, SourceArm
 
 if TYPE_CHECKING:
@@ -41,15 +44,6 @@ if TYPE_CHECKING:
 
 ARMS = ("source", "detector")
 """Prefixes of the two arms, in the order of joints, actuators and all stacked arrays."""
-
-BANDWIDTH_RAD_S = 80.0
-"""Natural frequency of the joint servos; critically damped, a 1 mm step settles in 0.1 s."""
-
-PANEL_BORDER_MM = 10.0
-PANEL_DEPTH_MM = 24.0
-PANEL_COVER_MM = 4.0
-"""Housing of the active area: border, total depth, and depth of the cover before the pixels."""
-
 
 TOOLS_MM = 200.0
 """Length that the housings of source and panel add to the extent of a gantry's picture."""
@@ -91,6 +85,8 @@ class CellModel:
         speed_scales: shares of the published speeds that a move may use, (n,).
         pairs: geom ids of all pairs of non-adjacent bodies that can move against each other,
             (p, 2).
+        bandwidths: natural frequencies of the servos, rad/s, (n,).
+        feedforward: shares of the planned torque and speed that are fed forward, (n,).
         homes: start of the path search for each arm, rad, or None if the scenario states none.
         margins: additional gap that arms keep from each geom, m, (geoms,), by its object's group.
         lever: bound on the distance of any point of a body from a joint's axis, m, (bodies, n), 1
@@ -109,6 +105,8 @@ class CellModel:
     speed_limits: Floats
     speed_scales: Floats
     pairs: np.ndarray
+    bandwidths: Floats
+    feedforward: Floats
     homes: tuple[Floats | None, ...]
     margins: Floats
     lever: Floats
@@ -168,13 +166,14 @@ def build_cell(
             loaded = on_rail(loaded, arm.rail)
         if arm.turntable is not None:
             loaded = on_turntable(loaded, arm.turntable)
-        tool = _mount(spec, cell, side, arm, loaded).add_body(name=side)
-        (_source_tool if side == "source" else _panel_tool)(tool, arm, panel)
+        body = _mount(spec, cell, side, arm, loaded).add_body(name=side)
+        held = arm.tool, arm.standoff_mm, arm.tool_mass_kg
+        add_tool(spec, body, side, *held, panel, f"cell.{side}_arm")
         arms.append(loaded)
     add_zones(spec, cell.zones)
     add_objects(spec, cell.keyed_objects)
     names = _servos(spec, arms, cell)
-    exclude_adjacent(spec)
+    exclude_adjacent(spec, _described_tools(cell))
     # Per joint: position, velocity and acceleration of the servos' reference; then the mark of the
     # plan from which the reference comes.
     spec.nuserdata = 3 * len(names) + 1
@@ -191,8 +190,10 @@ def build_gantry(
     panel: Panel,
     world_from_source: Pose,
     world_from_detector: Pose,
+    *,
+    solids: Sequence[trimesh.Trimesh] = (),
 ) -> GantryModel:
-    """Build the cell of a gantry at one view, for pictures: source and panel float in the air.
+    """Build the cell of a gantry at one view: source and panel float in the air, or on a C-arm.
 
     Args:
         cell: section of the gantry, with the height of the floor.
@@ -201,22 +202,35 @@ def build_gantry(
         panel: pixel lattice, which determines the size of the housing.
         world_from_source: pose of the source.
         world_from_detector: pose of the panel.
+        solids: convex bodies in the specimen's frame, mm, that collide in its place; its convex
+            hull by default.
 
     Raises:
         MissingExtraError: MuJoCo is not installed.
+        ScenarioError: a tool cannot be built.
+        SpecimenError: the mesh file of an object or a tool is unusable.
     """
-    spec = _room(cell.floor_z_mm)
-    _specimen(spec, specimen_mesh, world_from_specimen)
+    spec, behind = _room(cell.floor_z_mm), list[float]()
+    _specimen(spec, specimen_mesh, world_from_specimen, solids)
     add_objects(spec, cell.keyed_objects)
     for side, arm, tool, pose in (
-        ("source", SourceArm(), _source_tool, world_from_source),
-        ("detector", DetectorArm(), _panel_tool, world_from_detector),
+        ("source", SourceArm(), cell.source_tool, world_from_source),
+        ("detector", DetectorArm(), cell.detector_tool, world_from_detector),
     ):
-        mount = pose @ Pose(np.array([0, 0, -arm.standoff_mm]), Pose.identity().quat)
-        position, quat = mount.to_metres()
-        tool(spec.worldbody.add_body(name=side, pos=position, quat=np.roll(quat, 1)), arm, panel)
+        standoff = arm.standoff_mm if tool is None else tool.tip_mm[2]
+        behind.append(standoff)
+        position, quat = (pose @ flange_from_tip(tool, standoff).inverse()).to_metres()
+        body = spec.worldbody.add_body(name=side, pos=position, quat=np.roll(quat, 1))
+        key = f"cell.{side}_tool" if tool else "cell"
+        add_tool(spec, body, side, tool, standoff, arm.tool_mass_kg, panel, key)
+    if cell.c_arm is not None:
+        views = world_from_source, world_from_detector
+        add_c_arm(spec, cell.c_arm, views, (behind[0], behind[1]), cell.floor_z_mm)
     spec.stat.center = (world_from_source.position + world_from_detector.position) / 2 * MM
     spec.stat.extent = (world_from_source.distance_mm(world_from_detector) + TOOLS_MM) * MM
+    if cell.c_arm is not None:
+        spec.stat.center = np.array(cell.c_arm.isocentre_mm) * MM
+        spec.stat.extent = 2.4 * (cell.c_arm.radius_mm + cell.c_arm.profile_mm[0]) * MM
     return GantryModel(_compile(spec))
 
 
@@ -231,22 +245,8 @@ def _room(floor_z_mm: float, room: str = "plain") -> mujoco.MjSpec:
         material = "vinyl"
         for light, towards in zip(spec.lights, OPERATING_LIGHTS, strict=True):
             light.dir = towards
-    _box(floor, "floor", (0, 0, floor_z_mm - 50), (40_000, 40_000, 100), material)
+    add_box(floor, "floor", (0, 0, floor_z_mm - 50), (40_000, 40_000, 100), material)
     return spec
-
-
-def _box(parent: Any, name: str, centre_mm: Any, size_mm: Any, material: str, **more: Any) -> None:
-    more |= {"type": mujoco_module().mjtGeom.mjGEOM_BOX, "material": material}
-    more |= {"pos": np.asarray(centre_mm, dtype=float) * MM, "group": VISUAL_GROUP}
-    parent.add_geom(name=name, size=np.asarray(size_mm, dtype=float) / 2 * MM, **more)
-
-
-def _rod(
-    parent: Any, name: str, start_mm: Any, end_mm: Any, radius_mm: float, material: str, **more: Any
-) -> None:
-    more |= {"type": mujoco_module().mjtGeom.mjGEOM_CYLINDER, "material": material}
-    more |= {"fromto": np.concatenate([start_mm, end_mm]).astype(float) * MM}
-    parent.add_geom(name=name, size=[radius_mm * MM, 0, 0], group=VISUAL_GROUP, **more)
 
 
 def _specimen(
@@ -267,7 +267,7 @@ def _specimen(
         add_mesh(spec, f"{name}_hull", hull)
         body.add_geom(name=name, meshname=f"{name}_hull", group=COLLISION_GROUP, **mesh_geom)
     add_mesh(spec, "specimen_look", mesh)
-    look = {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0}
+    look = {"group": VISUAL_GROUP, **LOOK_ONLY}
     body.add_geom(name="specimen_look", meshname="specimen_look", **look, **mesh_geom)
     return min(float(world_from_specimen.apply(hull.vertices)[:, 2].min()) for hull in hulls)
 
@@ -293,10 +293,10 @@ def _table(
         )
     holder = spec.worldbody.add_body(name="holder")
     radius = table.holder_radius_mm
-    _rod(holder, "holder_post", (x, y, top), (x, y, bottom_mm), radius, "post")
+    add_rod(holder, "holder_post", (x, y, top), (x, y, bottom_mm), radius, "post")
     foot = min(15.0, (bottom_mm - top) / 3)
-    _rod(holder, "holder_rest", (x, y, bottom_mm - foot), (x, y, bottom_mm), 2 * radius, "post")
-    _rod(holder, "holder_foot", (x, y, top), (x, y, top + foot), 2 * radius, "housing")
+    add_rod(holder, "holder_rest", (x, y, bottom_mm - foot), (x, y, bottom_mm), 2 * radius, "post")
+    add_rod(holder, "holder_foot", (x, y, top), (x, y, top + foot), 2 * radius, "housing")
 
 
 def _plain_table(spec: mujoco.MjSpec, cell: Cell, x: float, y: float) -> None:
@@ -309,10 +309,12 @@ def _plain_table(spec: mujoco.MjSpec, cell: Cell, x: float, y: float) -> None:
             f"cell.floor_z_mm = {floor:g} mm"
         )
     body = spec.worldbody.add_body(name="table")
-    _box(body, "table_top", (x, y, top - sz / 2), (sx, sy, sz), "tabletop")
+    add_box(body, "table_top", (x, y, top - sz / 2), (sx, sy, sz), "tabletop")
     column = (0.4 * sx, 0.35 * sy)
-    _box(body, "table_column", (x, y, (top - sz + floor) / 2), (*column, top - sz - floor), "steel")
-    _box(body, "table_foot", (x, y, floor + 25), (0.8 * sx, 0.7 * sy, 50), "pedestal")
+    add_box(
+        body, "table_column", (x, y, (top - sz + floor) / 2), (*column, top - sz - floor), "steel"
+    )
+    add_box(body, "table_foot", (x, y, floor + 25), (0.8 * sx, 0.7 * sy, 50), "pedestal")
 
 
 def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmModel) -> Any:
@@ -336,8 +338,8 @@ def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmMode
     spec.attach(loaded.spec, prefix=f"{side}_", frame=frame)
     if fixed and height > 60 and upright:
         body = spec.worldbody.add_body(name=f"{side}_pedestal")
-        _rod(body, f"{side}_pedestal", (x, y, z - height + 30), (x, y, z), 100, "pedestal")
-        _box(body, f"{side}_footplate", (x, y, z - height + 15), (420, 420, 30), "pedestal")
+        add_rod(body, f"{side}_pedestal", (x, y, z - height + 30), (x, y, z), 100, "pedestal")
+        add_box(body, f"{side}_footplate", (x, y, z - height + 15), (420, 420, 30), "pedestal")
     flange = spec.site(f"{side}_{loaded.flange_site}")
     half = np.radians(arm.tool_rotation_deg) / 2
     turn = np.array([np.cos(half), 0, 0, np.sin(half)])
@@ -345,39 +347,6 @@ def _mount(spec: mujoco.MjSpec, cell: Cell, side: str, arm: Arm, loaded: ArmMode
     mujoco_module().mju_mulQuat(mount_quat, np.asarray(flange.quat), turn)
     flange.parent.add_frame(name=f"{side}_flange_frame", pos=flange.pos, quat=mount_quat)
     return flange.parent.add_body(name=f"{side}_tool_mount", pos=flange.pos, quat=mount_quat)
-
-
-def _source_tool(body: Any, arm: Arm, panel: Panel) -> None:
-    """Add a tube housing; the focal spot lies 20 mm behind its front, z exits by the window."""
-    s, mass = arm.standoff_mm, arm.tool_mass_kg
-    adapter = min(15.0, 0.1 * s)
-    front = s + 20
-    _rod(body, "source_adapter", (0, 0, 0), (0, 0, adapter), 50, "steel", mass=0.1 * mass)
-    length = front - adapter - 8
-    centre = (0, 0, adapter + length / 2)
-    _box(body, "source_housing", centre, (96, 96, length), "tube", mass=0.85 * mass)
-    _rod(body, "source_window", (0, 0, front - 8), (0, 0, front), 38, "accent", mass=0.05 * mass)
-    body.add_site(name="source", pos=[0, 0, s * MM], group=4)
-
-
-def _panel_tool(body: Any, arm: Arm, panel: Panel) -> None:
-    """Add a flat panel on a bracket; the pixel plane lies 4 mm behind the cover's front."""
-    s, mass = arm.standoff_mm, arm.tool_mass_kg
-    width, height = (edge + 2 * PANEL_BORDER_MM for edge in panel.size_mm)
-    back = s + PANEL_COVER_MM - PANEL_DEPTH_MM
-    if back < 20:
-        raise ScenarioError(
-            f"cell.detector_arm.standoff_mm = {s:g} mm leaves no room for the panel's housing: at "
-            f"least {20 + PANEL_DEPTH_MM - PANEL_COVER_MM:g} mm are needed"
-        )
-    _rod(body, "detector_adapter", (0, 0, 0), (0, 0, 12), 50, "steel", mass=0.1 * mass)
-    _rod(body, "detector_bracket", (0, 0, 12), (0, 0, back), 36, "tube", mass=0.1 * mass)
-    centre, size = s + PANEL_COVER_MM - PANEL_DEPTH_MM / 2, (width, height, PANEL_DEPTH_MM)
-    _box(body, "detector_panel", (0, 0, centre), size, "housing", mass=0.8 * mass)
-    active = (*panel.size_mm, 0.4)
-    look = {"contype": 0, "conaffinity": 0, "mass": 0.0}
-    _box(body, "detector_active", (0, 0, s + PANEL_COVER_MM), active, "active", **look)
-    body.add_site(name="detector", pos=[0, 0, s * MM], group=4)
 
 
 def _servos(spec: mujoco.MjSpec, arms: list[ArmModel], cell: Cell) -> tuple[str, ...]:
@@ -436,6 +405,12 @@ def _compile(spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise ScenarioError(f"{key}: MuJoCo cannot build this: {reason}") from None
 
 
+def _described_tools(cell: Cell) -> list[str]:
+    """Return the bodies of the tools that the scenario describes."""
+    arms = zip(ARMS, (cell.source_arm, cell.detector_arm), strict=True)
+    return [side for side, arm in arms if arm.tool is not None]
+
+
 def _compiled(
     spec: mujoco.MjSpec, cell: Cell, panel: Panel, arms: list[ArmModel], names: tuple[str, ...]
 ) -> CellModel:
@@ -443,8 +418,11 @@ def _compiled(
     if tuple(model.joint(i).name for i in range(model.njnt)) != names:
         raise AssertionError("joints are not in the order source arm, detector arm")
     counts = [len(arm.joint_names) for arm in arms]
-    _tune_servos(model)
+    servos = cell.source_arm.servo, cell.detector_arm.servo
+    bandwidths = np.repeat([servo.bandwidth_rad_s for servo in servos], counts)
+    _tune_servos(model, bandwidths)
     lever, margins = levers(model), object_margins(model, cell)
+    pairs = without_structural(model, non_adjacent_pairs(model), _described_tools(cell))
     return CellModel(
         model=model,
         cell=cell,
@@ -458,7 +436,9 @@ def _compiled(
         speed_scales=np.repeat(
             [cell.source_arm.speed_scale, cell.detector_arm.speed_scale], counts
         ),
-        pairs=near_pairs(model, non_adjacent_pairs(model), lever, margins, OBJECT),
+        pairs=near_pairs(model, pairs, lever, margins, OBJECT),
+        bandwidths=bandwidths,
+        feedforward=np.repeat([servo.feedforward for servo in servos], counts),
         homes=tuple(arm.home for arm in arms),
         margins=margins,
         lever=lever,
@@ -470,7 +450,7 @@ def _compiled(
     )
 
 
-def _tune_servos(model: mujoco.MjModel) -> None:
+def _tune_servos(model: mujoco.MjModel, bandwidths: Floats) -> None:
     """Set critically damped gains for the largest inertia of each joint over random poses."""
     mujoco = mujoco_module()
     data = mujoco.MjData(model)
@@ -486,7 +466,7 @@ def _tune_servos(model: mujoco.MjModel) -> None:
             step(model, data)
         mujoco.mj_fullM(model, data, full)
         inertia = np.maximum(inertia, np.diag(full))
-    stiffness = BANDWIDTH_RAD_S**2 * inertia
+    stiffness = bandwidths**2 * inertia
     model.actuator_gainprm[:, 0] = stiffness
     model.actuator_biasprm[:, 1] = -stiffness
-    model.actuator_biasprm[:, 2] = -2 * BANDWIDTH_RAD_S * inertia
+    model.actuator_biasprm[:, 2] = -2 * bandwidths * inertia

@@ -14,6 +14,7 @@ import numpy as np
 
 from twinct.core.errors import ScenarioError
 from twinct.core.foreign_text import quoted
+from twinct.geometry import Floats
 from twinct.robots.cell._mujoco import mujoco_module
 
 if TYPE_CHECKING:
@@ -52,8 +53,8 @@ def exclude_structural(spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[str,
             )
             gaps[pair][pose] = gap
             seen = gaps[pair][: pose + 1]
-            if seen.max() >= NEVER_FAR_M and (seen.max() >= SOUGHT_M or np.ptp(seen) > CONSTANT_M):
-                del gaps[pair]  # it moves apart
+            if _moves_apart(seen):
+                del gaps[pair]
     kinds = {
         "as their hulls overlap in every pose": [],
         "as their gap is constant or never 10 mm": [],
@@ -67,6 +68,41 @@ def exclude_structural(spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[str,
         for why, found in kinds.items()
         if found
     )
+
+
+def _moves_apart(gaps: Floats) -> bool:
+    """Return True if gaps, m, are those of a pair that can be clear of each other."""
+    far = float(gaps.max())
+    return far >= NEVER_FAR_M and (far >= SOUGHT_M or float(np.ptp(gaps)) > CONSTANT_M)
+
+
+def without_structural(
+    model: mujoco.MjModel, pairs: np.ndarray, tools: Iterable[str]
+) -> np.ndarray:
+    """Return the pairs without those of a tool and the link before the last that never part.
+
+    Args:
+        model: the cell.
+        pairs: geom ids, (p, 2).
+        tools: names of the tools' bodies.
+    """
+    mujoco, welded = mujoco_module(), model.body_weldid
+    data, keep = mujoco.MjData(model), np.ones(len(pairs), bool)
+    for tool in (model.body(name).id for name in tools):
+        last = int(welded[tool])
+        before, joint = int(welded[model.body_parentid[last]]), int(model.body_jntadr[last])
+        low, high = model.jnt_range[joint]
+        links = welded[model.geom_bodyid[pairs]]
+        own = (model.geom_bodyid[pairs] == tool).any(axis=1)
+        near = np.flatnonzero(own & (links == before).any(axis=1))
+        gaps = np.empty((POSES, len(near)))
+        for pose, angle in enumerate(np.linspace(low, high, POSES)):
+            data.qpos[joint] = angle
+            mujoco.mj_kinematics(model, data)
+            for k, (a, b) in enumerate(pairs[near].tolist()):
+                gaps[pose, k] = mujoco.mj_geomDistance(model, data, a, b, SOUGHT_M, None)
+        keep[near] = [_moves_apart(seen) for seen in gaps.T]
+    return pairs[keep]
 
 
 def exclude_stated(

@@ -21,7 +21,7 @@ from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import MM_PER_M, Floats, Pose
 from twinct.robots.cell._mujoco import mujoco_module
 from twinct.robots.cell.scene import ARMS, CellModel
-from twinct.robots.cell.standing import COLLISION_GROUP
+from twinct.robots.cell.solids import COLLISION_GROUP
 
 WORLD, OPTICAL = "world", "detector_optical"
 

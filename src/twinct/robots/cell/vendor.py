@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
@@ -27,9 +27,10 @@ from twinct.core.files.boundary import read_bytes
 from twinct.core.files.ros_packages import PATHS, package_folder
 from twinct.core.files.writing import complete, storage_errors
 from twinct.core.foreign_text import number, quoted, shortened
+from twinct.geometry import MM_PER_M
 from twinct.robots.cell.own_arms import check_scale
 from twinct.robots.cell.urdf_tree import way_to_flange
-from twinct.specimen.convex_parts import pieces_or_hull
+from twinct.specimen.convex_parts import convex_parts, pieces_or_hull
 
 if TYPE_CHECKING:
     import trimesh
@@ -57,6 +58,7 @@ class Written:
             inertia, by the scenario's key that supplies it.
         disabled: number of pairs of links that an SRDF disables.
         pictures: links that collide by their pictures.
+        holed: links that were not cut although asked, because their meshes have holes.
     """
 
     file: Path
@@ -66,6 +68,7 @@ class Written:
     lacking: Mapping[str, tuple[str, ...]]
     disabled: int = 0
     pictures: tuple[str, ...] = ()
+    holed: tuple[str, ...] = ()
 
 
 def write_arm(
@@ -75,6 +78,7 @@ def write_arm(
     *,
     srdf: Path | None = None,
     collide_visuals: bool = False,
+    concave: bool = False,
 ) -> Written:
     """Expand a robot description, and write it with all of its meshes.
 
@@ -84,6 +88,8 @@ def write_arm(
         folder: folder to write, which does not exist.
         srdf: SRDF of the arm, or xacro of one, whose disabled collisions are not checked.
         collide_visuals: whether links without collision shapes collide by their pictures.
+        concave: whether hollow pieces of collision meshes are cut into convex parts, instead of
+            counting as their hulls.
 
     Raises:
         MissingExtraError: xacro is needed and not installed.
@@ -98,7 +104,7 @@ def write_arm(
     links = tuple(link.get("name", "") for link in root.findall("link"))
     disabled = () if srdf is None else _disabled(srdf, arguments, links)
     root.extend(ElementTree.Element("disable_collisions", pair) for pair in disabled)
-    meshes = _Meshes(file, where, collide_visuals)
+    meshes = _Meshes(file, where, collide_visuals, concave)
     for link in root.findall("link"):
         meshes.place(link)
     meshes.check_scale(root)
@@ -114,6 +120,7 @@ def write_arm(
         *(folder / FILE, len(meshes.written), meshes.parts, links, _lacking(root)),
         disabled=len(disabled),
         pictures=tuple(meshes.pictures),
+        holed=tuple(dict.fromkeys(meshes.holed)),
     )
 
 
@@ -213,9 +220,10 @@ def _quiet() -> Iterator[None]:
 class _Meshes:
     """Mesh files of a robot description, as STL under names of their links."""
 
-    def __init__(self, main: Path, where: str, collide_visuals: bool) -> None:
+    def __init__(self, main: Path, where: str, collide_visuals: bool, concave: bool) -> None:
         self._main, self._where = main, where
         self._collide_visuals, self.pictures = collide_visuals, list[str]()
+        self._concave, self.holed = concave, list[str]()
         self.written, self.parts = dict[str, "trimesh.Trimesh"](), dict[str, int]()
         self._diagonals = dict[str, float]()
 
@@ -237,7 +245,7 @@ class _Meshes:
                         continue
                     raise
                 self._measure(mesh, read)
-                pieces = [read] if role == "visual" else pieces_or_hull(read, MOST_PARTS)
+                pieces = [read] if role == "visual" else self._convex(read, mesh, name)
                 if role == "collision" and name in self.pictures:
                     pieces = [_decimated(piece) for piece in pieces]
                 if len(pieces) > 1:
@@ -260,6 +268,26 @@ class _Meshes:
             link.append(copy)
         if link.find("collision") is not None:
             self.pictures.append(name)
+
+    def _convex(self, mesh: trimesh.Trimesh, element: Any, link: str) -> Sequence[trimesh.Trimesh]:
+        """Return the convex parts of a collision mesh, in the units of its file."""
+        if not self._concave:
+            return pieces_or_hull(mesh, MOST_PARTS)
+        try:
+            scale = MM_PER_M * float(
+                np.mean(np.array((element.get("scale") or "1").split(), float))
+            )
+        except ValueError:  # MuJoCo refuses such a scale
+            scale = MM_PER_M
+        solid = mesh.copy()
+        solid.merge_vertices()
+        solid.apply_scale(scale)
+        shells = solid.split(only_watertight=False, repair=False)
+        if not all(shell.is_watertight for shell in shells):
+            self.holed.append(link)
+            return pieces_or_hull(mesh, MOST_PARTS)
+        parts = [part for shell in shells for part in convex_parts(shell)]
+        return [part.copy().apply_scale(1 / scale) for part in parts]
 
     def _measure(self, element: Any, mesh: trimesh.Trimesh) -> None:
         """Keep the diagonal of a mesh with the scale of its element, m."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twinct.geometry import Floats
-from twinct.robots.cell import BANDWIDTH_RAD_S, CellModel, mujoco
+from twinct.robots.cell import CellModel, mujoco
 
 BREAKAWAY_RAD_S = 0.002
 """Speed above which a joint's dry friction is fully compensated."""
@@ -28,6 +28,7 @@ class Servos:
         self._stiffness = cell.model.actuator_gainprm[:n, 0].copy()
         # Both the servo's damping and the joint's friction brake a moving joint.
         self._drag = cell.model.dof_damping - cell.model.actuator_biasprm[:n, 2]
+        self._bandwidths, self._share = cell.bandwidths, cell.feedforward
         self._dry_friction = cell.model.dof_frictionloss
         self._feedforward = np.zeros(cell.model.nv)
 
@@ -38,9 +39,9 @@ class Servos:
         way = velocity
         if self._homing:
             position = position - velocity * self._model.opt.timestep  # where it is now
-            way = velocity + BANDWIDTH_RAD_S * (position - data.qpos)
+            way = velocity + self._bandwidths * (position - data.qpos)
         dry_friction = self._dry_friction * np.tanh(way / BREAKAWAY_RAD_S)
-        torque = self._feedforward + self._drag * velocity + dry_friction
+        torque = self._share * (self._feedforward + self._drag * velocity) + dry_friction
         data.ctrl[:] = position + torque / self._stiffness
 
 

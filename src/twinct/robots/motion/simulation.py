@@ -488,7 +488,15 @@ class RobotSimulation:
         nominal = PosePairs((source,), (detector,), (stands,))
         if self._true_cell is None:
             return nominal
-        return self._true_cell.at(nominal, view, float(data.time), data.qpos, data.qvel)
+        return self._true_cell.at(
+            nominal, view, float(data.time), data.qpos, data.qvel, self._planned_accelerations
+        )
+
+    def _planned_accelerations(self, times: Floats) -> Floats:
+        """Return the planned accelerations at some simulated times, (times, n)."""
+        if self._plan is None:
+            return np.zeros((len(times), self._n))
+        return self._plan.at(times - self._begun_s)[:, 2]
 
     def _reached(
         self, record: Floats, instants: list[PosePairs], before: PosePairs | None

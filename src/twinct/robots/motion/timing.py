@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from twinct.core.errors import TrajectoryError
 from twinct.geometry import MM_PER_M, Floats
 from twinct.robots.cell import CellModel, mujoco
+from twinct.robots.motion.joint_spline import spline_within
 from twinct.robots.motion.line import line
 from twinct.robots.motion.refusals import weak_text
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
@@ -167,7 +168,7 @@ class TimeLaw:
             raise TrajectoryError(weak_text(name, float(holding.max())))
         spans = np.maximum((np.abs(np.diff(knots, axis=0)) / self._speed).max(axis=1), 1e-9)
         passed = np.concatenate([[0.0], np.cumsum(spans)])
-        way = scipy.interpolate.CubicSpline(passed, knots)
+        way = spline_within(passed, knots, self._cell.joint_ranges, self._cell.joint_names)
         share = np.arange(LOOK) / LOOK
         s = np.append((passed[:-1, None] + share * spans[:, None]).ravel(), passed[-1])
         most, gain = self._allowed(way, s, passed[list(views)])

@@ -332,6 +332,8 @@ class _Search:
             section = (self._cell.source_arm, self._cell.detector_arm)[arm]
             if not np.array_equal(point, self._coordinates(arm)):
                 x, y, z, standoff, turn = (round(float(value), 1) for value in point)
+                if section.tool is not None:  # it has no spacer at least
+                    standoff = max(standoff, section.tool.tip_mm[2])
                 facing = np.degrees(np.arctan2(self._middle[1] - y, self._middle[0] - x))
                 rotation = (*section.base_rotation_deg[:2], round(float(facing), 1))
                 section = section.model_copy(

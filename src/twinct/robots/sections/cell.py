@@ -29,7 +29,9 @@ from twinct.core.settings import (
     setting,
 )
 from twinct.robots.arm_files import BUILT_IN, ArmFile
+from twinct.robots.sections.c_arm import CArm
 from twinct.robots.sections.operating_room import operating_room
+from twinct.robots.sections.tool import Tool
 from twinct.specimen.sections.room_objects import (
     LEAST_HEIGHT_MM,
     GroupClearance,
@@ -137,6 +139,26 @@ class Turntable(Section):
         return self
 
 
+class Servo(Section):
+    """Servos of the joints, as the encoders see them."""
+
+    bandwidth_rad_s: float = setting(
+        80.0,
+        "Natural frequency of the critically damped servos; the default settles a 1 mm step in "
+        "0.1 s.",
+        unit="rad/s",
+        ge=1,
+        le=400,
+    )
+    feedforward: float = setting(
+        1.0,
+        "Share of the planned torque and speed that is fed forward. At 0, a joint lags by 2 / "
+        "bandwidth_rad_s behind the plan.",
+        ge=0,
+        le=1,
+    )
+
+
 class Arm(Section):
     """One arm and its tool."""
 
@@ -193,7 +215,14 @@ class Arm(Section):
     tool_rotation_deg: Finite = setting(
         0.0, "Rotation about the flange axis at which the tool is mounted.", read_by="plan"
     )
+    tool: Annotated[Tool | None, ReadBy("plan")] = Field(
+        default=None,
+        description="Shapes of tube or panel, such as a mesh, with the place of focal spot or "
+        "active area. standoff_mm is then tip_mm's z unless it is set, and may only be larger, for "
+        "a spacer. null: a housing of usual size.",
+    )
     tool_mass_kg: Annotated[Positive, ReadBy("executed")] = Field(description="Mass of the tool.")
+    servo: Servo = setting(Servo(), "Servos of the joints.", read_by="executed")
     torque_scale: float = setting(
         1.0,
         "Share of the published torque limits that may be used.",
@@ -267,6 +296,17 @@ class Arm(Section):
             raise ConflictError(Conflict(what, ("rail", "turntable")))
         return self
 
+    @model_validator(mode="after")
+    def _tool_is_described(self) -> Arm:
+        if self.tool is None:
+            return self
+        if "tool_mass_kg" not in self.model_fields_set:
+            what = "tool: its mass decides on torques: set tool_mass_kg, too"
+            raise ConflictError(Conflict(what, ("tool", "tool_mass_kg")))
+        if "standoff_mm" not in self.model_fields_set:
+            object.__setattr__(self, "standoff_mm", self.tool.tip_mm[2])
+        return self
+
     @property
     def label(self) -> str:
         """Name of the arm in reports."""
@@ -310,6 +350,7 @@ class Table(Section):
 
 
 DEFAULT_KIND = "arms"
+_ARMS = ("source_arm", "detector_arm")
 OBJECTS = "Furniture, staff, parts of the patient, and other bodies that stand in the room."
 
 
@@ -356,6 +397,12 @@ class Cell(Section):
         return self
 
     @property
+    def keyed_tools(self) -> tuple[tuple[str, Tool], ...]:
+        """Tools that are described, each with its key."""
+        tools = {f"cell.{side}.tool": getattr(self, side).tool for side in _ARMS}
+        return tuple((key, tool) for key, tool in tools.items() if tool is not None)
+
+    @property
     def keyed_objects(self) -> tuple[tuple[str, RoomObject], ...]:
         """All objects, those of the room first, each with the key that it comes from."""
         own = keyed(self.objects)
@@ -390,11 +437,29 @@ class GantryCell(Section):
     objects: tuple[RoomObject, ...] = setting(
         (), f"{OBJECTS} A way through one that collides is refused."
     )
+    source_tool: Annotated[Tool | None, ReadBy("plan")] = Field(
+        default=None, description="Shapes of the tube; null: a housing of usual size."
+    )
+    detector_tool: Annotated[Tool | None, ReadBy("plan")] = Field(
+        default=None, description="Shapes of the panel; null: a housing of usual size."
+    )
+
+    c_arm: Annotated[CArm | None, ReadBy("plan")] = Field(
+        default=None,
+        description="The C-arm that holds source and panel. Views that it cannot hold are refused, "
+        "and it keeps away from objects, specimen and floor. null: both float in the air.",
+    )
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> GantryCell:
         require_unique_names(self.objects, "objects")
         return self
+
+    @property
+    def keyed_tools(self) -> tuple[tuple[str, Tool], ...]:
+        """Tools that are described, each with its key."""
+        tools = {"cell.source_tool": self.source_tool, "cell.detector_tool": self.detector_tool}
+        return tuple((key, tool) for key, tool in tools.items() if tool is not None)
 
     @property
     def keyed_objects(self) -> tuple[tuple[str, RoomObject], ...]:

@@ -17,6 +17,7 @@ from twinct.specimen.sections.grey_volume import (
 from twinct.specimen.sections.room_objects import (
     LEAST_HEIGHT_MM,
     Capsule,
+    CShape,
     Group,
     GroupClearance,
     RoomObject,
@@ -50,6 +51,7 @@ __all__ = [
     "Box",
     "Brain",
     "Breathing",
+    "CShape",
     "Calibration",
     "Capsule",
     "Composition",

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twinct.core.settings import (
     Conflict,
     ConflictError,
     Length,
+    Lengths,
     NonNegative,
     ReadBy,
     Section,
@@ -24,6 +25,9 @@ from twinct.specimen.sections.specimen import Box, Cylinder, MeshFile, Sphere
 LEAST_HEIGHT_MM = 450.0
 """Smallest height of the plate of an operating table above the floor."""
 
+COLOUR = r"^#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})$"
+"""Pattern of colours."""
+
 Group = Literal["patient", "staff", "furniture"]
 
 
@@ -33,6 +37,24 @@ class Capsule(Section):
     kind: Literal["capsule"]
     radius_mm: Length = Field(description="Radius.")
     length_mm: Length = Field(description="Distance between the centres of the round ends.")
+
+
+class CShape(Section):
+    """Three plates, centred like a box: a back at -z, and legs at -x and +x; open towards +z."""
+
+    kind: Literal["c_shape"]
+    size_mm: Lengths = Field(description="Outer size along x, y, z.")
+    wall_mm: Length = Field(description="Thickness of the plates.")
+
+    @model_validator(mode="after")
+    def _is_open(self) -> CShape:
+        if 2 * self.wall_mm >= self.size_mm[0] or self.wall_mm >= self.size_mm[2]:
+            what = (
+                f"wall_mm = {self.wall_mm:g} leaves nothing open of "
+                f"{' x '.join(f'{edge:g}' for edge in self.size_mm)} mm"
+            )
+            raise ConflictError(Conflict(what, ("wall_mm",)))
+        return self
 
 
 class Standing(Section):
@@ -64,7 +86,9 @@ class RoomObject(Standing):
     """A body that stands in the room, such as a table, a lamp or a patient's arm."""
 
     shape: Annotated[
-        Box | Sphere | Cylinder | Capsule | MeshFile, Field(discriminator="kind"), ReadBy("plan")
+        Box | Sphere | Cylinder | Capsule | CShape | MeshFile,
+        Field(discriminator="kind"),
+        ReadBy("plan"),
     ] = Field(
         description="Shape. Arms keep away from convex bodies that hold a mesh; twinct check "
         "states how closely."
@@ -86,14 +110,13 @@ class RoomObject(Standing):
     colour: str = setting(
         "#9aa4ad",
         "Colour in pictures, as #rrggbb; #rrggbbaa is translucent.",
-        pattern=r"^#([0-9a-fA-F]{6}|[0-9a-fA-F]{8})$",
+        pattern=COLOUR,
     )
 
     @property
     def rgba(self) -> tuple[float, float, float, float]:
         """Red, green, blue and opacity, in [0, 1]."""
-        red, green, blue, *opacity = bytes.fromhex(self.colour[1:])
-        return red / 255, green / 255, blue / 255, (opacity[0] / 255 if opacity else 1.0)
+        return rgba_of(self.colour)
 
 
 class GroupClearance(Section):
@@ -105,6 +128,12 @@ class GroupClearance(Section):
     patient: NonNegative = setting(0.0, "Objects of the group patient.", unit="mm")
     staff: NonNegative = setting(0.0, "Objects of the group staff.", unit="mm")
     furniture: NonNegative = setting(0.0, "Objects of the group furniture.", unit="mm")
+
+
+def rgba_of(colour: str) -> tuple[float, float, float, float]:
+    """Return red, green, blue and opacity, in [0, 1], of a colour as #rrggbb or #rrggbbaa."""
+    red, green, blue, *opacity = bytes.fromhex(colour[1:])
+    return red / 255, green / 255, blue / 255, (opacity[0] / 255 if opacity else 1.0)
 
 
 def keyed(objects: Sequence[RoomObject]) -> tuple[tuple[str, RoomObject], ...]:

@@ -10,13 +10,17 @@ from twinct.uncertainty.terms.displacements import AGEING, BASE, JOINT_OFFSET, L
 from twinct.uncertainty.terms.drift import DRIFT
 from twinct.uncertainty.terms.gear import GEAR
 from twinct.uncertainty.terms.rail import RAIL
+from twinct.uncertainty.terms.servo import CLOCK, VIBRATION
 from twinct.uncertainty.terms.trigger import TRIGGER
 from twinct.uncertainty.terms.views import VIEWS
 from twinct.uncertainty.terms.windup import WINDUP
 
 BUILT_IN: dict[str, ErrorTerm] = {
     term.name: term
-    for term in (JOINT_OFFSET, LINK, BASE, TOOL, AGEING, DRIFT, WINDUP, GEAR, TRIGGER, RAIL, VIEWS)
+    for term in (
+        *(JOINT_OFFSET, LINK, BASE, TOOL, AGEING, DRIFT, WINDUP, GEAR, TRIGGER, RAIL),
+        *(VIBRATION, CLOCK, VIEWS),
+    )
 }
 """Terms of this package; deviations of the joints add up in this order."""
 
