@@ -68,7 +68,7 @@ EFFECTS: dict[str, dict[str, Mapping[str, Any]]] = {
         }
     },
     "lag": {"detector": {"lag": 0.3}},
-    "scatter": {"detector": {"scatter": {"kind": "kernel"}}},
+    "scatter": {"detector": {"scatter": {"kind": "monte_carlo"}}},
 }
 HEAD: dict[str, Any] = {
     "source": {"spectrum": TUBE},

@@ -54,7 +54,7 @@ PICTURES = {
         "lag": "`lag: 0.3`, from a view 8 degrees away.",
         "correction": "`correction: {flat_frames: 1, flat_geometry: first}`, "
         "`noise: {kind: snr, snr: 60}`.",
-        "scatter": "`scatter: {kind: kernel}`.",
+        "scatter": "`scatter: {kind: monte_carlo}`.",
     },
     "reconstruction": {
         "beam-hardening": "`beam_hardening: null`, `{kind: one_material, material: bone}` and "

@@ -123,7 +123,7 @@ UNSAID = {
     "detector.readout": "{}",
     "detector.bad_pixels": "{kind: random, share: 0.01}",
     "detector.lag": "0.2",
-    "detector.scatter": "{kind: kernel}",
+    "detector.scatter": "{kind: monte_carlo}",
 }
 
 

@@ -112,10 +112,8 @@ def _signal(detector: Detector, parts: Sequence[Part]) -> Iterator[str]:
     spread, noise = detector.point_spread, detector.noise
     if (n := detector.pixel_samples) > 1:
         yield f"{n} × {n} samples a pixel"
-    if isinstance(detector.scatter, sections.MonteCarloScatter):
+    if detector.scatter is not None:
         yield "scatter by Monte Carlo"
-    elif detector.scatter is not None:
-        yield f"scatter × {detector.scatter.scale:g}"
     elif not all(part.homogeneous for part in parts):
         yield "without scatter"
     if detector.lag:

@@ -99,7 +99,6 @@ from twinct.xray.sections.detector import (
     RandomBadPixels,
     Readout,
     Response,
-    Scatter,
     ScintillatorResponse,
     SnrNoise,
 )
@@ -191,7 +190,6 @@ __all__ = [
     "Region",
     "RoomObject",
     "Response",
-    "Scatter",
     "Scenario",
     "ScenarioText",
     "ScintillatorResponse",

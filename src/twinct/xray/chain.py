@@ -20,12 +20,10 @@ from twinct.xray.build import (
     build_spectrum,
     build_spot,
     build_spread,
-    effective_energy_kev,
     physical_panel,
 )
 from twinct.xray.noise import normal_noise, quantum_noise
 from twinct.xray.readout import Amplifier, binned, correct, mend_bad_pixels
-from twinct.xray.scatter import ScatterKernel, compton_per_mm
 from twinct.xray.signal import Signal
 from twinct.xray.spot import moved_source
 
@@ -101,11 +99,6 @@ class ImagingChain:
         self._commanded = self.physical(commanded)
         at_middle = np.mean([_at_middle(seen) for seen in self.from_spot(commanded[0])])
         self.free: Floats = self._signal.free * float(self._scale) * float(at_middle)
-        self._kernel: ScatterKernel | None = None
-        if isinstance(detector.scatter, sections.Scatter):
-            energy = effective_energy_kev(source, detector)
-            self._kernel = ScatterKernel(energy, detector.scatter.scale)
-            self._compton = np.array([compton_per_mm(m, energy) for m in materials], np.float32)
         self._spread = build_spread(detector)
         self._bad = build_bad_pixels(detector, seed)
         self._amplifier, self._electronic = Amplifier(1 / float(self.free[0])), 0.0
@@ -133,12 +126,8 @@ class ImagingChain:
             yield moved_source(view, offset) if offset.any() else view
 
     def blank(self) -> Image:
-        """Return an empty accumulator for exposures, (2 or 3, rows, columns).
-
-        It holds mean and mean square of the signal and, with a scatter model, the scattered signal.
-        """
-        planes = 2 if self._kernel is None else 3
-        return np.zeros((planes, *self.panel.shape), dtype=np.float32)
+        """Return an empty accumulator: mean and mean square of the signal, (2, rows, columns)."""
+        return np.zeros((2, *self.panel.shape), dtype=np.float32)
 
     def add(self, paths: Image, view: ScanGeometry, out: Image, share: float = 1.0) -> None:
         """Add one render to an exposure, an ``out`` from ``blank``.
@@ -150,12 +139,8 @@ class ImagingChain:
             share: weight among the renders of this exposure.
         """
         beam = fall_off(view, self.samples)
-        before = None if self._kernel is None else out[0].copy()
         share *= float(self._scale)
-        self._signal.add(paths, beam, out[:2], samples=self.samples, share=share)
-        if before is not None:
-            optical = binned(np.tensordot(self._compton, paths, axes=1), self.samples)
-            out[2] += (out[0] - before) * optical
+        self._signal.add(paths, beam, out, samples=self.samples, share=share)
 
     def add_scatter(self, per_mm2: Image, out: Image, share: float = 1.0) -> None:
         """Add scatter to an exposure, as the photons of the free beam on average.
@@ -174,8 +159,7 @@ class ImagingChain:
         expected: Image,
         view: ScanGeometry,
         index: int,
-        object_mm: float = 0.0,
-        before: tuple[Image, float] | None = None,
+        before: Image | None = None,
         repetition: int = 0,
     ) -> ViewImages:
         """Return the detector's images of one view.
@@ -184,16 +168,15 @@ class ImagingChain:
             expected: accumulated exposure from ``add``.
             view: executed view on the physical pixels.
             index: index of the view; keys the noise.
-            object_mm: distance from the middle of the object to the panel, for scatter.
-            before: ``expected`` and ``object_mm`` of the previous view, whose signal lags.
+            before: ``expected`` of the previous view, whose signal lags.
             repetition: number of the scan; each has noise of its own, with the same flat and dark
                 images.
         """
         rng = self._rng(index, repetition)
-        signal = self._signal_of(expected, object_mm, rng)
+        signal = self._signal_of(expected, rng)
         if before is not None:
             # The previous noise is drawn again by its own key.
-            last = self._signal_of(*before, self._rng(index - 1, repetition))
+            last = self._signal_of(before, self._rng(index - 1, repetition))
             signal = self._lagging(signal, last)
         if self._electronic:
             signal = normal_noise(signal, self._electronic / self._amplifier.gain, rng)
@@ -203,16 +186,11 @@ class ImagingChain:
         raw = np.where(self._bad, np.float32(0), raw) if self._bad.any() else raw
         return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, self._bad))
 
-    def mean(
-        self,
-        expected: Image,
-        object_mm: float = 0.0,
-        before: tuple[Image, float] | None = None,
-    ) -> Image:
+    def mean(self, expected: Image, before: Image | None = None) -> Image:
         """Return the signal of one view without noise, (rows, columns), as in ``frame``."""
-        signal = self._signal_of(expected, object_mm, None)
+        signal = self._signal_of(expected, None)
         if before is not None:
-            signal = self._lagging(signal, self._signal_of(*before, None))
+            signal = self._lagging(signal, self._signal_of(before, None))
         return binned(signal, self._detector.binning)
 
     def _lagging(self, signal: Image, last: Image) -> Image:
@@ -224,18 +202,12 @@ class ImagingChain:
         # Modulo: a view imaged alone, as view 0, may still have a predecessor.
         return view_rng(self._seed, purpose, index % 2**64)
 
-    def _signal_of(
-        self, expected: Image, object_mm: float, rng: np.random.Generator | None
-    ) -> Image:
-        """Return one exposure's signal in the physical pixels, with scatter, noise and spread.
+    def _signal_of(self, expected: Image, rng: np.random.Generator | None) -> Image:
+        """Return one exposure's signal in the physical pixels, with noise and spread.
 
         None for the generator: without noise.
         """
         detector, pitch = self._detector, (self.panel.pitch_u, self.panel.pitch_v)
-        if self._kernel is not None:
-            scatter = self._kernel.spread(expected[2], *pitch, object_mm)
-            of_one = np.float32(self.free[1] / self.free[0])
-            expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
         signal = expected[0]
         if rng is not None and isinstance(detector.noise, sections.QuantumNoise):
             signal = quantum_noise(signal, expected[1], rng)

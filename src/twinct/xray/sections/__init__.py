@@ -17,7 +17,6 @@ from twinct.xray.sections.detector import (
     RandomBadPixels,
     Readout,
     Response,
-    Scatter,
     ScintillatorResponse,
     SnrNoise,
 )
@@ -55,7 +54,6 @@ __all__ = [
     "RandomBadPixels",
     "Readout",
     "Response",
-    "Scatter",
     "ScintillatorResponse",
     "SnrNoise",
     "Source",

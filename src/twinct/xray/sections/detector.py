@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from twinct.core.settings import (
     Conflict,
@@ -202,23 +202,6 @@ class Correction(Section):
     )
 
 
-class Scatter(Section):
-    """Forward-scatter estimate of scattered radiation, from the kernel of single scattering.
-
-    It is up to 25 % wrong from 40 keV on, up to a Compton optical depth of 3.5 (20 cm of water at
-    80 keV), for bodies whose shadow fits on the panel; ``twinct check`` warns of others. Details:
-    ``twinct.xray.scatter``.
-    """
-
-    kind: Literal["kernel"]
-    scale: NonNegative = setting(
-        1.0,
-        "Factor on the scatter: above 1 for higher-order scatter, below 1 for an anti-scatter "
-        "grid.",
-        source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina",
-    )
-
-
 class MonteCarloScatter(Section):
     """Scattered radiation of all orders, from photons that are followed through the specimen.
 
@@ -233,9 +216,6 @@ class MonteCarloScatter(Section):
     views: int = setting(16, "Views that are simulated; fewer if the scan has fewer.", ge=1)
     voxel_mm: Length = setting(2.0, "Edge of the voxels that stand for the specimen.")
     pixel_mm: Length = setting(20.0, "Edge of the coarse pixels, about.")
-
-
-AnyScatter = Annotated[Scatter | MonteCarloScatter, Field(discriminator="kind")]
 
 
 class Detector(Section):
@@ -291,13 +271,23 @@ class Detector(Section):
     correction: Correction = setting(
         Correction(), "Correction that turns raw images into transmission."
     )
-    scatter: AnyScatter | None = setting(None, "Scattered radiation; null: none.")
+    scatter: MonteCarloScatter | None = setting(None, "Scattered radiation; null: none.")
     keep: tuple[Literal["raw", "flat", "dark"], ...] = setting(
         (),
         "Images that the scan store keeps for each view beside the transmission, in grey "
         "values. Each view is then rendered twice. An ideal source and detector have no such "
         "images, and the key is refused.",
     )
+
+    @field_validator("scatter", mode="before")
+    @classmethod
+    def _no_kernel(cls, value: Any) -> Any:
+        if isinstance(value, dict) and cast("dict[str, Any]", value).get("kind") == "kernel":
+            raise ValueError(
+                "kind 'kernel' is gone: it found half of the scatter behind a patient; take "
+                "{kind: monte_carlo}"
+            )
+        return value
 
     @property
     def panel(self) -> Panel:
