@@ -118,12 +118,15 @@ def of(scan, *changes):
 
 UNSAID = {
     "source.focal_spot": "{kind: square, size_mm: 1}",
+    "source.spectrum.anode_side": "-v",
+    "source.bowtie": "{along: u, angles_deg: [0, 9], thickness_mm: [1, 9]}",
     "source.motion_samples": "3",
     "detector.noise": "{kind: quantum}",
     "detector.readout": "{}",
     "detector.bad_pixels": "{kind: random, share: 0.01}",
     "detector.lag": "0.2",
     "detector.scatter": "{kind: monte_carlo}",
+    "detector.grid": "{along: u, ratio: 8, lines_per_cm: 40, strip_mm: 0.04, focus_mm: 1000}",
 }
 
 

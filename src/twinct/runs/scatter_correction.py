@@ -29,9 +29,16 @@ from twinct.scan.integrals import DARKEST, line_integrals
 from twinct.scenario import Reconstruction
 from twinct.scenario.imported import ScanSettings, beam_of
 from twinct.specimen.materials import Material, material
-from twinct.xray.beam import fall_off
-from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.build import (
+    build_beam,
+    build_grid,
+    build_panel_response,
+    build_response,
+    build_spectrum,
+    effective_energy_kev,
+)
 from twinct.xray.hardening import Hardening
+from twinct.xray.signal import Signal
 
 if TYPE_CHECKING:  # its kernels take a second to load
     from twinct.transport import VoxelBody
@@ -68,14 +75,15 @@ def scatter_subtracted(scan: Scan, views: ScanGeometry, progress: Progress) -> S
     from twinct.xray.monte_carlo_scatter import ScatterNodes
 
     source, detector = beam_of(settings, _KEY), settings.detector
-    spectrum, response = build_spectrum(source), build_response(detector)
+    beam, response = build_beam(source), build_response(detector)
+    spectrum, bare = beam.spectrum, build_panel_response(detector)
+    before = build_grid(detector)
     energy = effective_energy_kev(source, detector)
     tissue, dense = _materials(section)
     hardening = Hardening(spectrum, response, [tissue], energy)
     grid = _coarse_grid(settings.reconstruction, section.voxel_mm)
     binning = _binning(views, grid, section.voxel_mm)
     A = Projector(views.binned(*binning), grid)
-    free = float(spectrum.photons @ response.mean(spectrum.energies_kev))
     scatter = np.zeros_like(scan.transmission)
     primary = scan.transmission.copy()
     with progress.stage("scatter", section.rounds) as step:
@@ -89,9 +97,9 @@ def scatter_subtracted(scan: Scan, views: ScanGeometry, progress: Progress) -> S
                 relaxation=RELAXATION,
             ).array
             body = _body(volume, grid, tissue, dense, energy)
-            nodes = ScatterNodes(body, views, spectrum, response, section, _SEED)
+            nodes = ScatterNodes(body, views, beam, bare, before, section, _SEED)
             for image, view in zip(scatter, views, strict=True):
-                image[:] = nodes.image(view) / (np.float32(free) * fall_off(view))
+                image[:] = nodes.image(view) / Signal.lit(beam, before, response, view)[0]
             step()
     return replace(scan, transmission=scan.transmission - scatter)
 

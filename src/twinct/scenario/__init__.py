@@ -83,6 +83,7 @@ from twinct.view_planning.objectives.motion_time import MovingGoal
 from twinct.view_planning.objectives.variance import KnownGoal
 from twinct.view_planning.task import ExposureSharing, FamilyParameter, FamilySearch, ViewTask
 from twinct.xray.sections.detector import (
+    AntiScatterGrid,
     BadPixels,
     Correction,
     CountingResponse,
@@ -104,6 +105,7 @@ from twinct.xray.sections.detector import (
 )
 from twinct.xray.sections.engine import Xray
 from twinct.xray.sections.source import (
+    BowtieFilter,
     FileSpectrum,
     Filter,
     GaussianSpot,
@@ -123,6 +125,7 @@ __all__ = [
     "Arm",
     "ArmErrors",
     "AttenuationValues",
+    "AntiScatterGrid",
     "BadPixels",
     "BallHelix",
     "BeamHardening",
@@ -133,6 +136,7 @@ __all__ = [
     "Cell",
     "Composition",
     "CompletenessGoal",
+    "BowtieFilter",
     "Correction",
     "CountingResponse",
     "CtVolume",

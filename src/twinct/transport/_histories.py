@@ -27,6 +27,7 @@ from twinct.transport.cross_sections import (
     RAYLEIGH,
     TOTAL,
 )
+from twinct.transport.grid import ALONG_U, PERIOD, TILT_PER_MM, passed
 
 EMITTED, DEPOSITED, ESCAPED, COLLISIONS = range(4)
 """Totals of a batch: three energies in keV, and a number.
@@ -42,7 +43,7 @@ class Field(NamedTuple):
     """A beam for the kernels, in the frame of the grid's low corner: see ``Beam``.
 
     ``inside`` turns a direction into (a, b, w): the ray meets the field at a / w of u and b / w of
-    v from its centre.
+    v from its centre. ``most`` is the largest factor of the profile.
     """
 
     source: NDArray[np.float64]
@@ -53,6 +54,8 @@ class Field(NamedTuple):
     shortest: float
     energies: NDArray[np.float64]
     cumulative: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    most: float
 
 
 class Pixels(NamedTuple):
@@ -64,6 +67,8 @@ class Pixels(NamedTuple):
         v: unit vector along the rows.
         pitch: pitches along u and v, mm.
         response: signal of a photon at each energy of the coefficients.
+        grid: numbers of a grid before the panel, ``NO_GRID`` without one.
+        barriers: attenuation of its spaces and strips at these energies, (2, energies), 1/mm.
     """
 
     corner: NDArray[np.float64]
@@ -71,11 +76,30 @@ class Pixels(NamedTuple):
     v: NDArray[np.float64]
     pitch: NDArray[np.float64]
     response: NDArray[np.float64]
+    grid: NDArray[np.float64]
+    barriers: NDArray[np.float64]
+
+
+@njit(**OPTIONS)
+def _factor(field, line, a, b):
+    """Return the factor of the profile on a line at ``a`` of u and ``b`` of v from the centre."""
+    profile = field.profile
+    if profile.size == 0:
+        return 1.0
+    _, rows, columns = profile.shape
+    x, y = (a + 1.0) / 2.0 * (columns - 1), (b + 1.0) / 2.0 * (rows - 1)
+    i = min(max(int(x), 0), columns - 2)
+    j = min(max(int(y), 0), rows - 2)
+    x, y = x - i, y - j
+    low = profile[line, j, i] + x * (profile[line, j, i + 1] - profile[line, j, i])
+    high = profile[line, j + 1, i] + x * (profile[line, j + 1, i + 1] - profile[line, j + 1, i])
+    return low + y * (high - low)
 
 
 @njit(**OPTIONS)
 def _emitted(state, field):
     """Return state, direction and energy of a photon at the source."""
+    line = 0
     while True:
         state, a = draw(state)
         state, b = draw(state)
@@ -86,10 +110,15 @@ def _emitted(state, field):
         r = math.sqrt(x * x + y * y + z * z)
         state, u = draw(state)
         # An area of the plane spans a solid angle that falls with the cube of the distance.
-        if u < (field.shortest / r) ** 3:
+        if u >= (field.shortest / r) ** 3:
+            continue
+        state, u = draw(state)
+        line = np.searchsorted(field.cumulative, u, "right")
+        if field.profile.size == 0:
             break
-    state, u = draw(state)
-    line = np.searchsorted(field.cumulative, u, "right")
+        state, u = draw(state)
+        if u * field.most < _factor(field, line, a, b):
+            break
     return state, x / r, y / r, z / r, field.energies[line]
 
 
@@ -105,9 +134,28 @@ def _normal(pixels):
 
 
 @njit(**OPTIONS)
-def _signal(pixels, energy, index, fraction):
+def _signal(pixels, shape, a, b, direction, facing, index, fraction):
+    """Return the signal of a photon that flies to a place on the panel, behind the grid.
+
+    ``a`` and ``b`` are its column and row, with fractions, ``shape`` is that of the image.
+    """
     low = pixels.response[index]
-    return low + fraction * (pixels.response[index + 1] - low)
+    signal = low + fraction * (pixels.response[index + 1] - low)
+    grid = pixels.grid
+    if grid[PERIOD] == 0.0:
+        return signal
+    dx, dy, dz = direction
+    along_u = (dx * pixels.u[0] + dy * pixels.u[1] + dz * pixels.u[2]) / facing
+    along_v = (dx * pixels.v[0] + dy * pixels.v[1] + dz * pixels.v[2]) / facing
+    if grid[ALONG_U] > 0.0:
+        across = along_v - (b - shape[0] / 2) * pixels.pitch[1] * grid[TILT_PER_MM]
+    else:
+        across = along_u - (a - shape[1] / 2) * pixels.pitch[0] * grid[TILT_PER_MM]
+    low = pixels.barriers[0, index]
+    space = low + fraction * (pixels.barriers[0, index + 1] - low)
+    low = pixels.barriers[1, index]
+    strip = low + fraction * (pixels.barriers[1, index + 1] - low)
+    return signal * passed(grid, space, strip, across, 1.0 / facing)
 
 
 @njit(**OPTIONS)
@@ -117,10 +165,11 @@ def _expect_compton(state, x, y, z, dx, dy, dz, energy, medium, voxels, media, p
     state, a = draw(state)
     state, b = draw(state)
     column, row = min(int(a * columns), columns - 1), min(int(b * rows), rows - 1)
-    a, b = a * columns * pixels.pitch[0], b * rows * pixels.pitch[1]
-    tx = pixels.corner[0] + a * pixels.u[0] + b * pixels.v[0] - x
-    ty = pixels.corner[1] + a * pixels.u[1] + b * pixels.v[1] - y
-    tz = pixels.corner[2] + a * pixels.u[2] + b * pixels.v[2] - z
+    a, b = a * columns, b * rows
+    along_u, along_v = a * pixels.pitch[0], b * pixels.pitch[1]
+    tx = pixels.corner[0] + along_u * pixels.u[0] + along_v * pixels.v[0] - x
+    ty = pixels.corner[1] + along_u * pixels.u[1] + along_v * pixels.v[1] - y
+    tz = pixels.corner[2] + along_u * pixels.u[2] + along_v * pixels.v[2] - z
     r = math.sqrt(tx * tx + ty * ty + tz * tz)
     tx, ty, tz = tx / r, ty / r, tz / r
     nx, ny, nz = _normal(pixels)
@@ -141,7 +190,7 @@ def _expect_compton(state, x, y, z, dx, dy, dz, energy, medium, voxels, media, p
         * facing
         / (r * r)
         * math.exp(-depth)
-        * _signal(pixels, energy * left, index, fraction)
+        * _signal(pixels, image.shape, a, b, (tx, ty, tz), facing, index, fraction)
     )
     return state
 
@@ -164,7 +213,8 @@ def _expect_flight(x, y, z, dx, dy, dz, energy, voxels, media, pixels, image):
     if 0.0 <= a < columns and 0.0 <= b < rows:
         index, fraction = place_of(energy, len(pixels.response))
         depth = optical_depth(x, y, z, dx, dy, dz, t, index, fraction, voxels, media)
-        image[int(b), int(a)] += math.exp(-depth) * _signal(pixels, energy, index, fraction)
+        signal = _signal(pixels, image.shape, a, b, (dx, dy, dz), facing, index, fraction)
+        image[int(b), int(a)] += math.exp(-depth) * signal
 
 
 @njit(**OPTIONS)
@@ -279,11 +329,13 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, rows, ways, im
 
 @njit(**OPTIONS)
 def _in_field(inside, dx, dy, dz):
-    """Return True if a direction from the source meets the field."""
+    """Return whether a direction from the source meets the field, and at what of u and v."""
     a = inside[0, 0] * dx + inside[0, 1] * dy + inside[0, 2] * dz
     b = inside[1, 0] * dx + inside[1, 1] * dy + inside[1, 2] * dz
     w = inside[2, 0] * dx + inside[2, 1] * dy + inside[2, 2] * dz
-    return w > 0.0 and abs(a) <= w and abs(b) <= w
+    if w > 0.0 and abs(a) <= w and abs(b) <= w:
+        return True, a / w, b / w
+    return False, 0.0, 0.0
 
 
 @njit(parallel=True, **OPTIONS)
@@ -292,7 +344,7 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
 
     Args:
         field: the beam; its source counts.
-        weights: signal of each line per solid angle, (lines,).
+        weights: photons of each line per solid angle, (lines,).
         attenuation: mu per density of each medium and line, (media, lines), 1/mm per g/cm^3.
         voxels: the body.
         pixels: the panel.
@@ -307,14 +359,16 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
         for column in range(columns):
             value = 0.0
             for sample in range(samples * samples):
-                a = (column + (sample % samples + 0.5) / samples) * pixels.pitch[0]
-                b = (row + (sample // samples + 0.5) / samples) * pixels.pitch[1]
-                dx = pixels.corner[0] + a * pixels.u[0] + b * pixels.v[0] - field.source[0]
-                dy = pixels.corner[1] + a * pixels.u[1] + b * pixels.v[1] - field.source[1]
-                dz = pixels.corner[2] + a * pixels.u[2] + b * pixels.v[2] - field.source[2]
+                a = column + (sample % samples + 0.5) / samples
+                b = row + (sample // samples + 0.5) / samples
+                x, y = a * pixels.pitch[0], b * pixels.pitch[1]
+                dx = pixels.corner[0] + x * pixels.u[0] + y * pixels.v[0] - field.source[0]
+                dy = pixels.corner[1] + x * pixels.u[1] + y * pixels.v[1] - field.source[1]
+                dz = pixels.corner[2] + x * pixels.u[2] + y * pixels.v[2] - field.source[2]
                 r = math.sqrt(dx * dx + dy * dy + dz * dz)
                 dx, dy, dz = dx / r, dy / r, dz / r
-                if not _in_field(field.inside, dx, dy, dz):
+                lit, across, up = _in_field(field.inside, dx, dy, dz)
+                if not lit:
                     continue
                 amounts[:] = 0.0
                 add_amounts(
@@ -328,13 +382,20 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
                     voxels,
                     amounts,
                 )
+                facing = -(nx * dx + ny * dy + nz * dz)
                 signal = 0.0
                 for line in range(len(weights)):
                     depth = 0.0
                     for medium in range(len(amounts)):
                         depth += amounts[medium] * attenuation[medium, line]
-                    signal += weights[line] * math.exp(-depth)
-                value += signal * -(nx * dx + ny * dy + nz * dz) * area / (r * r)
+                    index, fraction = place_of(field.energies[line], len(pixels.response))
+                    signal += (
+                        weights[line]
+                        * _factor(field, line, across, up)
+                        * math.exp(-depth)
+                        * _signal(pixels, image.shape, a, b, (dx, dy, dz), facing, index, fraction)
+                    )
+                value += signal * facing * area / (r * r)
             image[row, column] = value
 
 
@@ -360,7 +421,8 @@ def primary_energy(field, weights, attenuation, transfer, voxels, cells, energie
         dx = (i + 0.5) * ex - field.source[0]
         dy = (j + 0.5) * ey - field.source[1]
         dz = (k + 0.5) * ez - field.source[2]
-        if not _in_field(field.inside, dx, dy, dz):
+        lit, across, up = _in_field(field.inside, dx, dy, dz)
+        if not lit:
             continue
         r = math.sqrt(dx * dx + dy * dy + dz * dz)
         amounts = np.zeros(len(attenuation))
@@ -376,5 +438,6 @@ def primary_energy(field, weights, attenuation, transfer, voxels, cells, energie
                 depth += amounts[medium] * attenuation[medium, line]
             x = chord * density * attenuation[own, line]
             mean = math.exp(x / 2) * -math.expm1(-x) / x if x > 0.0 else 1.0
-            energy += weights[line] * math.exp(-depth) * mean * transfer[own, line]
+            photons = weights[line] * _factor(field, line, across, up)
+            energy += photons * math.exp(-depth) * mean * transfer[own, line]
         energies[n] = energy * density * ex * ey * ez / (r * r)

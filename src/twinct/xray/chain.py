@@ -16,14 +16,16 @@ from twinct.xray import sections
 from twinct.xray.beam import fall_off
 from twinct.xray.build import (
     build_bad_pixels,
+    build_beam,
+    build_grid,
     build_response,
-    build_spectrum,
     build_spot,
     build_spread,
     physical_panel,
 )
 from twinct.xray.noise import normal_noise, quantum_noise
 from twinct.xray.readout import Amplifier, binned, correct, mend_bad_pixels
+from twinct.xray.shading import shading_of
 from twinct.xray.signal import Signal
 from twinct.xray.spot import moved_source
 
@@ -60,8 +62,8 @@ class ImagingChain:
         panel: physical pixels, before binning.
         spot: points of the focal spot in the source frame's x and y, (points, 2), mm.
         samples: samples along each edge of a physical pixel.
-        spectrum: photons of the free beam.
-        response: signal of a photon.
+        beam: the free beam.
+        grid: the anti-scatter grid, if any.
         free: expected signal of a physical pixel and its variance, in the free beam at the middle
             of the first commanded view's panel, at ``source.mas``, (2,).
     """
@@ -87,13 +89,14 @@ class ImagingChain:
             mas: tube load of each commanded view, (views,), mAs; ``source.mas`` by default.
         """
         self._loads = None if mas is None else np.asarray(mas, dtype=np.float64) / source.mas
-        spectrum = build_spectrum(source)
+        self.beam, self.grid = build_beam(source), build_grid(detector)
+        spectrum = self.beam.spectrum
         self.spot = build_spot(source)
         self.panel = physical_panel(detector)
         self.samples = detector.pixel_samples
         self._detector, self._seed = detector, seed
-        self.spectrum, self.response = spectrum, build_response(detector)
-        self._signal = Signal(spectrum, materials, self.response)
+        self._response = build_response(detector)
+        self._signal = Signal(spectrum, materials, self._response)
         unit = source.mas if spectrum.absolute else 1.0
         self._scale = np.float32(unit * self.panel.pitch_u * self.panel.pitch_v)
         self._commanded = self.physical(commanded)
@@ -138,9 +141,9 @@ class ImagingChain:
             out: accumulator of the exposure.
             share: weight among the renders of this exposure.
         """
-        beam = fall_off(view, self.samples)
-        share *= float(self._scale)
-        self._signal.add(paths, beam, out, samples=self.samples, share=share)
+        beam, share = fall_off(view, self.samples), share * float(self._scale)
+        shading = shading_of(self.beam, self.grid, view, self.samples)
+        self._signal.add(paths, beam, out, samples=self.samples, share=share, shading=shading)
 
     def add_scatter(self, per_mm2: Image, out: Image, share: float = 1.0) -> None:
         """Add scatter to an exposure, as the photons of the free beam on average.
@@ -224,7 +227,7 @@ class ImagingChain:
         """Return the flat image with normal noise for its photon number, one pattern per scan."""
         way, commanded = self._detector.correction.flat_geometry, self._commanded
         if way == "view":
-            return self._flat_at(self._free_beam(view) * np.float32(self.load(index)))
+            return self._flat_at(self._lit(view) * np.float32(self.load(index)))
         # The flat is taken at the first view's mAs; the generator reports every view's mAs.
         more = np.float32(self.load(index) / self.load(0))
         if index == 0 or (way == "first" and more == 1):
@@ -232,6 +235,7 @@ class ImagingChain:
         scale: Image | np.float32 = more
         if way != "first":
             here = commanded[index] if index < len(commanded) else view
+            # Distance and tilt: no machine knows what the grid cuts off elsewhere.
             beams = self._free_beam(here) / self._first_beam
             scale = binned(beams, self._detector.binning) * more
         lit = self._first_flat - self._dark
@@ -243,7 +247,16 @@ class ImagingChain:
 
     @cached_property
     def _first_flat(self) -> Image:
-        return self._flat_at(self._first_beam * np.float32(self.load(0)))
+        return self._flat_at(self._lit(self._commanded[0]) * np.float32(self.load(0)))
+
+    def _lit(self, view: ScanGeometry) -> Image:
+        """Return mean and mean square of the signal in the free beam, (2, rows, columns)."""
+        if self.beam.uniform and self.grid is None:
+            free = self._signal.free.astype(np.float32) * self._scale
+            return free[:, None, None] * self._free_beam(view)
+        of = self.beam, self.grid, self._response
+        lit = [Signal.lit(*of, seen, self.samples) for seen in self.from_spot(view)]
+        return np.asarray(np.mean(lit, axis=0) * self._scale, np.float32)
 
     def _free_beam(self, view: ScanGeometry) -> Image:
         """Return the fall-off at each physical pixel."""
@@ -257,16 +270,15 @@ class ImagingChain:
             beam /= np.float32(len(self.spot))
         return beam
 
-    def _flat_at(self, beam: Image) -> Image:
+    def _flat_at(self, lit: Image) -> Image:
         detector, frames = self._detector, self._detector.correction.flat_frames
-        factor = self._signal.free.astype(np.float32) * self._scale
-        signal = beam * factor[0]
+        signal = lit[0]
         if self._spread is not None:
             signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
         if frames:
             variance = np.zeros_like(signal)
             if isinstance(detector.noise, sections.QuantumNoise):
-                variance = beam * factor[1]
+                variance = lit[1]
             elif isinstance(detector.noise, sections.SnrNoise):
                 share = detector.binning / detector.noise.snr
                 variance = signal * np.float32(self.free[0] * share**2)

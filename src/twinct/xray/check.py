@@ -10,8 +10,11 @@ import numpy as np
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry
 from twinct.xray import sections
+from twinct.xray.beam_shape import nodes_of
 from twinct.xray.build import (
     build_bad_pixels,
+    build_beam,
+    build_grid,
     build_response,
     build_spectrum,
     build_spot,
@@ -51,6 +54,13 @@ def check_parts(
     response = of(lambda: build_response(detector))
     of(lambda: build_spread(detector))
     of(lambda: build_bad_pixels(detector, seed))
+    of(lambda: build_grid(detector))
+    beam = of(lambda: build_beam(source))
+    if beam is not None and not beam.uniform:
+        # A beam that ends on the panel is the same in most views; all are looked at.
+        for view in views:
+            if of(lambda view=view: beam.factors(view, *nodes_of(view))) is None:
+                break
     if of(lambda: build_spot(source)) is not None:
         problems += _spot_problems(source, views)
     if spectrum is not None and response is not None:

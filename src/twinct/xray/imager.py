@@ -16,7 +16,7 @@ from twinct.specimen.part import rendered
 from twinct.specimen.signals import Inserts
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import SpecimenObstacle, longest_edge, mesh_fault, split
-from twinct.xray.build import effective_energy_kev, physical_panel
+from twinct.xray.build import build_panel_response, effective_energy_kev, physical_panel
 from twinct.xray.chain import ImagingChain, ViewImages
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
@@ -354,8 +354,8 @@ class Imager(SceneOwner):
         if (settings := self._detector.scatter) is not None:
             from twinct.xray.monte_carlo_scatter import scatter_of
 
-            model = chain.spectrum, chain.response, chain.panel
-            self._scatter = scatter_of(settings, self._specimen, *model, commanded)
+            panel = build_panel_response(self._detector), chain.grid, chain.panel
+            self._scatter = scatter_of(settings, self._specimen, chain.beam, *panel, commanded)
         return chain
 
     def _ideal(

@@ -1,6 +1,7 @@
 """Source, detector and engine, as a scenario states them."""
 
 from twinct.xray.sections.detector import (
+    AntiScatterGrid,
     BadPixels,
     Correction,
     CountingResponse,
@@ -22,6 +23,7 @@ from twinct.xray.sections.detector import (
 )
 from twinct.xray.sections.engine import Xray
 from twinct.xray.sections.source import (
+    BowtieFilter,
     FileSpectrum,
     Filter,
     GaussianSpot,
@@ -34,7 +36,9 @@ from twinct.xray.sections.source import (
 )
 
 __all__ = [
+    "AntiScatterGrid",
     "BadPixels",
+    "BowtieFilter",
     "Correction",
     "CountingResponse",
     "Detector",
