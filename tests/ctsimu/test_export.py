@@ -132,7 +132,8 @@ UNSAID = {
 
 def test_what_ctsimu_cannot_say_is_refused_by_name(scan, builder, tmp_path):
     photons = "source.photons_per_mm2_mas=1e6"
-    noisy = of(scan, photons, *(f"{key}={value}" for key, value in UNSAID.items()))
+    tube = "source.spectrum={kind: tube, kvp: 80}"
+    noisy = of(scan, photons, tube, *(f"{key}={value}" for key, value in UNSAID.items()))
     with pytest.raises(InputError) as refused:
         export_scan(noisy, builder.specimen, tmp_path / "out")
     *named, advice = refused.value.problems
