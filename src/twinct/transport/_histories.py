@@ -39,6 +39,10 @@ SINGLE_COMPTON, SINGLE_RAYLEIGH, MULTIPLE = range(3)
 """Images of scatter by order; the last one has fluorescence too."""
 
 
+POINTS, STEP = 2048, 1 / 1.2207440846057596
+"""Points in a voxel at the edge of the field, and the step of their sequence (Roberts, 2018)."""
+
+
 class Field(NamedTuple):
     """A beam for the kernels, in the frame of the grid's low corner: see ``Beam``.
 
@@ -328,6 +332,15 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, rows, ways, im
 
 
 @njit(**OPTIONS)
+def _on_field(inside, dx, dy, dz):
+    """Return the place of the field that is nearest to a ray: shares of u and v, -1 to 1."""
+    a = inside[0, 0] * dx + inside[0, 1] * dy + inside[0, 2] * dz
+    b = inside[1, 0] * dx + inside[1, 1] * dy + inside[1, 2] * dz
+    w = inside[2, 0] * dx + inside[2, 1] * dy + inside[2, 2] * dz
+    return min(max(a / w, -1.0), 1.0), min(max(b / w, -1.0), 1.0)
+
+
+@njit(**OPTIONS)
 def _in_field(inside, dx, dy, dz):
     """Return whether a direction from the source meets the field, and at what of u and v."""
     a = inside[0, 0] * dx + inside[0, 1] * dy + inside[0, 2] * dz
@@ -399,11 +412,40 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
             image[row, column] = value
 
 
+@njit(**OPTIONS)
+def _share_in_field(inside, dx, dy, dz, ex, ey, ez):
+    """Return the share of a box in the field; its middle is at (dx, dy, dz) from the source."""
+    whole = True
+    for axis in range(2):
+        for sign in (-1.0, 1.0):
+            # Positive on the inner side of one of the field's four faces, and linear in place.
+            a = inside[2, 0] + sign * inside[axis, 0]
+            b = inside[2, 1] + sign * inside[axis, 1]
+            c = inside[2, 2] + sign * inside[axis, 2]
+            middle = a * dx + b * dy + c * dz
+            reach = (abs(a) * ex + abs(b) * ey + abs(c) * ez) / 2.0
+            if middle + reach <= 0.0:
+                return 0.0
+            whole = whole and middle >= reach
+    if whole:
+        return 1.0
+    found = 0
+    u = v = w = 0.5
+    for _ in range(POINTS):
+        # Additive sequence with powers of the root of x^4 = x + 1: evenly spread on each axis.
+        u, v, w = (u + STEP) % 1.0, (v + STEP**2) % 1.0, (w + STEP**3) % 1.0
+        x, y, z = dx + (u - 0.5) * ex, dy + (v - 0.5) * ey, dz + (w - 0.5) * ez
+        lit, _, _ = _in_field(inside, x, y, z)
+        found += lit
+    return found / POINTS
+
+
 @njit(parallel=True, **OPTIONS)
 def primary_energy(field, weights, attenuation, transfer, voxels, cells, energies):
     """Write the energy that unscattered photons give to electrons, by a ray through each voxel.
 
-    The ray goes through the middle; their number is averaged along its chord.
+    The ray goes through the middle; their number is averaged along its chord. A voxel at the edge
+    of the field counts by the share of its volume that lies in it.
 
     Args:
         field: the beam.
@@ -421,9 +463,10 @@ def primary_energy(field, weights, attenuation, transfer, voxels, cells, energie
         dx = (i + 0.5) * ex - field.source[0]
         dy = (j + 0.5) * ey - field.source[1]
         dz = (k + 0.5) * ez - field.source[2]
-        lit, across, up = _in_field(field.inside, dx, dy, dz)
-        if not lit:
+        share = _share_in_field(field.inside, dx, dy, dz, ex, ey, ez)
+        if share == 0.0:
             continue
+        across, up = _on_field(field.inside, dx, dy, dz)
         r = math.sqrt(dx * dx + dy * dy + dz * dz)
         amounts = np.zeros(len(attenuation))
         x, y, z = field.source
@@ -440,4 +483,4 @@ def primary_energy(field, weights, attenuation, transfer, voxels, cells, energie
             mean = math.exp(x / 2) * -math.expm1(-x) / x if x > 0.0 else 1.0
             photons = weights[line] * _factor(field, line, across, up)
             energy += photons * math.exp(-depth) * mean * transfer[own, line]
-        energies[n] = energy * density * ex * ey * ez / (r * r)
+        energies[n] = share * energy * density * ex * ey * ez / (r * r)

@@ -204,8 +204,9 @@ class Simulation:
     def primary_energy(self, cells: ArrayLike | None = None) -> Floats:
         """Return the energy that unscattered photons give to electrons, keV per photon.
 
-        It is the collision kerma on a ray through the middle of each voxel, times its mass, without
-        chance. With the energy scored after the first collision it is the energy deposited.
+        It is the collision kerma on a ray through the middle of each voxel, times its mass in the
+        field, without chance. With the energy scored after the first collision it is the energy
+        deposited.
 
         Args:
             cells: places of voxels in the flattened grid; all voxels by default.
