@@ -328,7 +328,7 @@ def test_voxels_at_the_edge_of_a_field_count_by_their_share() -> None:
     found = coarse.primary_energy()
     assert (found > 0).sum() == 24
     np.testing.assert_allclose(found.sum(axis=(1, 2)), expected.sum(axis=(1, 2)), rtol=0.015)
-    # At the field's corners, 200 of 2048 points count: a standard error of 7 %, less as they are even.
+    # At the field's corners, 200 of 2048 points count, more even than by chance.
     np.testing.assert_allclose(found, expected, rtol=0.08)
 
 
