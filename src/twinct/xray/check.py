@@ -57,9 +57,9 @@ def check_parts(
     of(lambda: build_grid(detector))
     beam = of(lambda: build_beam(source))
     if beam is not None and not beam.uniform:
-        # A beam that ends on the panel is the same in most views; all are looked at.
-        for view in views:
-            if of(lambda view=view: beam.factors(view, *nodes_of(view))) is None:
+        for view in views:  # corners see the largest angles to the central ray
+            ends = (nodes[[0, -1]] for nodes in nodes_of(view))
+            if of(lambda view=view, ends=ends: beam.factors(view, *ends)) is None:
                 break
     if of(lambda: build_spot(source)) is not None:
         problems += _spot_problems(source, views)
