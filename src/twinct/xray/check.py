@@ -14,9 +14,7 @@ from twinct.xray.beam_shape import nodes_of
 from twinct.xray.build import (
     build_bad_pixels,
     build_beam,
-    build_grid,
     build_response,
-    build_spectrum,
     build_spot,
     build_spread,
 )
@@ -50,12 +48,10 @@ def check_parts(
         except InputError as error:
             problems.extend(error.problems)
 
-    spectrum = of(lambda: build_spectrum(source))
+    beam = of(lambda: build_beam(source))
     response = of(lambda: build_response(detector))
     of(lambda: build_spread(detector))
     of(lambda: build_bad_pixels(detector, seed))
-    of(lambda: build_grid(detector))
-    beam = of(lambda: build_beam(source))
     if beam is not None and not beam.uniform:
         for view in views:  # corners see the largest angles to the central ray
             ends = (nodes[[0, -1]] for nodes in nodes_of(view))
@@ -63,8 +59,8 @@ def check_parts(
                 break
     if of(lambda: build_spot(source)) is not None:
         problems += _spot_problems(source, views)
-    if spectrum is not None and response is not None:
-        problems += _response_problems(spectrum, response)
+    if beam is not None and response is not None:
+        problems += _response_problems(beam.spectrum, response)
     if problems:
         raise InputError(problems)
 
