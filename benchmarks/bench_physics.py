@@ -30,7 +30,7 @@ PANEL = {"columns": 640, "rows": 480, "pixel_pitch_mm": 0.5}
 TUBE = {"spectrum": {"kind": "tube", "kvp": 120}}
 EFFECTS = {
     "response": {"kind": "scintillator", "thickness_mm": 0.5},
-    "scatter": {"kind": "kernel"},
+    "scatter": {"kind": "monte_carlo", "views": 1},
     "point_spread": {"kind": "gaussian", "sigma_mm": 0.3},
     "noise": {"kind": "quantum"},
     "readout": {"electronic_noise": 5.0},

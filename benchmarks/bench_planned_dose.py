@@ -40,7 +40,7 @@ from twinct.view_planning import Goal, Mean, search_views
 from twinct.view_plans.candidates import candidates_of, orbit_of, reachable, spread_evenly
 from twinct.view_plans.scout import scouted
 from twinct.view_plans.task_goals import goals_of
-from twinct.xray.build import build_spectrum
+from twinct.xray.build import build_beam
 from twinct.xray.dose import PlaceDoses
 
 HEAD = Path(__file__).parents[1] / "scenarios" / "head.yaml"
@@ -95,7 +95,7 @@ def measures(
     doses = [goal.measure.each for goal in (found[1], other[1]) if isinstance(goal.measure, Mean)]
     assert len(doses) == len(LENSES)
     builder = SimulationBuilder(scenario)
-    places = PlaceDoses(builder.specimen, build_spectrum(scenario.source), LENSES, 2.0, "voxel_mm")
+    places = PlaceDoses(builder.specimen, build_beam(scenario.source), LENSES, 2.0, "voxel_mm")
     free = places.unscattered(geometry).mean(axis=1) * scenario.source.mas
     return (
         found[0],

@@ -211,7 +211,7 @@ def case_2(photons: int, _: Path) -> Iterator[Entries]:
             # The source is 1650 mm above the slab's centre, the field 150 mm below it.
             source = (0.0, -1800 * np.tan(np.radians(angle)), -1650.0)
             beam = Beam(source, (0, 0, 150), (195, 0, 0), (0, 195, 0), *lines_of(name))
-            energies = _run(body, beam, regions, photons, by_rays=True)
+            energies = _run(body, beam, regions, photons)
             yield {("Case 2", v, name, mode): pair for v, pair in energies.items()}
 
 
@@ -244,7 +244,7 @@ def case_3(photons: int, _: Path) -> Iterator[Entries]:
             turn = np.radians(angle)
             source = wall + [0, -620 * np.sin(turn), 620 * np.cos(turn)]
             beam = Beam(source, wall + [70, 0, -40], (70, 0, 0), (0, 130, 0), *lines_of(name))
-            energies = _run(body, beam, regions, photons, by_rays=True)
+            energies = _run(body, beam, regions, photons)
             yield {("Case 3", v, name, mode): pair for v, pair in energies.items()}
 
 
@@ -323,8 +323,11 @@ def case_5(photons: int, folder: Path) -> Iterator[Entries]:
             s, c = np.sin(np.radians(angle)), np.cos(np.radians(angle))
             across, along = (-250 * c, 250 * s, 0), (0, 0, 5)
             beam = Beam((-600 * s, -600 * c, 0), (0, 0, 0), across, along, *lines_of(name))
-            scores = _simulated(Simulation(body, beam, dose=False), photons)
+            simulation = Simulation(body, beam, dose=False, unscattered=False)
+            scores = _simulated(simulation, photons)
             means, errors = (1000 * part for part in scores.label_energy())
+            free = simulation.primary_energy().ravel()
+            means += 1000 * np.bincount(labels.ravel(), free, len(means))[: len(means)]
             runs.append((means, errors))
             yield {
                 ("Case 5", organ, name, str(angle)): (float(means[n]), float(errors[n]))
@@ -379,19 +382,14 @@ def _simulated(simulation: Simulation, photons: int) -> Scores:
     return scores
 
 
-def _run(
-    body: VoxelBody, beam: Beam, regions: Regions, photons: int, *, by_rays: bool = False
-) -> Named:
+def _run(body: VoxelBody, beam: Beam, regions: Regions, photons: int) -> Named:
     """Return the energies of regions and their standard errors, eV per photon.
 
-    With ``by_rays``, rays to all voxels give the energy of unscattered photons, without chance: for
-    fields that are wide against the voxels, as a voxel is in the field or not.
+    Rays to all voxels give the energy of unscattered photons, without chance.
     """
-    simulation = Simulation(body, beam, regions=regions, unscattered=not by_rays)
+    simulation = Simulation(body, beam, regions=regions, unscattered=False)
     scores = _simulated(simulation, photons)
-    free = np.zeros(len(regions.names))
-    if by_rays:
-        free = regions.shares @ simulation.primary_energy().ravel()
+    free = regions.shares @ simulation.primary_energy().ravel()
     pairs = zip(scores.region_energy().items(), free.tolist(), strict=True)
     return {name: ((mean + own) * 1000, error * 1000) for (name, (mean, error)), own in pairs}
 

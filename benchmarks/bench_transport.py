@@ -28,7 +28,7 @@ from twinct.specimen import build_specimen
 from twinct.specimen.materials import material
 from twinct.trajectory import CircleTrajectory, commanded_views
 from twinct.transport import Beam, Simulation, VoxelBody, voxel_body
-from twinct.xray.build import build_response, build_spectrum
+from twinct.xray.build import build_beam, build_response
 from twinct.xray.monte_carlo_scatter import scatter_of
 from twinct.xray.sections import MonteCarloScatter
 
@@ -105,7 +105,7 @@ def views(simulated: int, photons: int, judge: int, pixel_mm: float) -> None:
     specimen = build_specimen(Specimen.model_validate({"parts": [part]}))
     circle = CircleTrajectory(kind="circle", views=200, sod_mm=600, sdd_mm=1000)
     geometry = commanded_views(circle, detector.panel)
-    scene = specimen, build_spectrum(source), build_response(detector), detector.panel, geometry
+    scene = specimen, build_beam(source), build_response(detector), None, detector.panel, geometry
     kind = "monte_carlo"
     of_few = {"photons": photons, "views": simulated, "pixel_mm": pixel_mm}
     few = scatter_of(MonteCarloScatter(kind=kind, **of_few), *scene)

@@ -338,6 +338,15 @@ def test_a_scenario_of_version_0_1_is_read(tmp_path: Path, changes, today) -> No
     assert "engine" in data["reconstruction"]  # what was given stays as it was
 
 
+def test_the_kernel_of_scatter_is_refused_with_its_replacement_but_read_in_results(caplog) -> None:
+    with pytest.raises(ScenarioError, match=r"detector\.scatter: .*'kernel' is gone.*monte_carlo"):
+        load_scenario("demo", ["detector.scatter={kind: kernel}"])
+    stored = load_scenario("demo").model_dump(mode="json")
+    stored["detector"]["scatter"] = {"kind": "kernel", "scale": 0.3}
+    assert parse_scenario(stored).detector.scatter is None
+    assert "from a kernel that is gone" in caplog.text
+
+
 def test_a_scenario_can_be_sent_to_another_process() -> None:
     scenario = load_scenario(DEMO, ["reconstruction.algorithm=fista_tv"])
     assert pickle.loads(pickle.dumps(scenario)) == scenario

@@ -99,7 +99,7 @@ def _reconstruct(engine: str) -> None:
 def _transport() -> None:
     from twinct.geometry import Panel, ScanGeometry, VolumeGrid
     from twinct.specimen.materials import material
-    from twinct.transport import Beam, Detector, Simulation, VoxelBody
+    from twinct.transport import AntiScatterGrid, Beam, Detector, Simulation, VoxelBody
     from twinct.transport._angles import scatter_compton, scatter_rayleigh
     from twinct.transport._flight import fly
 
@@ -112,6 +112,8 @@ def _transport() -> None:
     simulation.run(1, 1)
     simulation.primary()
     simulation.primary_energy()
+    strips = material("lead"), material("aluminium")
+    AntiScatterGrid("u", 10.0, 0.25, 0.05, *strips).transmission(np.array([60.0]), 0.0, 0.0)
     # Called one by one in the tests of their distributions.
     voxels, media = body.tables()
     scores = np.zeros(1), np.zeros((0, 0, 0)), False

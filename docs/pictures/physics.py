@@ -38,6 +38,8 @@ BASE = {
     "trajectory": {"kind": "sinusoid", "views": 3, "centre_longitude_deg": 60},
     "specimen": {"parts": [{"shape": {"kind": "skull"}, "material": "bone"}]},
 }
+GRID = {"along": "v", "ratio": 10, "lines_per_cm": 40, "strip_mm": 0.043, "focus_mm": 1000}
+BOWTIE = {"along": "u", "angles_deg": [0, 4, 10], "thickness_mm": [0, 4, 9]}
 EFFECTS: dict[str, dict[str, Mapping[str, Any]]] = {
     "energy": {"source": {"energy_kev": 50}},
     "spectrum": {"source": {"spectrum": TUBE}},
@@ -68,7 +70,9 @@ EFFECTS: dict[str, dict[str, Mapping[str, Any]]] = {
         }
     },
     "lag": {"detector": {"lag": 0.3}},
-    "scatter": {"detector": {"scatter": {"kind": "kernel"}}},
+    "scatter": {"detector": {"scatter": {"kind": "monte_carlo"}}},
+    "grid": {"detector": {"scatter": {"kind": "monte_carlo"}, "grid": GRID}},
+    "bowtie": {"source": {"spectrum": TUBE, "bowtie": BOWTIE}},
 }
 HEAD: dict[str, Any] = {
     "source": {"spectrum": TUBE},

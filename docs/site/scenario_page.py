@@ -39,6 +39,8 @@ PICTURES = {
         "spectrum": "`spectrum: {kind: tube, kvp: 80}`.",
         "motion": "`motion_samples: 24`, while the arms turn by 4 degrees.",
         "focal-spot": "`focal_spot: {kind: gaussian, sigma_mm: 1.5}`.",
+        "bowtie": "`bowtie: {along: u, angles_deg: [0, 4, 10], thickness_mm: [0, 4, 9]}`, a tube "
+        "of 80 kV: the edges harden.",
         "noise": "`current_ma`, `exposure_ms` and `photons_per_mm2_mas` give the photon number: "
         "500 per mm^2 at 1 m, with `detector.noise` of the kind `quantum`.",
     },
@@ -54,7 +56,9 @@ PICTURES = {
         "lag": "`lag: 0.3`, from a view 8 degrees away.",
         "correction": "`correction: {flat_frames: 1, flat_geometry: first}`, "
         "`noise: {kind: snr, snr: 60}`.",
-        "scatter": "`scatter: {kind: kernel}`.",
+        "scatter": "`scatter: {kind: monte_carlo}`.",
+        "grid": "`grid: {along: v, ratio: 10, lines_per_cm: 40, strip_mm: 0.043, focus_mm: 1000}`, "
+        "`scatter: {kind: monte_carlo}`.",
     },
     "reconstruction": {
         "beam-hardening": "`beam_hardening: null`, `{kind: one_material, material: bone}` and "

@@ -118,18 +118,22 @@ def of(scan, *changes):
 
 UNSAID = {
     "source.focal_spot": "{kind: square, size_mm: 1}",
+    "source.spectrum.anode_side": "-v",
+    "source.bowtie": "{along: u, angles_deg: [0, 9], thickness_mm: [1, 9]}",
     "source.motion_samples": "3",
     "detector.noise": "{kind: quantum}",
     "detector.readout": "{}",
     "detector.bad_pixels": "{kind: random, share: 0.01}",
     "detector.lag": "0.2",
-    "detector.scatter": "{kind: kernel}",
+    "detector.scatter": "{kind: monte_carlo}",
+    "detector.grid": "{along: u, ratio: 8, lines_per_cm: 40, strip_mm: 0.04, focus_mm: 1000}",
 }
 
 
 def test_what_ctsimu_cannot_say_is_refused_by_name(scan, builder, tmp_path):
     photons = "source.photons_per_mm2_mas=1e6"
-    noisy = of(scan, photons, *(f"{key}={value}" for key, value in UNSAID.items()))
+    tube = "source.spectrum={kind: tube, kvp: 80}"
+    noisy = of(scan, photons, tube, *(f"{key}={value}" for key, value in UNSAID.items()))
     with pytest.raises(InputError) as refused:
         export_scan(noisy, builder.specimen, tmp_path / "out")
     *named, advice = refused.value.problems

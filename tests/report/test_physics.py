@@ -89,7 +89,20 @@ def test_what_is_set_of_the_source_is_said(source, said):
         ({"bad_pixels": {"kind": "random", "share": 0.01}}, "1 % bad pixels"),
         ({"bad_pixels": {"kind": "file", "path": "a/b.npy"}}, "bad pixels b.npy"),
         ({"lag": 0.05}, "lag 5 %"),
-        ({"scatter": {"kind": "kernel"}}, "scatter × 1"),
+        (
+            {
+                "grid": {
+                    **{"along": "u", "ratio": 8, "lines_per_cm": 40, "strip_mm": 0.04},
+                    **{"focus_mm": 900},
+                }
+            },
+            "grid 8:1, 40 lines/cm along u, focus 900 mm",
+        ),
+        (
+            {"response": {"kind": "scintillator", "thickness_mm": 0.6, "swank": 0.9}},
+            "0.6 mm CsI, Swank factor 0.9",
+        ),
+        ({"scatter": {"kind": "monte_carlo"}}, "scatter by Monte Carlo"),
         ({"correction": {"flat_frames": 4}}, "4 flat, 0 dark frames"),
         ({"correction": {"flat_geometry": "first"}}, "flat image of the first view"),
     ],

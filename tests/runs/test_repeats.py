@@ -41,6 +41,9 @@ KEYS = [
 ]
 
 
+SCATTER = "{kind: monte_carlo, photons: 20000, views: 1, voxel_mm: 7, pixel_mm: 100}"
+
+
 def scenario(*more: str) -> Scenario:
     return load_scenario(DEMO, [*KEYS, *more])
 
@@ -53,7 +56,7 @@ def views(of: Scenario) -> PosePairs:
 
 @pytest.mark.parametrize(
     "more",
-    ["detector.scatter={kind: kernel, scale: 1}", "detector.lag=0.1", "detector.pixel_samples=2"],
+    [f"detector.scatter={SCATTER}", "detector.lag=0.1", "detector.pixel_samples=2"],
 )
 def test_a_repetition_is_the_view_with_other_noise(more: str) -> None:
     of = scenario(more)
@@ -81,7 +84,7 @@ def test_an_inserted_signal_takes_the_light_that_its_ball_would() -> None:
     assert plain.shape == shares.shape and (shares <= 1).all() and (shares < 1).sum() > 4
 
 
-@pytest.mark.parametrize("scatter", ["null", "{kind: kernel, scale: 1}"])
+@pytest.mark.parametrize("scatter", ["null", SCATTER])
 def test_scatter_veils_an_inserted_signal(scatter: str) -> None:
     of = scenario(f"detector.scatter={scatter}")
     specimen = SimulationBuilder(of).specimen

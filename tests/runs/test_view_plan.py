@@ -19,6 +19,7 @@ from twinct.view_plans import family_search, planner
 from twinct.view_plans.patient import Patient
 from twinct.view_plans.planner import plan_views
 from twinct.workers import LocalPool
+from twinct.xray.beam_shape import BeamShape
 from twinct.xray.build import build_spectrum
 from twinct.xray.dose import PlaceDoses
 
@@ -273,7 +274,7 @@ def test_doses_between_simulated_views_are_those_of_the_views(file: Path) -> Non
     keys = {"photons": 20_000, "voxel_mm": 5.0, "key": "task.dose"}
     found = patient.doses(views, "block", simulated=40, **keys)
     spectrum = build_spectrum(builder.scenario.source)
-    places = PlaceDoses(builder.specimen, spectrum, ["block"], 5.0, "voxel_mm")
+    places = PlaceDoses(builder.specimen, BeamShape(spectrum), ["block"], 5.0, "voxel_mm")
     scattered, errors = places.scattered(path, 80_000, seed=3)
     unscattered = builder.scenario.source.mas * places.unscattered(path)[:, 0]
     own = unscattered + builder.scenario.source.mas * scattered[:, 0]

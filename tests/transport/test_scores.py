@@ -311,9 +311,25 @@ def test_unscattered_energy_is_that_of_the_coefficients() -> None:
     energy = simulation.primary_energy()[10, 0, 0]
     water = material("water")
     area = 16.0 / 1000.0**2 * 995.0**2  # of the field, at the middle of the voxel
+    mass_mg = 10.0 * area  # of the water in the field
     # J. H. Hubbell, S. M. Seltzer, NISTIR 5632: 0.03190 cm^2/g.
     kerma = 60 * 0.0319 * 0.1 * np.exp(-95 * water.mu_per_mm(60.0)) / area
-    assert energy == pytest.approx(kerma * 1000.0, rel=0.015)
+    assert energy == pytest.approx(kerma * mass_mg, rel=0.015)
+
+
+def test_voxels_at_the_edge_of_a_field_count_by_their_share() -> None:
+    """A field that is narrower than coarse voxels gives them the energy of fine ones."""
+    beam = beam_down(3.3, [60.0], height_mm=300.0)
+    coarse, fine = (
+        Simulation(box(shape, (60 / shape[2], 60 / shape[1], 10.0)), beam, unscattered=False)
+        for shape in ((6, 6, 6), (6, 300, 300))
+    )
+    expected = fine.primary_energy().reshape(6, 6, 50, 6, 50).sum(axis=(2, 4))
+    found = coarse.primary_energy()
+    assert (found > 0).sum() == 24
+    np.testing.assert_allclose(found.sum(axis=(1, 2)), expected.sum(axis=(1, 2)), rtol=0.015)
+    # At the field's corners, 200 of 2048 points count, more even than by chance.
+    np.testing.assert_allclose(found, expected, rtol=0.08)
 
 
 def test_unscattered_energy_cannot_be_told_from_collisions() -> None:

@@ -32,6 +32,7 @@ VIEW = front_view(Detector(**PANEL).panel)
 HERE = posed(VIEW)
 FREE = np.s_[:, :30]
 """Columns that the specimen does not shade."""
+SCATTER = {"kind": "monte_carlo", "photons": 50_000, "voxel_mm": 2.5, "pixel_mm": 60.0}
 PHOTONS = 4.0e5
 """Per mm^2 at 1 m and mAs: 25 in a pixel at 10 mAs and 600 mm would be 2.5e7."""
 
@@ -305,7 +306,7 @@ def test_a_map_of_another_panel_is_refused(tmp_path):
 
 def test_scatter_lifts_what_lies_in_the_shadow():
     clean = image({"readout": Readout(bits=None)})
-    lifted = image({"readout": Readout(bits=None), "scatter": {"kind": "kernel"}})
+    lifted = image({"readout": Readout(bits=None), "scatter": SCATTER})
     dark = clean < 0.2
     added = lifted - clean
     assert added.min() > 0

@@ -11,6 +11,7 @@ from twinct.scenario import Specimen
 from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.trajectory import CircleTrajectory, commanded_views
 from twinct.transport import Beam, Simulation
+from twinct.xray.beam_shape import BeamShape
 from twinct.xray.dose import (
     PlaceDoses,
     effective_dose,
@@ -48,7 +49,7 @@ def _balls() -> BuiltSpecimen:
 def test_dose_of_a_path_is_the_energy_that_photons_leave() -> None:
     """Masses times doses add up to what all photons deposit, as the collisions have it."""
     specimen, views = _balls(), _circle(3)
-    places = PlaceDoses(specimen, SPECTRUM, ["water", "bone"], 4.0, "voxel_mm")
+    places = PlaceDoses(specimen, BeamShape(SPECTRUM), ["water", "bone"], 4.0, "voxel_mm")
     mas = np.array([1.0, 2.0, 4.0])
     path = places.of_path(views, mas, 20_000, seed=1)
     body = in_voxels(specimen, grid_of(specimen, 4.0, "voxel_mm"))
@@ -67,7 +68,7 @@ def test_dose_of_a_path_is_the_energy_that_photons_leave() -> None:
 
 def test_errors_are_those_of_other_seeds() -> None:
     """Doses of ten seeds spread as their standard errors say."""
-    places = PlaceDoses(_balls(), SPECTRUM, ["bone"], 5.0, "voxel_mm")
+    places = PlaceDoses(_balls(), BeamShape(SPECTRUM), ["bone"], 5.0, "voxel_mm")
     found = [places.scattered(_circle(4), 2000, seed=seed) for seed in range(10)]
     doses, errors = (np.array([one[n] for one in found]) for n in range(2))
     own = np.sqrt((errors**2).mean())
@@ -78,7 +79,10 @@ def test_errors_are_those_of_other_seeds() -> None:
 
 def test_unscattered_dose_by_few_rays_is_that_of_all() -> None:
     """Rays to some voxels of a place have the mean of the rays to all."""
-    places, views = PlaceDoses(_balls(), SPECTRUM, ["water", "bone"], 2.5, "voxel_mm"), _circle(3)
+    places, views = (
+        PlaceDoses(_balls(), BeamShape(SPECTRUM), ["water", "bone"], 2.5, "voxel_mm"),
+        _circle(3),
+    )
     few = places.unscattered(views).sum(axis=0)
     path = places.of_path(views, np.ones(3), 80)
     assert few == pytest.approx(path.unscattered, rel=0.01)
@@ -89,7 +93,9 @@ def test_a_thin_sheet_gets_fluence_times_absorption() -> None:
     shape = {"kind": "box", "size_mm": [1, 40, 40]}
     sheet = {"name": "sheet", "shape": shape, "material": "water"}
     specimen = build_specimen(Specimen.model_validate({"parts": [sheet]}))
-    places = PlaceDoses(specimen, PhotonSpectrum([60.0], [1e6]), ["sheet"], 1.0, "voxel_mm")
+    places = PlaceDoses(
+        specimen, BeamShape(PhotonSpectrum([60.0], [1e6])), ["sheet"], 1.0, "voxel_mm"
+    )
     source, panel, u, v = np.array(
         [[[-600, 0, 0]], [[400, 0, 0]], [[0, -1, 0]], [[0, 0, 1]]], float
     )
@@ -104,19 +110,21 @@ def test_reference_point_and_area_product() -> None:
     views, one = _circle(2), PhotonSpectrum([60.0], [1e6])
     # J. H. Hubbell, S. M. Seltzer, NISTIR 5632: 0.03041 cm^2/g of air.
     at_1_m = 1e6 * 60 * 0.03041 * 100 * GY_PER_KEV_G
-    assert reference_kerma_gy(one, views, (0, 0, 0)) == pytest.approx(at_1_m / 0.45**2, rel=0.015)
+    assert reference_kerma_gy(BeamShape(one), views, (0, 0, 0)) == pytest.approx(
+        at_1_m / 0.45**2, rel=0.015
+    )
     small = _circle(2, Panel(2, 2, 10.0, 10.0))
-    product = kerma_area_product_gy_cm2(one, small)
+    product = kerma_area_product_gy_cm2(BeamShape(one), small)
     assert product == pytest.approx(at_1_m * 2.0**2, rel=0.015)
     # A panel at half the distance and of half the size has the same field.
     near, far = (
         _circle(1, Panel(20, 24, 6.0, 6.0), 700),
         _circle(1, Panel(20, 24, 12.0, 12.0), 1400),
     )
-    assert kerma_area_product_gy_cm2(one, near) == pytest.approx(
-        kerma_area_product_gy_cm2(one, far), rel=1e-9
+    assert kerma_area_product_gy_cm2(BeamShape(one), near) == pytest.approx(
+        kerma_area_product_gy_cm2(BeamShape(one), far), rel=1e-9
     )
-    assert np.isnan(reference_kerma_gy(one, views, views.source[0])[0])
+    assert np.isnan(reference_kerma_gy(BeamShape(one), views, views.source[0])[0])
 
 
 def test_effective_dose_needs_every_tissue() -> None:
@@ -137,11 +145,13 @@ def test_effective_dose_needs_every_tissue() -> None:
 def test_what_has_no_dose_is_named() -> None:
     """Unknown names, energies above the tables, and sources without a photon number."""
     with pytest.raises(InputError, match="no part or label is called 'eye'"):
-        PlaceDoses(_balls(), SPECTRUM, ["eye"], 5.0, "voxel_mm")
+        PlaceDoses(_balls(), BeamShape(SPECTRUM), ["eye"], 5.0, "voxel_mm")
     with pytest.raises(InputError, match="photons of 200 keV"):
-        PlaceDoses(_balls(), PhotonSpectrum([200.0], [1.0]), ["bone"], 5.0, "voxel_mm")
+        PlaceDoses(_balls(), BeamShape(PhotonSpectrum([200.0], [1.0])), ["bone"], 5.0, "voxel_mm")
     with pytest.raises(InputError, match=r"needs a photon number: set source\.photons"):
-        PlaceDoses(_balls(), PhotonSpectrum([60.0], [1.0], False), ["bone"], 5.0, "voxel_mm")
+        PlaceDoses(
+            _balls(), BeamShape(PhotonSpectrum([60.0], [1.0], False)), ["bone"], 5.0, "voxel_mm"
+        )
 
 
 def test_points_beside_the_panel_get_no_unscattered_dose() -> None:
@@ -152,7 +162,7 @@ def test_points_beside_the_panel_get_no_unscattered_dose() -> None:
     ball = {"name": "ball", "shape": {"kind": "sphere", "radius_mm": 40}, "material": "water"}
     specimen = build_specimen(Specimen.model_validate({"parts": [ball]}))
     places = PlaceDoses(
-        specimen, SPECTRUM, ["ball"], 4.1, "voxel_mm"
+        specimen, BeamShape(SPECTRUM), ["ball"], 4.1, "voxel_mm"
     )  # 20 voxels: none on the edge
     whole, part = places.unscattered(views)[0, 0], places.unscattered(beside)[0, 0]
     assert part == pytest.approx(whole / 2, rel=0.05)

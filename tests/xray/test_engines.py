@@ -158,7 +158,10 @@ def test_a_detector_takes_the_path_lengths_of_any_engine_alike(figure) -> None:
         {
             **{"columns": 80, "rows": 60, "pixel_pitch_mm": 3.0, "pixel_samples": 2},
             **{"point_spread": {"kind": "gaussian", "sigma_mm": 3.0}, "readout": {}},
-            **{"scatter": {"kind": "kernel"}, "noise": {"kind": "snr", "snr": 300}},
+            **{
+                "scatter": {"kind": "monte_carlo", "photons": 20_000, "pixel_mm": 60},
+                "noise": {"kind": "snr", "snr": 300},
+            },
         }
     )
     parts = {"shape": {"kind": "sphere", "radius_mm": 40}, "material": "bone"}

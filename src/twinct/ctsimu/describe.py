@@ -41,6 +41,11 @@ def refuse_unsaid(source: Source, detector: Detector, *, uneven_mas: bool = Fals
     spot, counting = source.focal_spot, isinstance(detector.response, sections.CountingResponse)
     table = {
         "source.focal_spot": spot is not None and not isinstance(spot, sections.GaussianSpot),
+        "source.spectrum.anode_side": (
+            isinstance(source.spectrum, sections.TubeSpectrum)
+            and source.spectrum.anode_side is not None
+        ),
+        "source.bowtie": source.bowtie is not None,
         "source.motion_samples": source.motion_samples > 1,
         "detector.response": source.spectrum is not None and counting,
         "detector.noise": isinstance(detector.noise, sections.QuantumNoise),
@@ -49,6 +54,7 @@ def refuse_unsaid(source: Source, detector: Detector, *, uneven_mas: bool = Fals
         # CTSimU's lag accumulates over images, ours affects only the next one.
         "detector.lag": detector.lag > 0,
         "detector.scatter": detector.scatter is not None,
+        "detector.grid": detector.grid is not None,
         "trajectory.path (mas)": uneven_mas,
     }
     problems = [f"{key}: CTSimU cannot express this" for key, wrong in table.items() if wrong]

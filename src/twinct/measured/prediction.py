@@ -46,7 +46,6 @@ from twinct.scenario import Source, Specimen
 from twinct.scenario.imported import ScanSettings
 from twinct.specimen import BuiltSpecimen, build_specimen
 from twinct.specimen.size import specimen_size
-from twinct.xray.scatter_range import scatter_doubts
 
 log = logging.getLogger(__name__)
 
@@ -179,8 +178,7 @@ def _predicted(
         check_seen(specimen, views)
         grid = settings.reconstruction.volume_grid
         size = specimen_size(body, specimen, views, grid)
-        beam = _beam(settings), settings.detector
-        for warning in (*size.warnings, *scatter_doubts(*beam, specimen, views)):
+        for warning in size.warnings:
             audience.say(warning, warning=True)
         words = f"meshes, as {', '.join(one.name for one in specimen.materials)}"
         counts = np.ones((len(scan), *views.panel.shape), bool)

@@ -73,6 +73,8 @@ def _beam(source: Source) -> list[str]:
         return [f"{source.energy_kev:g} keV"]
     if isinstance(section, sections.TubeSpectrum):
         kind = f"tube {section.kvp:g} kV, {section.target} at {section.anode_angle_deg:g} deg"
+        if section.anode_side is not None:
+            kind += f", anode towards {section.anode_side}"
     else:
         kind = f"spectrum {section.path.name}"
     plates = [f"{plate.thickness_mm:g} mm {_name(plate.material)}" for plate in section.filters]
@@ -80,6 +82,8 @@ def _beam(source: Source) -> list[str]:
 
 
 def _exposure(source: Source, mas: Floats) -> Iterator[str]:
+    if source.bowtie is not None:
+        yield f"bowtie of {_name(source.bowtie.material)} along {source.bowtie.along}"
     if source.photons_per_mm2_mas or isinstance(source.spectrum, sections.TubeSpectrum):
         low, high = mas.min(), mas.max()
         yield f"{low:g} mAs" if low == high else f"{low:g} to {high:g} mAs"
@@ -96,8 +100,9 @@ def _exposure(source: Source, mas: Floats) -> Iterator[str]:
 
 def _response(detector: Detector) -> list[str]:
     match detector.response:
-        case sections.ScintillatorResponse(thickness_mm=thickness, material=material):
-            return [f"{thickness:g} mm {_name(material)}"]
+        case sections.ScintillatorResponse(thickness_mm=thickness, material=material, swank=swank):
+            words = f"{thickness:g} mm {_name(material)}"
+            return [words if swank == 1 else f"{words}, Swank factor {swank:g}"]
         case sections.CountingResponse():
             return ["photon counting"]
         case sections.FileResponse(path=path):
@@ -112,10 +117,11 @@ def _signal(detector: Detector, parts: Sequence[Part]) -> Iterator[str]:
     spread, noise = detector.point_spread, detector.noise
     if (n := detector.pixel_samples) > 1:
         yield f"{n} × {n} samples a pixel"
-    if isinstance(detector.scatter, sections.MonteCarloScatter):
+    if (grid := detector.grid) is not None:
+        aim = "parallel" if grid.focus_mm is None else f"focus {grid.focus_mm:g} mm"
+        yield f"grid {grid.ratio:g}:1, {grid.lines_per_cm:g} lines/cm along {grid.along}, {aim}"
+    if detector.scatter is not None:
         yield "scatter by Monte Carlo"
-    elif detector.scatter is not None:
-        yield f"scatter × {detector.scatter.scale:g}"
     elif not all(part.homogeneous for part in parts):
         yield "without scatter"
     if detector.lag:

@@ -31,7 +31,7 @@ from twinct.runs.repeated_figures import check_repeats
 from twinct.runs.scatter_correction import check_scatter_correction
 from twinct.runs.slips import doubted_lengths, doubted_times
 from twinct.scan import OWN, RELATIVE, SimulationBuilder, named_geometries
-from twinct.scenario import MonteCarloScatter, Scenario, stage_digests
+from twinct.scenario import Scenario, stage_digests
 from twinct.scenario.imported import ScanSettings
 from twinct.specimen.convex_parts import Fit
 from twinct.specimen.room_bodies import convex_pieces, object_in_words
@@ -39,7 +39,6 @@ from twinct.specimen.size import SpecimenSize, specimen_size
 from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
 from twinct.xray.engines import engine_extras, engine_named
-from twinct.xray.scatter_range import scatter_doubts
 
 MOST_CUT = 0.01
 """Share of a view's rays that may cross a cut face of a CT without a warning."""
@@ -93,7 +92,6 @@ def check_sight(builder: SimulationBuilder) -> list[str]:
     warnings += doubted_times(builder.scenario)
     warnings += _cut(builder)
     warnings += larger_than_table(builder)
-    warnings += _scatter(builder)
     if seen.needed < seen.views:
         warnings.append(
             f"no voxel of the grid is seen by every view: the volume is judged in the voxels that "
@@ -145,14 +143,6 @@ def _cut(builder: SimulationBuilder) -> list[str]:
     return warnings
 
 
-def _scatter(builder: SimulationBuilder) -> list[str]:
-    scenario = builder.scenario
-    if scenario.detector.scatter is None:
-        return []
-    parts = builder.specimen, builder.commanded, builder.beam_objects
-    return scatter_doubts(scenario.source, scenario.detector, *parts)
-
-
 def _views(views: tuple[int, ...]) -> str:
     few = ", ".join(map(str, views[:8])) + (", ..." if len(views) > 8 else "")
     return f"view {few}" if len(views) == 1 else f"{len(views)} views ({few})"
@@ -179,7 +169,7 @@ def check_physics(builder: SimulationBuilder) -> None:
 def _check_scatter(builder: SimulationBuilder) -> None:
     """Check that scatter can be simulated."""
     scenario = builder.scenario
-    if isinstance(settings := scenario.detector.scatter, MonteCarloScatter):
+    if (settings := scenario.detector.scatter) is not None:
         from twinct.xray.monte_carlo_scatter import check_scatter
 
         check_scatter(settings, builder.specimen, build_spectrum(scenario.source))

@@ -18,7 +18,7 @@ from twinct.runs.remedies import explained
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, as_scenario
 from twinct.trajectory import OrbitSettings
-from twinct.xray.build import build_spectrum
+from twinct.xray.build import build_beam
 from twinct.xray.dose import (
     EffectiveDose,
     PathDose,
@@ -108,18 +108,18 @@ def dose(
         require("robots")
     if out is not None:
         check_folder(out := Path(out))
-    builder, spectrum = SimulationBuilder(scenario), build_spectrum(scenario.source)
+    builder, free = SimulationBuilder(scenario), build_beam(scenario.source)
     specimen = builder.specimen
     names = [name for part in specimen.parts for name in (part.name, *part.label_names)]
     with audience_of(observers) as audience, explained(builder, None, progress=audience):
         views, mas = builder.commanded, builder.mas
         mas = np.full(len(views), scenario.source.mas) if mas is None else mas
-        places = PlaceDoses(specimen, spectrum, names, voxel_mm, "voxel_mm")
+        places = PlaceDoses(specimen, free, names, voxel_mm, "voxel_mm")
         each = -(-photons // len(views))
         path = places.of_path(views, mas, each, seed=seed, progress=audience)
     trajectory, reference = scenario.trajectory, None
     if isinstance(trajectory, OrbitSettings):
-        total = float(reference_kerma_gy(spectrum, views, trajectory.isocentre_mm) @ mas)
+        total = float(reference_kerma_gy(free, views, trajectory.isocentre_mm) @ mas)
         reference = None if np.isnan(total) else total
     grid = path.grid
     in_world = replace(grid, world_from_grid=specimen.world_from_specimen @ grid.world_from_grid)
@@ -129,7 +129,7 @@ def dose(
         Volume(path.voxels, in_world),
         effective_dose(dict(zip(path.names, columns, strict=True))),
         reference,
-        float(kerma_area_product_gy_cm2(spectrum, views) @ mas),
+        float(kerma_area_product_gy_cm2(free, views) @ mas),
     )
     if out is not None:
         with storage_errors(out):

@@ -3,15 +3,14 @@
 The images need no scenario, only their beam, panel and geometry: a coarse volume, reconstructed
 from them, becomes a body. A voxel's attenuation at the detected mean energy makes it a mixture:
 tissue at a part of its density up to the attenuation of tissue, volume shares of both materials
-between, and the dense one at more than its density beyond. The images are divided by the free beam,
-and so is the scatter.
+between, and the dense one at more than its density beyond. The line integrals are those of both
+materials. The images are divided by the free beam, and so is the scatter.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +28,23 @@ from twinct.scan.integrals import DARKEST, line_integrals
 from twinct.scenario import Reconstruction
 from twinct.scenario.imported import ScanSettings, beam_of
 from twinct.specimen.materials import Material, material
-from twinct.xray.beam import fall_off
-from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.build import (
+    build_beam,
+    build_grid,
+    build_panel_response,
+    build_response,
+    build_spectrum,
+    effective_energy_kev,
+)
 from twinct.xray.hardening import Hardening
-
-if TYPE_CHECKING:  # its kernels take a second to load
-    from twinct.transport import VoxelBody
+from twinct.xray.response import PhotonResponse
+from twinct.xray.signal import Signal
+from twinct.xray.spectrum import PhotonSpectrum
 
 _KEY = "reconstruction.scatter"
+
+Share = NDArray[np.floating]
+"""Share of a material in each voxel, (z, y, x)."""
 
 STEPS = 8
 """Steps of expectation maximisation for images = primary + scatter, in each round.
@@ -44,6 +52,13 @@ STEPS = 8
 The scatter of an early body, which attenuates too little, may exceed the images: their difference
 would be no image, and its volume full of streaks. In a head at 120 kVp two rounds leave 38 % of the
 error by 1 step, 10 % by 8, and 9 % by 30 (``benchmarks/bench_scatter_correction.py``).
+"""
+
+LIGHTEST = 0.13
+"""Least attenuation of a voxel that is not air, relative to tissue: half of that of lung.
+
+A coarse volume has a haze in the air. It scatters without attenuation: that of a head at 120 kVp,
+4 % of its mass, made 17 % of the scatter, and this limit leaves 5 %.
 """
 
 _SEED = 1
@@ -65,33 +80,32 @@ def scatter_subtracted(scan: Scan, views: ScanGeometry, progress: Progress) -> S
     section = settings.reconstruction.scatter
     if section is None:
         return scan
+    from twinct.transport import VoxelBody
     from twinct.xray.monte_carlo_scatter import ScatterNodes
 
     source, detector = beam_of(settings, _KEY), settings.detector
-    spectrum, response = build_spectrum(source), build_response(detector)
+    beam, response = build_beam(source), build_response(detector)
+    spectrum, bare = beam.spectrum, build_panel_response(detector)
+    before = build_grid(detector)
     energy = effective_energy_kev(source, detector)
     tissue, dense = _materials(section)
-    hardening = Hardening(spectrum, response, [tissue], energy)
     grid = _coarse_grid(settings.reconstruction, section.voxel_mm)
     binning = _binning(views, grid, section.voxel_mm)
     A = Projector(views.binned(*binning), grid)
-    free = float(spectrum.photons @ response.mean(spectrum.energies_kev))
+    known = spectrum, response, tissue, dense, energy
+    volumes = _FirstVolumes(A, known, section.first_iterations)
     scatter = np.zeros_like(scan.transmission)
     primary = scan.transmission.copy()
     with progress.stage("scatter", section.rounds) as step:
         for _ in range(section.rounds):
             for _ in range(STEPS):
                 primary *= scan.transmission / np.maximum(primary + scatter, DARKEST)
-            volume = sart(
-                A,
-                hardening.correct(line_integrals(_binned(primary, *binning))),
-                iterations=section.first_iterations,
-                relaxation=RELAXATION,
-            ).array
-            body = _body(volume, grid, tissue, dense, energy)
-            nodes = ScatterNodes(body, views, spectrum, response, section, _SEED)
+            integrals = line_integrals(_binned(primary, *binning))
+            of_tissue, of_dense = volumes.shares(integrals)
+            body = VoxelBody.of_shares(grid, [(tissue, of_tissue), (dense, of_dense)])
+            nodes = ScatterNodes(body, views, beam, bare, before, section, _SEED)
             for image, view in zip(scatter, views, strict=True):
-                image[:] = nodes.image(view) / (np.float32(free) * fall_off(view))
+                image[:] = nodes.image(view) / Signal.lit(beam, before, response, view)[0]
             step()
     return replace(scan, transmission=scan.transmission - scatter)
 
@@ -159,15 +173,49 @@ def _binned(images: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.
     return blocks.mean(axis=(2, 4), dtype=np.float64).astype(np.float32)
 
 
-def _body(
-    volume: NDArray[np.float32], grid: VolumeGrid, tissue: Material, dense: Material, energy: float
-) -> VoxelBody:
-    """Return voxels of mixtures of two materials, by their attenuation."""
-    from twinct.transport import VoxelBody
+class _FirstVolumes:
+    """Volumes of two materials, from line integrals of both.
 
+    The dense paths are those of the volume before; a first volume takes all for tissue.
+    """
+
+    def __init__(
+        self,
+        A: Projector,
+        known: tuple[PhotonSpectrum, PhotonResponse, Material, Material, float],
+        iterations: int,
+    ) -> None:
+        """Store the projector, and spectrum, response, tissue, dense material and energy."""
+        self._A, self._known, self._iterations = A, known, iterations
+        self._paths: NDArray[np.float32] | None = None
+
+    def shares(self, integrals: NDArray[np.float32]) -> tuple[Share, Share]:
+        """Return the shares of tissue and dense material in each voxel."""
+        if self._paths is None:
+            self._next(integrals)
+        return self._next(integrals)
+
+    def _next(self, integrals: NDArray[np.float32]) -> tuple[Share, Share]:
+        spectrum, response, tissue, dense, energy = self._known
+        if self._paths is None:
+            linear = Hardening(spectrum, response, [tissue], energy).correct(integrals)
+        else:
+            longest = float(self._paths.max())
+            both = Hardening(spectrum, response, [tissue, dense], energy, longest)
+            linear = both.correct(integrals, self._paths)
+        volume = sart(self._A, linear, iterations=self._iterations, relaxation=RELAXATION).array
+        found = _shares(volume, tissue, dense, energy)
+        self._paths = self._A(found[1].astype(np.float32))
+        return found
+
+
+def _shares(
+    volume: NDArray[np.float32], tissue: Material, dense: Material, energy: float
+) -> tuple[Share, Share]:
+    """Return the shares of two materials in each voxel, by its attenuation."""
     low, high = tissue.mu_per_mm(energy), dense.mu_per_mm(energy)
-    mu = np.maximum(volume, 0.0)
+    mu = np.where(volume < LIGHTEST * low, 0.0, volume)
     between = np.clip((mu - low) / (high - low), 0.0, 1.0)
     of_tissue = np.where(mu < low, mu / low, 1 - between)
     of_dense = np.where(mu > high, mu / high, between)
-    return VoxelBody.of_shares(grid, [(tissue, of_tissue), (dense, of_dense)])
+    return of_tissue, of_dense

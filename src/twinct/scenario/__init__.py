@@ -94,6 +94,7 @@ from twinct.view_planning.objectives.motion_time import MovingGoal
 from twinct.view_planning.objectives.variance import KnownGoal
 from twinct.view_planning.task import ExposureSharing, FamilyParameter, FamilySearch, ViewTask
 from twinct.xray.sections.detector import (
+    AntiScatterGrid,
     BadPixels,
     Correction,
     CountingResponse,
@@ -110,12 +111,12 @@ from twinct.xray.sections.detector import (
     RandomBadPixels,
     Readout,
     Response,
-    Scatter,
     ScintillatorResponse,
     SnrNoise,
 )
 from twinct.xray.sections.engine import Xray
 from twinct.xray.sections.source import (
+    BowtieFilter,
     FileSpectrum,
     Filter,
     GaussianSpot,
@@ -136,6 +137,7 @@ __all__ = [
     "ArmErrors",
     "ArmServo",
     "AttenuationValues",
+    "AntiScatterGrid",
     "BadPixels",
     "BallHelix",
     "BeamHardening",
@@ -148,6 +150,7 @@ __all__ = [
     "Cell",
     "Composition",
     "CompletenessGoal",
+    "BowtieFilter",
     "Correction",
     "CountingResponse",
     "CtVolume",
@@ -205,7 +208,6 @@ __all__ = [
     "Region",
     "RoomObject",
     "Response",
-    "Scatter",
     "Scenario",
     "ScenarioText",
     "ScintillatorResponse",

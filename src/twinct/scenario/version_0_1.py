@@ -43,12 +43,19 @@ _LATER = {"fast": set[str](), "fista_tv": {"rounds", "huber"}}
 """Keys that only some of those results hold."""
 
 
+_DETECTOR = {
+    *("columns", "rows", "pixel_pitch_mm", "response", "pixel_samples", "binning"),
+    *("point_spread", "noise", "readout", "bad_pixels", "lag", "correction", "scatter"),
+}
+"""Keys of a detector that any result holds, with defaults."""
+
+
 def upgraded(data: dict[str, Any]) -> dict[str, Any]:
     """Return a scenario of an earlier version in today's keys, and any other scenario unchanged.
 
     Version 1.0 said of each specimen that it is not unknown. For version 0.1, leave out settings
     that the algorithm did not use, and turn the engine ``rtk`` into the algorithm ``rtk_sart``.
-    Leave out keys that ``fast`` and ``fista_tv`` no longer have.
+    Leave out keys that ``fast`` and ``fista_tv`` no longer have, and the kernel of scatter.
     Without ``nonnegative``, the algorithm's own default holds, as in version 0.1.
     """
     stated = data.get("specimen")
@@ -56,6 +63,13 @@ def upgraded(data: dict[str, Any]) -> dict[str, Any]:
         specimen = cast("dict[str, Any]", stated)
         if specimen.get("unknown") is False:
             data = data | {"specimen": {k: v for k, v in specimen.items() if k != "unknown"}}
+    panel = data.get("detector")
+    if isinstance(panel, dict) and panel.keys() >= _DETECTOR:
+        detector = cast("dict[str, Any]", panel)
+        scatter = cast("dict[str, Any]", detector["scatter"] or {})
+        if scatter.get("kind") == "kernel":
+            log.warning("the scatter of this scan is from a kernel that is gone: scatter is null")
+            data = data | {"detector": detector | {"scatter": None}}
     section = data.get("reconstruction")
     if not isinstance(section, dict):
         return data

@@ -27,6 +27,7 @@ from twinct.transport.cross_sections import (
     RAYLEIGH,
     TOTAL,
 )
+from twinct.transport.grid import ALONG_U, PERIOD, TILT_PER_MM, passed
 
 EMITTED, DEPOSITED, ESCAPED, COLLISIONS = range(4)
 """Totals of a batch: three energies in keV, and a number.
@@ -38,11 +39,15 @@ SINGLE_COMPTON, SINGLE_RAYLEIGH, MULTIPLE = range(3)
 """Images of scatter by order; the last one has fluorescence too."""
 
 
+POINTS, STEP = 2048, 1 / 1.2207440846057596
+"""Points in a voxel at the edge of the field, and the step of their sequence (Roberts, 2018)."""
+
+
 class Field(NamedTuple):
     """A beam for the kernels, in the frame of the grid's low corner: see ``Beam``.
 
     ``inside`` turns a direction into (a, b, w): the ray meets the field at a / w of u and b / w of
-    v from its centre.
+    v from its centre. ``most`` is the largest factor of the profile.
     """
 
     source: NDArray[np.float64]
@@ -53,6 +58,8 @@ class Field(NamedTuple):
     shortest: float
     energies: NDArray[np.float64]
     cumulative: NDArray[np.float64]
+    profile: NDArray[np.float64]
+    most: float
 
 
 class Pixels(NamedTuple):
@@ -64,6 +71,8 @@ class Pixels(NamedTuple):
         v: unit vector along the rows.
         pitch: pitches along u and v, mm.
         response: signal of a photon at each energy of the coefficients.
+        grid: numbers of a grid before the panel, ``NO_GRID`` without one.
+        barriers: attenuation of its spaces and strips at these energies, (2, energies), 1/mm.
     """
 
     corner: NDArray[np.float64]
@@ -71,11 +80,30 @@ class Pixels(NamedTuple):
     v: NDArray[np.float64]
     pitch: NDArray[np.float64]
     response: NDArray[np.float64]
+    grid: NDArray[np.float64]
+    barriers: NDArray[np.float64]
+
+
+@njit(**OPTIONS)
+def _factor(field, line, a, b):
+    """Return the factor of the profile on a line at ``a`` of u and ``b`` of v from the centre."""
+    profile = field.profile
+    if profile.size == 0:
+        return 1.0
+    _, rows, columns = profile.shape
+    x, y = (a + 1.0) / 2.0 * (columns - 1), (b + 1.0) / 2.0 * (rows - 1)
+    i = min(max(int(x), 0), columns - 2)
+    j = min(max(int(y), 0), rows - 2)
+    x, y = x - i, y - j
+    low = profile[line, j, i] + x * (profile[line, j, i + 1] - profile[line, j, i])
+    high = profile[line, j + 1, i] + x * (profile[line, j + 1, i + 1] - profile[line, j + 1, i])
+    return low + y * (high - low)
 
 
 @njit(**OPTIONS)
 def _emitted(state, field):
     """Return state, direction and energy of a photon at the source."""
+    line = 0
     while True:
         state, a = draw(state)
         state, b = draw(state)
@@ -86,10 +114,15 @@ def _emitted(state, field):
         r = math.sqrt(x * x + y * y + z * z)
         state, u = draw(state)
         # An area of the plane spans a solid angle that falls with the cube of the distance.
-        if u < (field.shortest / r) ** 3:
+        if u >= (field.shortest / r) ** 3:
+            continue
+        state, u = draw(state)
+        line = np.searchsorted(field.cumulative, u, "right")
+        if field.profile.size == 0:
             break
-    state, u = draw(state)
-    line = np.searchsorted(field.cumulative, u, "right")
+        state, u = draw(state)
+        if u * field.most < _factor(field, line, a, b):
+            break
     return state, x / r, y / r, z / r, field.energies[line]
 
 
@@ -105,9 +138,28 @@ def _normal(pixels):
 
 
 @njit(**OPTIONS)
-def _signal(pixels, energy, index, fraction):
+def _signal(pixels, shape, a, b, direction, facing, index, fraction):
+    """Return the signal of a photon that flies to a place on the panel, behind the grid.
+
+    ``a`` and ``b`` are its column and row, with fractions, ``shape`` is that of the image.
+    """
     low = pixels.response[index]
-    return low + fraction * (pixels.response[index + 1] - low)
+    signal = low + fraction * (pixels.response[index + 1] - low)
+    grid = pixels.grid
+    if grid[PERIOD] == 0.0:
+        return signal
+    dx, dy, dz = direction
+    along_u = (dx * pixels.u[0] + dy * pixels.u[1] + dz * pixels.u[2]) / facing
+    along_v = (dx * pixels.v[0] + dy * pixels.v[1] + dz * pixels.v[2]) / facing
+    if grid[ALONG_U] > 0.0:
+        across = along_v - (b - shape[0] / 2) * pixels.pitch[1] * grid[TILT_PER_MM]
+    else:
+        across = along_u - (a - shape[1] / 2) * pixels.pitch[0] * grid[TILT_PER_MM]
+    low = pixels.barriers[0, index]
+    space = low + fraction * (pixels.barriers[0, index + 1] - low)
+    low = pixels.barriers[1, index]
+    strip = low + fraction * (pixels.barriers[1, index + 1] - low)
+    return signal * passed(grid, space, strip, across, 1.0 / facing)
 
 
 @njit(**OPTIONS)
@@ -117,10 +169,11 @@ def _expect_compton(state, x, y, z, dx, dy, dz, energy, medium, voxels, media, p
     state, a = draw(state)
     state, b = draw(state)
     column, row = min(int(a * columns), columns - 1), min(int(b * rows), rows - 1)
-    a, b = a * columns * pixels.pitch[0], b * rows * pixels.pitch[1]
-    tx = pixels.corner[0] + a * pixels.u[0] + b * pixels.v[0] - x
-    ty = pixels.corner[1] + a * pixels.u[1] + b * pixels.v[1] - y
-    tz = pixels.corner[2] + a * pixels.u[2] + b * pixels.v[2] - z
+    a, b = a * columns, b * rows
+    along_u, along_v = a * pixels.pitch[0], b * pixels.pitch[1]
+    tx = pixels.corner[0] + along_u * pixels.u[0] + along_v * pixels.v[0] - x
+    ty = pixels.corner[1] + along_u * pixels.u[1] + along_v * pixels.v[1] - y
+    tz = pixels.corner[2] + along_u * pixels.u[2] + along_v * pixels.v[2] - z
     r = math.sqrt(tx * tx + ty * ty + tz * tz)
     tx, ty, tz = tx / r, ty / r, tz / r
     nx, ny, nz = _normal(pixels)
@@ -141,7 +194,7 @@ def _expect_compton(state, x, y, z, dx, dy, dz, energy, medium, voxels, media, p
         * facing
         / (r * r)
         * math.exp(-depth)
-        * _signal(pixels, energy * left, index, fraction)
+        * _signal(pixels, image.shape, a, b, (tx, ty, tz), facing, index, fraction)
     )
     return state
 
@@ -164,7 +217,8 @@ def _expect_flight(x, y, z, dx, dy, dz, energy, voxels, media, pixels, image):
     if 0.0 <= a < columns and 0.0 <= b < rows:
         index, fraction = place_of(energy, len(pixels.response))
         depth = optical_depth(x, y, z, dx, dy, dz, t, index, fraction, voxels, media)
-        image[int(b), int(a)] += math.exp(-depth) * _signal(pixels, energy, index, fraction)
+        signal = _signal(pixels, image.shape, a, b, (dx, dy, dz), facing, index, fraction)
+        image[int(b), int(a)] += math.exp(-depth) * signal
 
 
 @njit(**OPTIONS)
@@ -278,12 +332,23 @@ def follow(keys, photons, field, voxels, media, pixels, deposits, rows, ways, im
 
 
 @njit(**OPTIONS)
-def _in_field(inside, dx, dy, dz):
-    """Return True if a direction from the source meets the field."""
+def _on_field(inside, dx, dy, dz):
+    """Return the place of the field that is nearest to a ray: shares of u and v, -1 to 1."""
     a = inside[0, 0] * dx + inside[0, 1] * dy + inside[0, 2] * dz
     b = inside[1, 0] * dx + inside[1, 1] * dy + inside[1, 2] * dz
     w = inside[2, 0] * dx + inside[2, 1] * dy + inside[2, 2] * dz
-    return w > 0.0 and abs(a) <= w and abs(b) <= w
+    return min(max(a / w, -1.0), 1.0), min(max(b / w, -1.0), 1.0)
+
+
+@njit(**OPTIONS)
+def _in_field(inside, dx, dy, dz):
+    """Return whether a direction from the source meets the field, and at what of u and v."""
+    a = inside[0, 0] * dx + inside[0, 1] * dy + inside[0, 2] * dz
+    b = inside[1, 0] * dx + inside[1, 1] * dy + inside[1, 2] * dz
+    w = inside[2, 0] * dx + inside[2, 1] * dy + inside[2, 2] * dz
+    if w > 0.0 and abs(a) <= w and abs(b) <= w:
+        return True, a / w, b / w
+    return False, 0.0, 0.0
 
 
 @njit(parallel=True, **OPTIONS)
@@ -292,7 +357,7 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
 
     Args:
         field: the beam; its source counts.
-        weights: signal of each line per solid angle, (lines,).
+        weights: photons of each line per solid angle, (lines,).
         attenuation: mu per density of each medium and line, (media, lines), 1/mm per g/cm^3.
         voxels: the body.
         pixels: the panel.
@@ -307,14 +372,16 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
         for column in range(columns):
             value = 0.0
             for sample in range(samples * samples):
-                a = (column + (sample % samples + 0.5) / samples) * pixels.pitch[0]
-                b = (row + (sample // samples + 0.5) / samples) * pixels.pitch[1]
-                dx = pixels.corner[0] + a * pixels.u[0] + b * pixels.v[0] - field.source[0]
-                dy = pixels.corner[1] + a * pixels.u[1] + b * pixels.v[1] - field.source[1]
-                dz = pixels.corner[2] + a * pixels.u[2] + b * pixels.v[2] - field.source[2]
+                a = column + (sample % samples + 0.5) / samples
+                b = row + (sample // samples + 0.5) / samples
+                x, y = a * pixels.pitch[0], b * pixels.pitch[1]
+                dx = pixels.corner[0] + x * pixels.u[0] + y * pixels.v[0] - field.source[0]
+                dy = pixels.corner[1] + x * pixels.u[1] + y * pixels.v[1] - field.source[1]
+                dz = pixels.corner[2] + x * pixels.u[2] + y * pixels.v[2] - field.source[2]
                 r = math.sqrt(dx * dx + dy * dy + dz * dz)
                 dx, dy, dz = dx / r, dy / r, dz / r
-                if not _in_field(field.inside, dx, dy, dz):
+                lit, across, up = _in_field(field.inside, dx, dy, dz)
+                if not lit:
                     continue
                 amounts[:] = 0.0
                 add_amounts(
@@ -328,21 +395,57 @@ def primary(field, weights, attenuation, voxels, pixels, samples, image):
                     voxels,
                     amounts,
                 )
+                facing = -(nx * dx + ny * dy + nz * dz)
                 signal = 0.0
                 for line in range(len(weights)):
                     depth = 0.0
                     for medium in range(len(amounts)):
                         depth += amounts[medium] * attenuation[medium, line]
-                    signal += weights[line] * math.exp(-depth)
-                value += signal * -(nx * dx + ny * dy + nz * dz) * area / (r * r)
+                    index, fraction = place_of(field.energies[line], len(pixels.response))
+                    signal += (
+                        weights[line]
+                        * _factor(field, line, across, up)
+                        * math.exp(-depth)
+                        * _signal(pixels, image.shape, a, b, (dx, dy, dz), facing, index, fraction)
+                    )
+                value += signal * facing * area / (r * r)
             image[row, column] = value
+
+
+@njit(**OPTIONS)
+def _share_in_field(inside, dx, dy, dz, ex, ey, ez):
+    """Return the share of a box in the field; its middle is at (dx, dy, dz) from the source."""
+    whole = True
+    for axis in range(2):
+        for sign in (-1.0, 1.0):
+            # Positive on the inner side of one of the field's four faces, and linear in place.
+            a = inside[2, 0] + sign * inside[axis, 0]
+            b = inside[2, 1] + sign * inside[axis, 1]
+            c = inside[2, 2] + sign * inside[axis, 2]
+            middle = a * dx + b * dy + c * dz
+            reach = (abs(a) * ex + abs(b) * ey + abs(c) * ez) / 2.0
+            if middle + reach <= 0.0:
+                return 0.0
+            whole = whole and middle >= reach
+    if whole:
+        return 1.0
+    found = 0
+    u = v = w = 0.5
+    for _ in range(POINTS):
+        # Additive sequence with powers of the root of x^4 = x + 1: evenly spread on each axis.
+        u, v, w = (u + STEP) % 1.0, (v + STEP**2) % 1.0, (w + STEP**3) % 1.0
+        x, y, z = dx + (u - 0.5) * ex, dy + (v - 0.5) * ey, dz + (w - 0.5) * ez
+        lit, _, _ = _in_field(inside, x, y, z)
+        found += lit
+    return found / POINTS
 
 
 @njit(parallel=True, **OPTIONS)
 def primary_energy(field, weights, attenuation, transfer, voxels, cells, energies):
     """Write the energy that unscattered photons give to electrons, by a ray through each voxel.
 
-    The ray goes through the middle; their number is averaged along its chord.
+    The ray goes through the middle; their number is averaged along its chord. A voxel at the edge
+    of the field counts by the share of its volume that lies in it.
 
     Args:
         field: the beam.
@@ -360,8 +463,10 @@ def primary_energy(field, weights, attenuation, transfer, voxels, cells, energie
         dx = (i + 0.5) * ex - field.source[0]
         dy = (j + 0.5) * ey - field.source[1]
         dz = (k + 0.5) * ez - field.source[2]
-        if not _in_field(field.inside, dx, dy, dz):
+        share = _share_in_field(field.inside, dx, dy, dz, ex, ey, ez)
+        if share == 0.0:
             continue
+        across, up = _on_field(field.inside, dx, dy, dz)
         r = math.sqrt(dx * dx + dy * dy + dz * dz)
         amounts = np.zeros(len(attenuation))
         x, y, z = field.source
@@ -376,5 +481,6 @@ def primary_energy(field, weights, attenuation, transfer, voxels, cells, energie
                 depth += amounts[medium] * attenuation[medium, line]
             x = chord * density * attenuation[own, line]
             mean = math.exp(x / 2) * -math.expm1(-x) / x if x > 0.0 else 1.0
-            energy += weights[line] * math.exp(-depth) * mean * transfer[own, line]
-        energies[n] = energy * density * ex * ey * ez / (r * r)
+            photons = weights[line] * _factor(field, line, across, up)
+            energy += photons * math.exp(-depth) * mean * transfer[own, line]
+        energies[n] = share * energy * density * ex * ey * ez / (r * r)

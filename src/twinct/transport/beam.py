@@ -23,6 +23,9 @@ class Beam:
         v: the other one, orthogonal to ``u``, mm, (3,).
         energies_kev: lines of the spectrum, keV, (lines,).
         photons: relative number of photons of each line, (lines,).
+        profile: factor on the photons of each line and solid angle by place on the rectangle,
+            (lines, places along v, places along u), from edge to edge and linear between places;
+            without elements, it is 1.
     """
 
     source: Floats
@@ -31,6 +34,7 @@ class Beam:
     v: Floats
     energies_kev: NDArray[np.float64]
     photons: NDArray[np.float64]
+    profile: NDArray[np.float64]
 
     def __init__(
         self,
@@ -40,12 +44,13 @@ class Beam:
         v: ArrayLike,
         energies_kev: ArrayLike,
         photons: ArrayLike = 1.0,
+        profile: ArrayLike | None = None,
     ) -> None:
         """Check and freeze the arrays.
 
         Raises:
-            InputError: energies outside the tables, no photons, or a field that the source does
-                not see.
+            InputError: energies outside the tables, no photons, a profile that does not fit, or a
+                field that the source does not see.
         """
         for name, value in (("source", source), ("centre", centre), ("u", u), ("v", v)):
             array = np.array(value, dtype=np.float64)
@@ -60,6 +65,17 @@ class Beam:
             raise InputError("beam: numbers of photons must be finite, at least 0, and not all 0")
         object.__setattr__(self, "energies_kev", energies)
         object.__setattr__(self, "photons", number)
+        factors = np.zeros((0, 0, 0)) if profile is None else np.array(profile, np.float64)
+        places = factors.ndim == 3 and min(factors.shape[1:]) > 1
+        if profile is not None and not (places and len(factors) == len(energies)):
+            raise InputError(
+                f"beam: a profile of {factors.shape} for {len(energies)} lines; it needs factors "
+                "for each line at two places at least along v and u"
+            )
+        if not (np.isfinite(factors).all() and (factors >= 0).all()):
+            raise InputError("beam: factors of the profile must be finite and at least 0")
+        factors.setflags(write=False)
+        object.__setattr__(self, "profile", factors)
         if abs(self.u @ self.v) > 1e-6 * np.linalg.norm(self.u) * np.linalg.norm(self.v):
             raise InputError("beam: u and v of the field must be orthogonal")
         if not self.distance > 0:
@@ -74,12 +90,13 @@ class Beam:
         view: int,
         energies_kev: ArrayLike,
         photons: ArrayLike = 1.0,
+        profile: ArrayLike | None = None,
     ) -> Beam:
         """Return the beam of a view that covers just the panel."""
         width, height = geometry.panel.size_mm
         u, v = geometry.u[view] * width / 2, geometry.v[view] * height / 2
         centre = geometry.detector[view]
-        return cls(geometry.source[view], centre, u, v, energies_kev, photons)
+        return cls(geometry.source[view], centre, u, v, energies_kev, photons, profile)
 
     @property
     def normal(self) -> Floats:
@@ -120,7 +137,31 @@ class Beam:
         return float(np.sqrt(off[0] ** 2 + off[1] ** 2 + self.distance**2))
 
     @property
+    def share(self) -> float:
+        """Photons in the field, relative to those without a profile."""
+        if not self.profile.size:
+            return 1.0
+        number = self.photons / self.photons.sum()
+        together = np.tensordot(number, self.profile, axes=1)
+        # Bilinear between places; the solid angle of a cell's parts, by their middles.
+        parts = 8
+        b, a = ((np.arange((n - 1) * parts) + 0.5) / parts for n in together.shape)
+        along_v, along_u = (
+            2 * t / (n - 1) - 1 for t, n in zip((b, a), together.shape, strict=True)
+        )
+        points = self.centre - self.source + along_u[:, None] * self.u
+        points = points + along_v[:, None, None] * self.v
+        weight = np.linalg.norm(points, axis=-1) ** -3.0
+        rows, columns = (_hats(t, n) for t, n in zip((b, a), together.shape, strict=True))
+        return float(((rows @ together @ columns.T) * weight).sum() / weight.sum())
+
+    @property
     def cumulative(self) -> NDArray[np.float64]:
         """Share of photons up to each line, rising to 1, (lines,)."""
         total = np.cumsum(self.photons)
         return total / total[-1]
+
+
+def _hats(places: Floats, nodes: int) -> Floats:
+    """Return the weights of nodes 0, 1, ... at places between them, (places, nodes)."""
+    return np.maximum(1 - np.abs(places[:, None] - np.arange(nodes)), 0.0)

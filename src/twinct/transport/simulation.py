@@ -25,6 +25,7 @@ from twinct.geometry import Floats, ScanGeometry, VolumeGrid
 from twinct.transport._histories import Field, Pixels, follow, primary, primary_energy
 from twinct.transport.beam import Beam
 from twinct.transport.cross_sections import TOTAL, TRANSFER, energies_kev
+from twinct.transport.grid import NO_GRID, AntiScatterGrid
 from twinct.transport.regions import Regions
 from twinct.transport.scores import ORDERS, Scores
 from twinct.transport.voxel_body import VoxelBody
@@ -52,11 +53,13 @@ class Detector:
         geometry: source and panel of the views.
         view: index of the view.
         response: signal of a photon by its energy.
+        grid: anti-scatter grid before the panel, if any.
     """
 
     geometry: ScanGeometry
     view: int = 0
     response: Response = integrating
+    grid: AntiScatterGrid | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,18 +196,17 @@ class Simulation:
         """
         if self._detector is None:
             raise InputError("a primary image needs a detector")
-        signal = np.interp(self._beam.energies_kev, energies_kev(), self._pixels.response)
-        weights = self._photons_per_sr * signal
         image = np.empty(self._image_shape[1:])
-        mu = self._at_lines(TOTAL)
+        weights, mu = self._photons_per_sr, self._at_lines(TOTAL)
         primary(self._field, weights, mu, self._voxels, self._pixels, int(samples), image)
         return image
 
     def primary_energy(self, cells: ArrayLike | None = None) -> Floats:
         """Return the energy that unscattered photons give to electrons, keV per photon.
 
-        It is the collision kerma on a ray through the middle of each voxel, times its mass, without
-        chance. With the energy scored after the first collision it is the energy deposited.
+        It is the collision kerma on a ray through the middle of each voxel, times its mass in the
+        field, without chance. With the energy scored after the first collision it is the energy
+        deposited.
 
         Args:
             cells: places of voxels in the flattened grid; all voxels by default.
@@ -228,8 +230,12 @@ class Simulation:
 
     @property
     def _photons_per_sr(self) -> Floats:
-        """Share of the photons in each line, per solid angle of the field, (lines,)."""
-        return self._beam.photons / self._beam.photons.sum() / self._beam.solid_angle
+        """Share of the photons in each line, per solid angle of the field, (lines,).
+
+        Where the beam has a profile, times its factor.
+        """
+        beam = self._beam
+        return beam.photons / beam.photons.sum() / beam.solid_angle / beam.share
 
     def _at_lines(self, column: int) -> Floats:
         """Return a coefficient of each medium at the lines of the spectrum, (media, lines)."""
@@ -312,7 +318,9 @@ def _local_field(beam: Beam, grid: VolumeGrid) -> Field:
     source, centre = _local(beam.source, grid), _local(beam.centre, grid)
     inside = np.array(np.linalg.inv(np.array([u, v, centre - source]).T), np.float64)
     energies = np.array(beam.energies_kev)
-    return Field(source, centre, u, v, inside, beam.shortest, energies, beam.cumulative)
+    lines, profile = (energies, beam.cumulative), np.array(beam.profile)
+    most = float(profile.max(initial=0.0))
+    return Field(source, centre, u, v, inside, beam.shortest, *lines, profile, most)
 
 
 def _local_pixels(
@@ -321,7 +329,8 @@ def _local_pixels(
     """Return the panel for the kernels, and the shape of its images."""
     if detector is None:
         none = np.zeros(3)
-        return Pixels(none, none.copy(), none.copy(), np.ones(2), np.zeros(2)), (0, 0, 0)
+        panel = none, none.copy(), none.copy(), np.ones(2), np.zeros(2)
+        return Pixels(*panel, NO_GRID.copy(), np.zeros((2, 2))), (0, 0, 0)
     geometry, view = detector.geometry, detector.view
     if not 0 <= view < len(geometry.source):
         raise InputError(f"view {view}: the geometry has the views 0 to {len(geometry.source) - 1}")
@@ -332,11 +341,17 @@ def _local_pixels(
     response = np.array(detector.response(energies_kev()), np.float64)
     if response.shape != energies_kev().shape or not np.isfinite(response).all():
         raise InputError("response: must be a finite number for each energy in keV")
+    grid_shape, barriers = NO_GRID.copy(), np.zeros((2, len(response)))
+    if detector.grid is not None:
+        grid_shape = detector.grid.shape
+        barriers = detector.grid.attenuation(energies_kev())
     pixels = Pixels(
         _local(corner, grid),
         _turned(u, grid),
         _turned(v, grid),
         np.array([panel.pitch_u, panel.pitch_v]),
         response,
+        grid_shape,
+        barriers,
     )
     return pixels, (len(ORDERS), panel.rows, panel.columns)

@@ -24,7 +24,7 @@ from twinct.trajectory import OrbitSettings
 from twinct.version import __version__
 from twinct.view_planning.objectives import Views
 from twinct.view_plans.candidates import candidates_of, seconds_between
-from twinct.xray.build import build_response, build_spectrum, effective_energy_kev
+from twinct.xray.build import build_beam, build_response, build_spectrum, effective_energy_kev
 from twinct.xray.dose import PlaceDoses
 from twinct.xray.spectrum import PhotonSpectrum
 from twinct.xray.view_nodes import ViewNodes
@@ -128,12 +128,14 @@ class Patient:
             (m.density_g_cm3, sorted(m.mass_fractions.items())) for m in specimen.materials
         ]
         inputs = [specimen.digest, materials, part, voxel_mm, __version__]
+        free, source = build_beam(self.builder.scenario.source), self.builder.scenario.source
         inputs += [spectrum.energies_kev.tolist(), spectrum.photons.tolist()]
+        inputs += [free.heel, source.bowtie]
         digest = repr(inputs)
         places = once(
             "dose",
             f"{digest} {specimen.world_from_specimen}",
-            lambda: PlaceDoses(specimen, spectrum, [part], voxel_mm, f"{key}.voxel_mm"),
+            lambda: PlaceDoses(specimen, free, [part], voxel_mm, f"{key}.voxel_mm"),
         )
         all_over = self._all_over(views, simulated)
         nodes = ViewNodes(all_over, simulated)

@@ -19,13 +19,12 @@ OPTIONS = {"cache": True, "nogil": True, "fastmath": True, "error_model": "numpy
 
 
 @njit(**OPTIONS)
-def _add_bin(mu, mean, square, rows, bits, scale, sums):
-    """Add one energy bin of ``rows`` (materials, n) path lengths to sums (2, n).
+def _transmit(mu, rows, bits, scale, work):
+    """Write the transmission of one energy behind ``rows`` (materials, n) path lengths to ``work``.
 
     Plain loops without calls or branches let the compiler generate SIMD code.
     """
     n = rows.shape[1]
-    work = sums[2]
     for i in range(n):
         work[i] = np.float32(0.0)
     for m in range(rows.shape[0]):
@@ -39,30 +38,55 @@ def _add_bin(mu, mean, square, rows, bits, scale, sums):
         bits[i] = (np.int32(whole) + np.int32(127)) << np.int32(23)
         work[i] = np.float32(1.0) + f * (C1 + f * (C2 + f * (C3 + f * (C4 + f * (C5 + f * C6)))))
     for i in range(n):
-        value = work[i] * scale[i]
-        sums[0, i] += mean * value
-        sums[1, i] += square * value
+        work[i] *= scale[i]
+
+
+@njit(**OPTIONS)
+def _shade(nodes, row, cells, fractions, line, work):
+    """Multiply ``work`` by the factors of ``nodes`` (v, u), linear between them."""
+    first = min(np.int32(row), np.int32(nodes.shape[0] - 2))
+    part = row - np.float32(first)
+    for k in range(nodes.shape[1]):
+        line[k] = nodes[first, k] + part * (nodes[first + 1, k] - nodes[first, k])
+    for i in range(len(work)):
+        k = cells[i]
+        work[i] *= line[k] + fractions[i] * (line[k + 1] - line[k])
 
 
 @njit(parallel=True, **OPTIONS)
-def sum_bins(paths, mus, means, squares, beam, samples, share, out):
+def sum_bins(paths, mus, means, squares, beam, samples, share, shading, out):
     """Add the signal of every bin to ``out``: mean and mean square, (2, rows, columns).
 
     ``paths`` (materials, rows * samples, columns * samples) are in mm, ``mus`` (bins, materials) in
     1/mm. ``means`` and ``squares`` (bins,) weight the bins, ``beam`` each sample, ``share`` the
-    total.
+    total. ``shading`` has factors on the bins: see ``Shading``; without bins, there are none.
     """
     rows, n = out.shape[1], paths.shape[2]
     factor = np.float32(share / (samples * samples))
+    table, at_rows, at_columns = shading
+    shaded, nodes = table.shape[0] > 0, table.shape[2]
+    cells = np.zeros(n, np.int32)
+    fractions = np.zeros(n, np.float32)
+    if shaded:
+        for i in range(n):
+            cells[i] = min(np.int32(at_columns[i]), np.int32(nodes - 2))
+            fractions[i] = at_columns[i] - np.float32(cells[i])
     for row in prange(rows):
         bits = np.empty(n, np.int32)
         scale = bits.view(np.float32)
-        sums = np.empty((3, n), np.float32)
+        sums = np.empty((2, n), np.float32)
+        work = np.empty(n, np.float32)
+        line = np.empty(nodes, np.float32)
         for sub in range(row * samples, (row + 1) * samples):
-            sums[:2] = np.float32(0.0)
+            sums[:] = np.float32(0.0)
             here = paths[:, sub]
             for b in range(len(means)):
-                _add_bin(mus[b], means[b], squares[b], here, bits, scale, sums)
+                _transmit(mus[b], here, bits, scale, work)
+                if shaded:
+                    _shade(table[b], at_rows[sub], cells, fractions, line, work)
+                for i in range(n):
+                    sums[0, i] += means[b] * work[i]
+                    sums[1, i] += squares[b] * work[i]
             for i in range(n):
                 weight = factor * beam[sub, i]
                 out[0, row, i // samples] += weight * sums[0, i]

@@ -5,8 +5,10 @@ An unusable file, material or number raises an ``InputError`` that begins with i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +20,17 @@ from twinct.geometry import Floats, Panel
 from twinct.specimen.materials import Material, material
 from twinct.specimen.sections import Composition
 from twinct.xray import sections
+from twinct.xray.beam_shape import BeamShape
+from twinct.xray.bowtie import Bowtie
+from twinct.xray.heel import HeelEffect
 from twinct.xray.response import PhotonResponse
 from twinct.xray.spectrum import PhotonSpectrum, attenuation
 from twinct.xray.spot import gaussian_spot, image_spot, square_spot, unit_square
 from twinct.xray.spread import PointSpreadFunction
 from twinct.xray.tube import tube_spectrum
+
+if TYPE_CHECKING:  # its kernels take a second to load
+    from twinct.transport import AntiScatterGrid
 
 SCINTILLATORS = {
     "CsI": Composition(formula="CsI", density_g_cm3=4.51),
@@ -35,13 +43,13 @@ _FAINTEST = 1e-9
 
 
 def build_spectrum(source: sections.Source) -> PhotonSpectrum:
-    """Return the source's spectrum behind its filters.
+    """Return the spectrum of the central ray behind filters and the middle of a bowtie.
 
     Raises:
         MissingExtraError: SpekPy is needed and not installed.
     """
     photons = source.photons_per_mm2_mas
-    section = source.spectrum
+    section, bowtie = source.spectrum, build_bowtie(source)
     if section is None:
         return PhotonSpectrum.monochromatic(source.energy_kev, photons)
     if isinstance(section, sections.TubeSpectrum):
@@ -50,8 +58,43 @@ def build_spectrum(source: sections.Source) -> PhotonSpectrum:
     else:
         with _named("source.spectrum.path"):
             spectrum = PhotonSpectrum.read(section.path)
-    spectrum = _filtered(spectrum, section.filters).rebinned(section.bins)
+    spectrum = _filtered(spectrum, section.filters)
+    if bowtie is not None:
+        spectrum = spectrum.filtered(bowtie.material, float(bowtie.thickness_mm[0]))
+    spectrum = spectrum.rebinned(section.bins)
     return spectrum if photons is None else spectrum.scaled(photons)
+
+
+def build_bowtie(source: sections.Source) -> Bowtie | None:
+    """Return the bowtie filter, if there is one."""
+    section = source.bowtie
+    if section is None:
+        return None
+    substance = material(section.material, "source.bowtie.material")
+    angles = np.array(section.angles_deg, np.float64)
+    return Bowtie(substance, angles, np.array(section.thickness_mm, np.float64), section.along)
+
+
+def build_beam(source: sections.Source) -> BeamShape:
+    """Return the free beam: the spectrum of the central ray, and what changes it elsewhere."""
+    tube, heel = source.spectrum, None
+    if isinstance(tube, sections.TubeSpectrum) and tube.anode_side is not None:
+        heel = HeelEffect(tube.kvp, tube.anode_angle_deg, tube.target, tube.anode_side)
+    return BeamShape(build_spectrum(source), heel, build_bowtie(source))
+
+
+def build_grid(detector: sections.Detector) -> AntiScatterGrid | None:
+    """Return the anti-scatter grid, if there is one."""
+    section = detector.grid
+    if section is None:
+        return None
+    from twinct.transport.grid import AntiScatterGrid
+
+    strip = material(section.strip, "detector.grid.strip")
+    space = material(section.space, "detector.grid.space")
+    focus = math.inf if section.focus_mm is None else section.focus_mm
+    widths = 10 / section.lines_per_cm, section.strip_mm
+    return AntiScatterGrid(section.along, section.ratio, *widths, strip, space, focus)
 
 
 def _filtered(spectrum: PhotonSpectrum, filters: Sequence[sections.Filter]) -> PhotonSpectrum:
@@ -82,7 +125,15 @@ def _filtered(spectrum: PhotonSpectrum, filters: Sequence[sections.Filter]) -> P
 
 
 def build_response(detector: sections.Detector) -> PhotonResponse:
-    """Return the detector's response to a photon."""
+    """Return the response to a photon that meets grid and panel at right angles."""
+    grid, response = build_grid(detector), build_panel_response(detector)
+    if grid is None:
+        return response
+    return response.passing(lambda energies: grid.transmission(energies, 0.0, 0.0))
+
+
+def build_panel_response(detector: sections.Detector) -> PhotonResponse:
+    """Return the panel's response to a photon behind the grid, if there is one."""
     section = detector.response
     if isinstance(section, sections.CountingResponse):
         return PhotonResponse.counting()
@@ -94,7 +145,7 @@ def build_response(detector: sections.Detector) -> PhotonResponse:
     layer = section.material
     layer = SCINTILLATORS[layer] if isinstance(layer, str) else layer
     substance = material(layer, "detector.response.material")
-    return PhotonResponse.scintillator(substance, section.thickness_mm)
+    return PhotonResponse.scintillator(substance, section.thickness_mm, section.swank)
 
 
 def effective_energy_kev(source: sections.Source, detector: sections.Detector) -> float:

@@ -16,16 +16,16 @@ from twinct.xray import sections
 from twinct.xray.beam import fall_off
 from twinct.xray.build import (
     build_bad_pixels,
+    build_beam,
+    build_grid,
     build_response,
-    build_spectrum,
     build_spot,
     build_spread,
-    effective_energy_kev,
     physical_panel,
 )
 from twinct.xray.noise import normal_noise, quantum_noise
 from twinct.xray.readout import Amplifier, binned, correct, mend_bad_pixels
-from twinct.xray.scatter import ScatterKernel, compton_per_mm
+from twinct.xray.shading import shading_of
 from twinct.xray.signal import Signal
 from twinct.xray.spot import moved_source
 
@@ -62,8 +62,8 @@ class ImagingChain:
         panel: physical pixels, before binning.
         spot: points of the focal spot in the source frame's x and y, (points, 2), mm.
         samples: samples along each edge of a physical pixel.
-        spectrum: photons of the free beam.
-        response: signal of a photon.
+        beam: the free beam.
+        grid: the anti-scatter grid, if any.
         free: expected signal of a physical pixel and its variance, in the free beam at the middle
             of the first commanded view's panel, at ``source.mas``, (2,).
     """
@@ -89,23 +89,19 @@ class ImagingChain:
             mas: tube load of each commanded view, (views,), mAs; ``source.mas`` by default.
         """
         self._loads = None if mas is None else np.asarray(mas, dtype=np.float64) / source.mas
-        spectrum = build_spectrum(source)
+        self.beam, self.grid = build_beam(source), build_grid(detector)
+        spectrum = self.beam.spectrum
         self.spot = build_spot(source)
         self.panel = physical_panel(detector)
         self.samples = detector.pixel_samples
         self._detector, self._seed = detector, seed
-        self.spectrum, self.response = spectrum, build_response(detector)
-        self._signal = Signal(spectrum, materials, self.response)
+        self._response = build_response(detector)
+        self._signal = Signal(spectrum, materials, self._response)
         unit = source.mas if spectrum.absolute else 1.0
         self._scale = np.float32(unit * self.panel.pitch_u * self.panel.pitch_v)
         self._commanded = self.physical(commanded)
         at_middle = np.mean([_at_middle(seen) for seen in self.from_spot(commanded[0])])
         self.free: Floats = self._signal.free * float(self._scale) * float(at_middle)
-        self._kernel: ScatterKernel | None = None
-        if isinstance(detector.scatter, sections.Scatter):
-            energy = effective_energy_kev(source, detector)
-            self._kernel = ScatterKernel(energy, detector.scatter.scale)
-            self._compton = np.array([compton_per_mm(m, energy) for m in materials], np.float32)
         self._spread = build_spread(detector)
         self._bad = build_bad_pixels(detector, seed)
         self._amplifier, self._electronic = Amplifier(1 / float(self.free[0])), 0.0
@@ -133,12 +129,8 @@ class ImagingChain:
             yield moved_source(view, offset) if offset.any() else view
 
     def blank(self) -> Image:
-        """Return an empty accumulator for exposures, (2 or 3, rows, columns).
-
-        It holds mean and mean square of the signal and, with a scatter model, the scattered signal.
-        """
-        planes = 2 if self._kernel is None else 3
-        return np.zeros((planes, *self.panel.shape), dtype=np.float32)
+        """Return an empty accumulator: mean and mean square of the signal, (2, rows, columns)."""
+        return np.zeros((2, *self.panel.shape), dtype=np.float32)
 
     def add(self, paths: Image, view: ScanGeometry, out: Image, share: float = 1.0) -> None:
         """Add one render to an exposure, an ``out`` from ``blank``.
@@ -149,13 +141,9 @@ class ImagingChain:
             out: accumulator of the exposure.
             share: weight among the renders of this exposure.
         """
-        beam = fall_off(view, self.samples)
-        before = None if self._kernel is None else out[0].copy()
-        share *= float(self._scale)
-        self._signal.add(paths, beam, out[:2], samples=self.samples, share=share)
-        if before is not None:
-            optical = binned(np.tensordot(self._compton, paths, axes=1), self.samples)
-            out[2] += (out[0] - before) * optical
+        beam, share = fall_off(view, self.samples), share * float(self._scale)
+        shading = shading_of(self.beam, self.grid, view, self.samples)
+        self._signal.add(paths, beam, out, samples=self.samples, share=share, shading=shading)
 
     def add_scatter(self, per_mm2: Image, out: Image, share: float = 1.0) -> None:
         """Add scatter to an exposure, as the photons of the free beam on average.
@@ -174,8 +162,7 @@ class ImagingChain:
         expected: Image,
         view: ScanGeometry,
         index: int,
-        object_mm: float = 0.0,
-        before: tuple[Image, float] | None = None,
+        before: Image | None = None,
         repetition: int = 0,
     ) -> ViewImages:
         """Return the detector's images of one view.
@@ -184,16 +171,15 @@ class ImagingChain:
             expected: accumulated exposure from ``add``.
             view: executed view on the physical pixels.
             index: index of the view; keys the noise.
-            object_mm: distance from the middle of the object to the panel, for scatter.
-            before: ``expected`` and ``object_mm`` of the previous view, whose signal lags.
+            before: ``expected`` of the previous view, whose signal lags.
             repetition: number of the scan; each has noise of its own, with the same flat and dark
                 images.
         """
         rng = self._rng(index, repetition)
-        signal = self._signal_of(expected, object_mm, rng)
+        signal = self._signal_of(expected, rng)
         if before is not None:
             # The previous noise is drawn again by its own key.
-            last = self._signal_of(*before, self._rng(index - 1, repetition))
+            last = self._signal_of(before, self._rng(index - 1, repetition))
             signal = self._lagging(signal, last)
         if self._electronic:
             signal = normal_noise(signal, self._electronic / self._amplifier.gain, rng)
@@ -203,16 +189,11 @@ class ImagingChain:
         raw = np.where(self._bad, np.float32(0), raw) if self._bad.any() else raw
         return ViewImages(raw, flat, dark, mend_bad_pixels(transmission, self._bad))
 
-    def mean(
-        self,
-        expected: Image,
-        object_mm: float = 0.0,
-        before: tuple[Image, float] | None = None,
-    ) -> Image:
+    def mean(self, expected: Image, before: Image | None = None) -> Image:
         """Return the signal of one view without noise, (rows, columns), as in ``frame``."""
-        signal = self._signal_of(expected, object_mm, None)
+        signal = self._signal_of(expected, None)
         if before is not None:
-            signal = self._lagging(signal, self._signal_of(*before, None))
+            signal = self._lagging(signal, self._signal_of(before, None))
         return binned(signal, self._detector.binning)
 
     def _lagging(self, signal: Image, last: Image) -> Image:
@@ -224,18 +205,12 @@ class ImagingChain:
         # Modulo: a view imaged alone, as view 0, may still have a predecessor.
         return view_rng(self._seed, purpose, index % 2**64)
 
-    def _signal_of(
-        self, expected: Image, object_mm: float, rng: np.random.Generator | None
-    ) -> Image:
-        """Return one exposure's signal in the physical pixels, with scatter, noise and spread.
+    def _signal_of(self, expected: Image, rng: np.random.Generator | None) -> Image:
+        """Return one exposure's signal in the physical pixels, with noise and spread.
 
         None for the generator: without noise.
         """
         detector, pitch = self._detector, (self.panel.pitch_u, self.panel.pitch_v)
-        if self._kernel is not None:
-            scatter = self._kernel.spread(expected[2], *pitch, object_mm)
-            of_one = np.float32(self.free[1] / self.free[0])
-            expected = np.stack([expected[0] + scatter, expected[1] + of_one * scatter])
         signal = expected[0]
         if rng is not None and isinstance(detector.noise, sections.QuantumNoise):
             signal = quantum_noise(signal, expected[1], rng)
@@ -252,7 +227,7 @@ class ImagingChain:
         """Return the flat image with normal noise for its photon number, one pattern per scan."""
         way, commanded = self._detector.correction.flat_geometry, self._commanded
         if way == "view":
-            return self._flat_at(self._free_beam(view) * np.float32(self.load(index)))
+            return self._flat_at(self._lit(view) * np.float32(self.load(index)))
         # The flat is taken at the first view's mAs; the generator reports every view's mAs.
         more = np.float32(self.load(index) / self.load(0))
         if index == 0 or (way == "first" and more == 1):
@@ -260,6 +235,7 @@ class ImagingChain:
         scale: Image | np.float32 = more
         if way != "first":
             here = commanded[index] if index < len(commanded) else view
+            # Distance and tilt: no machine knows what the grid cuts off elsewhere.
             beams = self._free_beam(here) / self._first_beam
             scale = binned(beams, self._detector.binning) * more
         lit = self._first_flat - self._dark
@@ -271,7 +247,16 @@ class ImagingChain:
 
     @cached_property
     def _first_flat(self) -> Image:
-        return self._flat_at(self._first_beam * np.float32(self.load(0)))
+        return self._flat_at(self._lit(self._commanded[0]) * np.float32(self.load(0)))
+
+    def _lit(self, view: ScanGeometry) -> Image:
+        """Return mean and mean square of the signal in the free beam, (2, rows, columns)."""
+        if self.beam.uniform and self.grid is None:
+            free = self._signal.free.astype(np.float32) * self._scale
+            return free[:, None, None] * self._free_beam(view)
+        of = self.beam, self.grid, self._response
+        lit = [Signal.lit(*of, seen, self.samples) for seen in self.from_spot(view)]
+        return np.asarray(np.mean(lit, axis=0) * self._scale, np.float32)
 
     def _free_beam(self, view: ScanGeometry) -> Image:
         """Return the fall-off at each physical pixel."""
@@ -285,16 +270,15 @@ class ImagingChain:
             beam /= np.float32(len(self.spot))
         return beam
 
-    def _flat_at(self, beam: Image) -> Image:
+    def _flat_at(self, lit: Image) -> Image:
         detector, frames = self._detector, self._detector.correction.flat_frames
-        factor = self._signal.free.astype(np.float32) * self._scale
-        signal = beam * factor[0]
+        signal = lit[0]
         if self._spread is not None:
             signal = self._spread.apply(signal, self.panel.pitch_u, self.panel.pitch_v)
         if frames:
             variance = np.zeros_like(signal)
             if isinstance(detector.noise, sections.QuantumNoise):
-                variance = beam * factor[1]
+                variance = lit[1]
             elif isinstance(detector.noise, sections.SnrNoise):
                 share = detector.binning / detector.noise.snr
                 variance = signal * np.float32(self.free[0] * share**2)

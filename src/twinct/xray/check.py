@@ -10,10 +10,11 @@ import numpy as np
 from twinct.core.errors import InputError, MissingExtraError
 from twinct.geometry import ScanGeometry
 from twinct.xray import sections
+from twinct.xray.beam_shape import nodes_of
 from twinct.xray.build import (
     build_bad_pixels,
+    build_beam,
     build_response,
-    build_spectrum,
     build_spot,
     build_spread,
 )
@@ -47,14 +48,19 @@ def check_parts(
         except InputError as error:
             problems.extend(error.problems)
 
-    spectrum = of(lambda: build_spectrum(source))
+    beam = of(lambda: build_beam(source))
     response = of(lambda: build_response(detector))
     of(lambda: build_spread(detector))
     of(lambda: build_bad_pixels(detector, seed))
+    if beam is not None and not beam.uniform:
+        for view in views:  # corners see the largest angles to the central ray
+            ends = (nodes[[0, -1]] for nodes in nodes_of(view))
+            if of(lambda view=view, ends=ends: beam.factors(view, *ends)) is None:
+                break
     if of(lambda: build_spot(source)) is not None:
         problems += _spot_problems(source, views)
-    if spectrum is not None and response is not None:
-        problems += _response_problems(spectrum, response)
+    if beam is not None and response is not None:
+        problems += _response_problems(beam.spectrum, response)
     if problems:
         raise InputError(problems)
 

@@ -16,14 +16,14 @@ from twinct.specimen.part import rendered
 from twinct.specimen.signals import Inserts
 from twinct.xray._owner import SceneOwner
 from twinct.xray._placement import SpecimenObstacle, longest_edge, mesh_fault, split
-from twinct.xray.build import effective_energy_kev, physical_panel
+from twinct.xray.build import build_panel_response, effective_energy_kev, physical_panel
 from twinct.xray.chain import ImagingChain, ViewImages
 from twinct.xray.engine import SceneBody
 from twinct.xray.engines import DEFAULT_ENGINE, engine_named
 from twinct.xray.inserts import Insertion
 from twinct.xray.own_rays import OwnRays, room_rays
 from twinct.xray.paths import LARGEST_TILE, PathRenderer, materials_of
-from twinct.xray.sections import Detector, MonteCarloScatter, Source
+from twinct.xray.sections import Detector, Source
 
 if TYPE_CHECKING:
     from twinct.specimen.moving_voxels import MovingVoxels
@@ -91,8 +91,6 @@ class Imager(SceneOwner):
         if source.ideal and detector.ideal and max(self.panel.shape) <= LARGEST_TILE:
             self._open_ideal(specimen, edge, engine, objects)
         else:
-            low, high = specimen.bounds
-            self._centre = (low + high) / 2
             self._materials = materials_of(specimen.parts, objects)
             self._inserted = self._inserts_into(specimen)
             if commanded is not None:  # now, to report unusable files at once
@@ -222,11 +220,9 @@ class Imager(SceneOwner):
             return [self.expose(path, view, before, time_s=time_s)] * len(repetitions)
         seen = path.geometry(self.panel)
         chain, expected, last = self._exposure(seen, path.object, view, before, time_s, None)
-        object_mm = self._object_mm(seen[0], path.object[0])
         middle = chain.physical(seen[len(seen) // 2])
         return [
-            chain.frame(expected, middle, view, object_mm, last, number).transmission
-            for number in repetitions
+            chain.frame(expected, middle, view, last, number).transmission for number in repetitions
         ]
 
     def inserted(
@@ -260,11 +256,10 @@ class Imager(SceneOwner):
                 for one in (insertion, None)
             ]
         else:
-            object_mm = self._object_mm(seen[0], path.object[0])
             means = []
             for one in (insertion, None):
                 chain, light, last = self._exposure(seen, path.object, view, before, time_s, one)
-                means.append(chain.mean(light, object_mm, last))
+                means.append(chain.mean(light, last))
         share = np.ones(self.panel.shape)
         np.divide(means[0], means[1], out=share, where=np.asarray(means[1]) > 0)
         return share.astype(np.float32)
@@ -303,8 +298,7 @@ class Imager(SceneOwner):
     ) -> ViewImages:
         middle = path[len(path) // 2]
         chain, expected, last = self._exposure(path, objects, view, before, time_s, None)
-        object_mm = self._object_mm(path[0], objects[0])
-        return chain.frame(expected, chain.physical(middle), view, object_mm, last)
+        return chain.frame(expected, chain.physical(middle), view, last)
 
     def _exposure(
         self,
@@ -314,7 +308,7 @@ class Imager(SceneOwner):
         before: PosePairs | None,
         time_s: float,
         insertion: Insertion | None,
-    ) -> tuple[ImagingChain, NDArray[np.float32], tuple[NDArray[np.float32], float] | None]:
+    ) -> tuple[ImagingChain, NDArray[np.float32], NDArray[np.float32] | None]:
         """Return the chain, the expected signal of a view, and that of the view before, if it lags.
 
         See ``ImagingChain.frame``.
@@ -325,14 +319,8 @@ class Imager(SceneOwner):
         last = None
         if self._detector.lag and before is not None:
             seen = before.geometry(self.panel)
-            signal = self._expected(chain, seen, before.object, view - 1, time_s, insertion)
-            last = signal, self._object_mm(seen, *before.object)
+            last = self._expected(chain, seen, before.object, view - 1, time_s, insertion)
         return chain, self._expected(chain, path, objects, view, time_s, insertion), last
-
-    def _object_mm(self, geometry: ScanGeometry, world_from_object: Pose) -> float:
-        """Return the distance from the specimen's middle to the panel, along the panel's normal."""
-        centre = world_from_object.apply(self._centre)
-        return float((centre - geometry.detector[0]) @ geometry.normal[0])
 
     def _expected(
         self,
@@ -363,11 +351,11 @@ class Imager(SceneOwner):
     def _new_chain(self, commanded: ScanGeometry) -> ImagingChain:
         sections = self._source, self._detector
         chain = ImagingChain(*sections, self._materials, commanded, self._seed, self._mas)
-        if isinstance(settings := self._detector.scatter, MonteCarloScatter):
+        if (settings := self._detector.scatter) is not None:
             from twinct.xray.monte_carlo_scatter import scatter_of
 
-            model = chain.spectrum, chain.response, chain.panel
-            self._scatter = scatter_of(settings, self._specimen, *model, commanded)
+            panel = build_panel_response(self._detector), chain.grid, chain.panel
+            self._scatter = scatter_of(settings, self._specimen, chain.beam, *panel, commanded)
         return chain
 
     def _ideal(

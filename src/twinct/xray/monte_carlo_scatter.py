@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from twinct.geometry import Floats, Panel, ScanGeometry
 from twinct.specimen import BuiltSpecimen
-from twinct.transport import Beam, Detector, Simulation, VoxelBody
+from twinct.transport import AntiScatterGrid, Detector, Simulation, VoxelBody
 from twinct.transport.cross_sections import require_energies
+from twinct.xray.beam_shape import BeamShape
 from twinct.xray.response import PhotonResponse
 from twinct.xray.sections import MonteCarloScatter
 from twinct.xray.spectrum import PhotonSpectrum
@@ -64,8 +65,9 @@ class ScatterNodes:
         self,
         body: VoxelBody,
         views: ScanGeometry,
-        spectrum: PhotonSpectrum,
+        beam: BeamShape,
         response: PhotonResponse,
+        grid: AntiScatterGrid | None,
         settings: ScatterSettings,
         seed: int = 0,
     ) -> None:
@@ -74,8 +76,9 @@ class ScatterNodes:
         Args:
             body: the body.
             views: views from which the nodes are chosen, in the body's frame.
-            spectrum: photons of the free beam.
+            beam: the free beam.
             response: signal of a photon.
+            grid: the grid before the panel, if any.
             settings: number of nodes, their photons, and size of the coarse pixels.
             seed: seed of the random numbers.
 
@@ -83,14 +86,15 @@ class ScatterNodes:
             InputError: a photon energy is outside the tables.
         """
         self._body, self._settings, self._seed = body, settings, seed
-        self._spectrum, self._response, self._panel = spectrum, response, views.panel
+        self._beam, self._response, self._grid = beam, response, grid
+        self._panel = views.panel
         width, height = views.panel.size_mm
         columns, rows = (max(round(n / settings.pixel_mm), 1) for n in (width, height))
         self._coarse = Panel(rows, columns, width / columns, height / rows)
         self._views = ScanGeometry(views.source, views.detector, views.u, views.v, self._coarse)
         self._nodes = ViewNodes(self._views, settings.views)
         self._images: dict[int, Floats] = {}
-        Beam.of_view(self._views, 0, spectrum.energies_kev, spectrum.photons)
+        require_energies(beam.spectrum.energies_kev)
 
     def image(self, view: ScanGeometry) -> NDArray[np.float32]:
         """Return the scatter in one view, (rows, columns).
@@ -118,18 +122,18 @@ class ScatterNodes:
     def _simulated(self, node: int) -> Floats:
         """Return the scatter of a node on the coarse pixels, as ``image`` does."""
         if node not in self._images:
-            spectrum = self._spectrum
-            beam = Beam.of_view(self._views, node, spectrum.energies_kev, spectrum.photons)
+            beam = self._beam.beam(self._views, node)
             simulation = Simulation(
                 self._body,
                 beam,
                 dose=False,
-                detector=Detector(self._views, node, self._response.mean),
+                detector=Detector(self._views, node, self._response.mean, self._grid),
             )
             photons = -(-self._settings.photons // BATCHES)
             scores = simulation.run(photons, BATCHES, seed=self._seed, view=node)
             scatter, _ = scores.scatter()
-            in_field = float(spectrum.photons.sum()) * _MM2_PER_SR_AT_1_M * beam.solid_angle
+            per_sr = self._beam.spectrum.total * _MM2_PER_SR_AT_1_M
+            in_field = per_sr * beam.solid_angle * beam.share
             area = self._coarse.pitch_u * self._coarse.pitch_v
             self._images[node] = scatter.sum(axis=0) * (in_field / area)
         return self._images[node]
@@ -138,8 +142,9 @@ class ScatterNodes:
 def scatter_of(
     settings: MonteCarloScatter,
     specimen: BuiltSpecimen,
-    spectrum: PhotonSpectrum,
+    beam: BeamShape,
     response: PhotonResponse,
+    grid: AntiScatterGrid | None,
     panel: Panel,
     commanded: ScanGeometry,
 ) -> ScatterNodes:
@@ -148,8 +153,9 @@ def scatter_of(
     Args:
         settings: ``detector.scatter``.
         specimen: the specimen.
-        spectrum: photons of the free beam.
+        beam: the free beam.
         response: signal of a photon.
+        grid: the grid before the panel, if any.
         panel: physical pixels.
         commanded: commanded views, in the world.
 
@@ -158,7 +164,7 @@ def scatter_of(
     """
     body = in_voxels(specimen, grid_of(specimen, settings.voxel_mm, _VOXELS))
     views = replace(specimen.world_from_specimen.inverse() @ commanded, panel=panel)
-    return ScatterNodes(body, views, spectrum, response, settings)
+    return ScatterNodes(body, views, beam, response, grid, settings)
 
 
 def check_scatter(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twinct.core.errors import InputError
 from twinct.core.files.tables import read_columns
@@ -49,17 +50,20 @@ class PhotonResponse:
         return cls("integrating", lambda e: np.asarray(e, dtype=float), np.square, "keV")
 
     @classmethod
-    def scintillator(cls, material: Material, thickness_mm: float) -> PhotonResponse:
+    def scintillator(
+        cls, material: Material, thickness_mm: float, swank: float = 1.0
+    ) -> PhotonResponse:
         """Return a layer that absorbs attenuated photons with their full energy.
 
         A share 1 - exp(-mu t) of the photons is absorbed. Escaping fluorescence and scattered
-        photons count as absorbed.
+        photons count as absorbed. The light of equal photons differs, which divides the mean square
+        of their signal by ``swank``: see ``swank_factor``.
         """
 
         def share(energies: Floats) -> Floats:
             return -np.expm1(-attenuation(material, energies) * thickness_mm)
 
-        return cls._absorbing(share, f"{thickness_mm:g} mm {material.name}")
+        return cls._absorbing(share, f"{thickness_mm:g} mm {material.name}", swank)
 
     @classmethod
     def efficiency(
@@ -69,8 +73,10 @@ class PhotonResponse:
         return cls._absorbing(lambda e: np.interp(e, energies_kev, shares), name)
 
     @classmethod
-    def _absorbing(cls, share: Callable[[Floats], Floats], name: str) -> PhotonResponse:
-        return cls(name, lambda e: share(e) * e, lambda e: share(e) * np.square(e), "keV")
+    def _absorbing(
+        cls, share: Callable[[Floats], Floats], name: str, swank: float = 1.0
+    ) -> PhotonResponse:
+        return cls(name, lambda e: share(e) * e, lambda e: share(e) * np.square(e) / swank, "keV")
 
     @classmethod
     def read_efficiency(cls, path: Path) -> PhotonResponse:
@@ -95,14 +101,33 @@ class PhotonResponse:
 
     def behind(self, material: Material, thickness_mm: float) -> PhotonResponse:
         """Return this detector behind a window or filter, crossed at right angles."""
+        return self.passing(lambda e: np.exp(-attenuation(material, e) * thickness_mm))
 
-        def passed(energies: Floats) -> Floats:
-            return np.exp(-attenuation(material, energies) * thickness_mm)
-
+    def passing(self, share: Callable[[Floats], Floats]) -> PhotonResponse:
+        """Return this detector behind what lets a share of the photons of each energy pass."""
         return PhotonResponse(
             self.name,
-            lambda e: passed(e) * self.mean(e),
-            lambda e: passed(e) * self.square(e),
+            lambda e: share(e) * self.mean(e),
+            lambda e: share(e) * self.square(e),
             self.unit,
             self.range_kev,
         )
+
+
+def swank_factor(heights: ArrayLike, counts: ArrayLike) -> float:
+    """Return the Swank factor of a pulse-height spectrum, M1^2 / (M0 M2) of its moments.
+
+    Swank, J. Appl. Phys. 44 (1973) 4199.
+
+    Args:
+        heights: pulse heights, such as light photons of one absorbed X-ray photon.
+        counts: number of pulses of each height.
+
+    Raises:
+        InputError: a number is negative, or there are no pulses.
+    """
+    height, count = np.broadcast_arrays(np.asarray(heights, float), np.asarray(counts, float))
+    if not ((height >= 0).all() and (count >= 0).all() and (height * count).sum() > 0):
+        raise InputError("pulse heights and their counts must be at least 0, and not all 0")
+    moments = [float((count * height**n).sum()) for n in range(3)]
+    return moments[1] ** 2 / (moments[0] * moments[2])

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats
+from twinct.geometry import Floats, ScanGeometry
 from twinct.specimen.materials import Material
+from twinct.xray.beam import fall_off
+from twinct.xray.beam_shape import BeamShape
 from twinct.xray.response import PhotonResponse
+from twinct.xray.shading import UNSHADED, Shading, shading_of
 from twinct.xray.spectrum import PhotonSpectrum, attenuation
+
+if TYPE_CHECKING:  # its kernels take a second to load
+    from twinct.transport import AntiScatterGrid
 
 NODES = 16384
 """Nodes of the table for one material; interpolation errs by 2e-6 of a signal at its darkest."""
@@ -56,6 +63,7 @@ class Signal:
         *,
         samples: int = 1,
         share: float = 1.0,
+        shading: Shading = UNSHADED,
     ) -> None:
         """Add one exposure to an image.
 
@@ -66,14 +74,36 @@ class Signal:
             out: mean and mean square of the signal, (2, rows, columns), per mm^2 of panel and mAs.
             samples: samples along each pixel edge.
             share: weight of this exposure in the image.
+            shading: factors on the bins by place.
         """
         from twinct.xray._attenuated import look_up, sum_bins
 
-        if len(paths) == 1 and paths.min() >= 0:  # the table begins at 0
+        shaded = shading is not UNSHADED
+        if len(paths) == 1 and paths.min() >= 0 and not shaded:  # the table begins at 0
             look_up(paths[0], self._longest, self._table, beam, samples, share, out)
         else:
             bins = self._mus, self._mean, self._square
-            sum_bins(paths, *bins, beam, samples, np.float32(share), out)
+            sum_bins(paths, *bins, beam, samples, np.float32(share), tuple(shading), out)
+
+    @classmethod
+    def lit(
+        cls,
+        beam: BeamShape,
+        grid: AntiScatterGrid | None,
+        response: PhotonResponse,
+        view: ScanGeometry,
+        samples: int = 1,
+    ) -> NDArray[np.float32]:
+        """Return mean and mean square of the signal in the free beam, (2, rows, columns).
+
+        Per mm^2 of the panel and mAs; ``response`` is that behind the grid.
+        """
+        out = np.zeros((2, *view.panel.shape), np.float32)
+        paths = np.zeros((0, *(n * samples for n in view.panel.shape)), np.float32)
+        shading = shading_of(beam, grid, view, samples)
+        free = cls(beam.spectrum, (), response)
+        free.add(paths, fall_off(view, samples), out, samples=samples, shading=shading)
+        return out
 
     def __call__(
         self, paths: NDArray[np.float32], beam: NDArray[np.float32], samples: int = 1

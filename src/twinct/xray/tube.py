@@ -12,11 +12,16 @@ from twinct.xray.spectrum import PhotonSpectrum
 _CM2_MM2 = 100.0
 
 
-@lru_cache(maxsize=8)  # SpekPy takes a second, and several places call it
+@lru_cache(maxsize=128)  # SpekPy takes up to a second, and several places call it
 def tube_spectrum(
-    kvp: float, anode_angle_deg: float = 12.0, *, step_kev: float = 1.0, target: str = "W"
+    kvp: float,
+    anode_angle_deg: float = 12.0,
+    *,
+    step_kev: float = 1.0,
+    target: str = "W",
+    towards: float = 0.0,
 ) -> PhotonSpectrum:
-    """Return a tube's unfiltered spectrum on the central ray.
+    """Return a tube's unfiltered spectrum on the central ray, or on one towards the anode.
 
     SpekPy's model (Poludniowski et al., Med. Phys. 48 (2021) 3630) with its default physics
     (``casim``), per mAs and mm^2 at 1 m.
@@ -26,6 +31,8 @@ def tube_spectrum(
         anode_angle_deg: angle between the anode's face and the central ray.
         step_kev: width of a bin.
         target: W, Mo or Rh.
+        towards: tangent of the angle to the central ray, towards the anode. The spectrum is that on
+            a plane across the central ray, at 1 m along it.
 
     Raises:
         InputError: the arguments are outside SpekPy's range.
@@ -36,7 +43,11 @@ def tube_spectrum(
     except ImportError as error:
         raise MissingExtraError("spekpy", "xray") from error
     try:
-        tube = spekpy.Spek(kvp=kvp, th=anode_angle_deg, dk=step_kev, mas=1.0, z=100.0, targ=target)
+        # SpekPy's x is in cm and negative towards the anode.
+        across = -100.0 * towards
+        tube = spekpy.Spek(
+            kvp=kvp, th=anode_angle_deg, dk=step_kev, mas=1.0, x=across, z=100.0, targ=target
+        )
         energies, per_cm2 = tube.get_spectrum(diff=False)
     except Exception as error:  # SpekPy raises Exception itself
         raise InputError(

@@ -20,9 +20,9 @@ from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.geometry import Floats, Pose, ScanGeometry, VolumeGrid
 from twinct.specimen import BuiltSpecimen, Part
-from twinct.transport import Beam, Regions, Scores, Simulation
+from twinct.transport import Regions, Scores, Simulation
 from twinct.transport.cross_sections import require_energies
-from twinct.xray.spectrum import PhotonSpectrum
+from twinct.xray.beam_shape import BeamShape
 from twinct.xray.voxel_specimen import grid_of, in_voxels
 
 GY_PER_KEV_G = 1.602176634e-13
@@ -73,7 +73,7 @@ class PlaceDoses:
     def __init__(
         self,
         specimen: BuiltSpecimen,
-        spectrum: PhotonSpectrum,
+        free: BeamShape,
         names: Sequence[str],
         voxel_mm: float,
         key: str,
@@ -82,7 +82,7 @@ class PlaceDoses:
 
         Args:
             specimen: the specimen.
-            spectrum: photons of the free beam.
+            free: the free beam.
             names: parts and labels.
             voxel_mm: edge of the voxels.
             key: place of ``voxel_mm`` in the messages.
@@ -91,10 +91,11 @@ class PlaceDoses:
             InputError: a name is unknown, a place fills no voxel, there are too many voxels, a
                 photon energy is outside the tables, or the number of photons is unknown.
         """
+        spectrum = free.spectrum
         if not spectrum.absolute:
             raise InputError("dose needs a photon number: set source.photons_per_mm2_mas or a tube")
         require_energies(spectrum.energies_kev, "source")
-        self.names, self._spectrum = tuple(names), spectrum
+        self.names, self._free = tuple(names), free
         self.grid = grid_of(specimen, voxel_mm, key)
         self._body = in_voxels(specimen, self.grid)
         self._voxel_masses = self._body.masses_g().ravel()
@@ -236,9 +237,8 @@ class PlaceDoses:
 
     def _simulation(self, seen: ScanGeometry, view: int) -> tuple[Simulation, float]:
         """Return the simulation of a view, and Gy per mAs for 1 keV/g of each photon."""
-        spectrum = self._spectrum
-        beam = Beam.of_view(seen, view, spectrum.energies_kev, spectrum.photons)
-        in_field = spectrum.total * MM2_PER_SR_AT_1_M * beam.solid_angle
+        beam = self._free.beam(seen, view)
+        in_field = self._free.spectrum.total * MM2_PER_SR_AT_1_M * beam.solid_angle * beam.share
         simulation = Simulation(self._body, beam, regions=self._regions, unscattered=False)
         return simulation, in_field * GY_PER_KEV_G
 

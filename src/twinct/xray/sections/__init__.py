@@ -1,6 +1,7 @@
 """Source, detector and engine, as a scenario states them."""
 
 from twinct.xray.sections.detector import (
+    AntiScatterGrid,
     BadPixels,
     Correction,
     CountingResponse,
@@ -17,12 +18,12 @@ from twinct.xray.sections.detector import (
     RandomBadPixels,
     Readout,
     Response,
-    Scatter,
     ScintillatorResponse,
     SnrNoise,
 )
 from twinct.xray.sections.engine import Xray
 from twinct.xray.sections.source import (
+    BowtieFilter,
     FileSpectrum,
     Filter,
     GaussianSpot,
@@ -35,7 +36,9 @@ from twinct.xray.sections.source import (
 )
 
 __all__ = [
+    "AntiScatterGrid",
     "BadPixels",
+    "BowtieFilter",
     "Correction",
     "CountingResponse",
     "Detector",
@@ -55,7 +58,6 @@ __all__ = [
     "RandomBadPixels",
     "Readout",
     "Response",
-    "Scatter",
     "ScintillatorResponse",
     "SnrNoise",
     "Source",

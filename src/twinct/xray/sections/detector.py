@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from twinct.core.settings import (
     Conflict,
@@ -36,7 +36,10 @@ class IntegratingResponse(Section):
 
 
 class ScintillatorResponse(Section):
-    """Scintillator: every attenuated photon is absorbed, and deposits all of its energy."""
+    """Scintillator: every attenuated photon is absorbed, and deposits all of its energy.
+
+    Its light scatters: see ``swank`` and ``detector.point_spread``.
+    """
 
     kind: Literal["scintillator"]
     material: Literal["CsI", "Gd2O2S"] | Composition = setting(
@@ -47,6 +50,15 @@ class ScintillatorResponse(Section):
     thickness_mm: Length = Field(
         description="Thickness t; it absorbs the share 1 - exp(-mu t) of the photons.",
         json_schema_extra=facts(source="Beer-Lambert"),
+    )
+    swank: float = setting(
+        1.0,
+        "Swank factor: equal photons give different amounts of light, which divides the number of "
+        "photons that quantum noise is equal to by 1 / swank. 1: equal amounts. "
+        "twinct.xray.response.swank_factor computes it from a pulse-height spectrum.",
+        gt=0,
+        le=1,
+        source="Swank, J. Appl. Phys. 44 (1973) 4199",
     )
 
 
@@ -202,23 +214,6 @@ class Correction(Section):
     )
 
 
-class Scatter(Section):
-    """Forward-scatter estimate of scattered radiation, from the kernel of single scattering.
-
-    It is up to 25 % wrong from 40 keV on, up to a Compton optical depth of 3.5 (20 cm of water at
-    80 keV), for bodies whose shadow fits on the panel; ``twinct check`` warns of others. Details:
-    ``twinct.xray.scatter``.
-    """
-
-    kind: Literal["kernel"]
-    scale: NonNegative = setting(
-        1.0,
-        "Factor on the scatter: above 1 for higher-order scatter, below 1 for an anti-scatter "
-        "grid.",
-        source="kernel: Ohnesorge et al., Eur. Radiol. 9 (1999) 563, and Klein-Nishina",
-    )
-
-
 class MonteCarloScatter(Section):
     """Scattered radiation of all orders, from photons that are followed through the specimen.
 
@@ -235,7 +230,38 @@ class MonteCarloScatter(Section):
     pixel_mm: Length = setting(20.0, "Edge of the coarse pixels, about.")
 
 
-AnyScatter = Annotated[Scatter | MonteCarloScatter, Field(discriminator="kind")]
+class AntiScatterGrid(Section):
+    """Anti-scatter grid before the panel, fixed to it; its lines are not seen.
+
+    It lets the same share of primary and scattered photons pass that meets it from one direction.
+    """
+
+    along: Literal["u", "v"] = Field(description="Axis of the panel along which the strips run.")
+    ratio: float = Field(
+        ge=1, le=50, description="Height of the strips by the width of the spaces between them."
+    )
+    lines_per_cm: float = Field(
+        ge=1, le=200, description="Strips per cm.", json_schema_extra=facts(unit="1/cm")
+    )
+    strip_mm: Length = Field(description="Width of a strip; it must leave a space.")
+    focus_mm: Length | None = Field(
+        description="Distance from the panel to the line at which the strips aim, over the panel's "
+        "middle; null: parallel strips. Source and panel at another distance lose light at the "
+        "edges (cut-off)."
+    )
+    strip: str | Composition = setting("lead", "Material of the strips.")
+    space: str | Composition = setting("aluminium", "Material of the spaces.")
+
+    @model_validator(mode="after")
+    def _leaves_spaces(self) -> AntiScatterGrid:
+        period = 10 / self.lines_per_cm
+        if self.strip_mm >= period:
+            message = (
+                f"strips of {self.strip_mm:g} mm leave no space: {self.lines_per_cm:g} lines per "
+                f"cm are {period:.3g} mm apart"
+            )
+            raise ConflictError(Conflict(message, ("strip_mm", "lines_per_cm")))
+        return self
 
 
 class Detector(Section):
@@ -291,13 +317,25 @@ class Detector(Section):
     correction: Correction = setting(
         Correction(), "Correction that turns raw images into transmission."
     )
-    scatter: AnyScatter | None = setting(None, "Scattered radiation; null: none.")
+    scatter: MonteCarloScatter | None = setting(None, "Scattered radiation; null: none.")
+    grid: AntiScatterGrid | None = setting(None, "Anti-scatter grid before the panel; null: none.")
     keep: tuple[Literal["raw", "flat", "dark"], ...] = setting(
         (),
         "Images that the scan store keeps for each view beside the transmission, in grey "
         "values. Each view is then rendered twice. An ideal source and detector have no such "
         "images, and the key is refused.",
     )
+
+    @field_validator("scatter", mode="before")
+    @classmethod
+    def _no_kernel(cls, value: Any) -> Any:
+        kind = cast("dict[str, Any]", value).get("kind") if isinstance(value, dict) else None
+        if kind == "kernel":
+            raise ValueError(
+                "kind 'kernel' is gone: it found half of the scatter behind a patient; take "
+                "{kind: monte_carlo}"
+            )
+        return cast("Any", value)
 
     @property
     def panel(self) -> Panel:

@@ -11,6 +11,7 @@ from twinct.core.settings import (
     Conflict,
     ConflictError,
     Length,
+    NonNegative,
     Pair,
     Positive,
     Section,
@@ -52,6 +53,12 @@ class TubeSpectrum(Section):
         source="2.5 mm Al: the smallest total filtration of IEC 60601-1-3",
     )
     bins: int = setting(60, "Largest number of energy bins.", ge=1, le=1000)
+    anode_side: Literal["+u", "-u", "+v", "-v"] | None = setting(
+        None,
+        "Direction on the panel in which the anode lies: fewer and harder photons go there (heel "
+        "effect); null: one spectrum on the whole panel.",
+        source="SpekPy, off the central ray",
+    )
 
     @model_validator(mode="after")
     def _range_of_the_target(self) -> TubeSpectrum:
@@ -119,6 +126,37 @@ class ImageSpot(_Spot):
 Spot = Annotated[GaussianSpot | SquareSpot | ImageSpot, Field(discriminator="kind")]
 
 
+class BowtieFilter(Section):
+    """Filter at the source, thicker towards the edges of the fan; it moves with the source."""
+
+    along: Literal["u", "v"] = Field(
+        description="Axis of the panel along which the fan opens and the thickness changes."
+    )
+    material: str | Composition = setting("aluminium", "Material of the filter.")
+    angles_deg: tuple[NonNegative, ...] = Field(
+        min_length=2,
+        description="Angles to the central ray in the fan, rising from 0; the filter is symmetric.",
+    )
+    thickness_mm: tuple[NonNegative, ...] = Field(
+        min_length=2,
+        description="Path of the ray at each angle; linear between them, constant beyond the last.",
+    )
+
+    @model_validator(mode="after")
+    def _one_thickness_an_angle(self) -> BowtieFilter:
+        angles, keys = self.angles_deg, ("angles_deg", "thickness_mm")
+        problem = ""
+        if len(angles) != len(self.thickness_mm):
+            problem = f"{len(angles)} angles for {len(self.thickness_mm)} thicknesses"
+        elif angles[0] != 0 or any(b <= a for a, b in zip(angles, angles[1:], strict=False)):
+            problem = f"the angles must rise from 0, but are {', '.join(f'{a:g}' for a in angles)}"
+        elif angles[-1] >= 90:
+            problem = f"an angle of {angles[-1]:g} deg: must be below 90"
+        if problem:
+            raise ConflictError(Conflict(problem, keys))
+        return self
+
+
 class Source(Section):
     """X-ray source; a monochromatic point by default."""
 
@@ -164,6 +202,8 @@ class Source(Section):
         None, "Focal spot; null: a point.", source="a point: the paper"
     )
 
+    bowtie: BowtieFilter | None = setting(None, "Bowtie filter at the source; null: none.")
+
     @property
     def mas(self) -> float:
         """Tube load of one view, mAs."""
@@ -171,5 +211,5 @@ class Source(Section):
 
     @property
     def ideal(self) -> bool:
-        """True for a monochromatic point source."""
-        return self.spectrum is None and self.focal_spot is None
+        """True for a monochromatic point source without a bowtie filter."""
+        return self.spectrum is None and self.focal_spot is None and self.bowtie is None
