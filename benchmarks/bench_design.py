@@ -22,7 +22,7 @@ from twinct.design.draft import Draft
 from twinct.design.page import DesignPage
 from twinct.viewer.server import LOOPBACK, address, close, serve
 
-sys.path[:0] = [str(Path(__file__).parents[1] / "tests" / name) for name in ("viewer", "support")]
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from listener import Listener  # noqa: E402
 

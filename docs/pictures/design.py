@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-sys.path[:0] = [str(ROOT / "tests" / name) for name in ("viewer", "support")]
+sys.path.insert(0, str(ROOT / "tests" / "support"))
 from browser import Browser  # noqa: E402
 
 from twinct.design.draft import open_draft  # noqa: E402
