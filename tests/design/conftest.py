@@ -27,6 +27,12 @@ reconstruction: {iterations: 2, grid: {voxels: [20, 24, 28], voxel_mm: 6}}
 
 
 @pytest.fixture
+def files() -> bool:
+    """The page takes uploads."""
+    return True
+
+
+@pytest.fixture
 def small_file(tmp_path: Path) -> Path:
     """A scenario of seconds."""
     path = tmp_path / "small.yaml"

@@ -11,9 +11,15 @@ from twinct.viewer.server import LOOPBACK, Server, close, serve
 
 
 @pytest.fixture
-def server() -> Iterator[Server]:
+def files() -> bool:
+    """Whether the server permits files; the tests of a page that does override it."""
+    return False
+
+
+@pytest.fixture
+def server(files: bool) -> Iterator[Server]:
     """On any port."""
-    made = serve(LOOPBACK, 0)
+    made = serve(LOOPBACK, 0, files=files)
     yield made
     close(made)
 

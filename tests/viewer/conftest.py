@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from pages import no_browser_is_waited_for, server
+from pages import files, no_browser_is_waited_for, server
 from waiting import HANG_S
 
 from twinct import run
@@ -16,7 +16,7 @@ from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
 from twinct.viewer.show import Show
 
-__all__ = ["no_browser_is_waited_for", "server"]
+__all__ = ["files", "no_browser_is_waited_for", "server"]
 
 DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
