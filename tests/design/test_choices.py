@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,9 +41,8 @@ def test_room_table_rail_and_arm_are_one_edit_each(draft: Draft) -> None:
         assert not draft.problems
         return draft.scenario.cell
 
-    def choose(of: object, *values: object) -> None:
+    def choose(of: Callable[..., Any], *values: object) -> None:
         before = len(draft.edits)
-        assert callable(of)
         draft.set(of(draft.scenario, *values))
         assert len(draft.edits) == before + 1
         assert of(draft.scenario, *values) == {}  # chosen already
@@ -49,9 +50,9 @@ def test_room_table_rail_and_arm_are_one_edit_each(draft: Draft) -> None:
     choose(choices.of_room, "operating")
     assert cell().room == "operating"
     choose(choices.of_table, False)
-    assert not cell().table.present and "table" not in {
-        one.name for one in movables(draft.scenario)
-    }
+    assert not cell().table.present
+    now = draft.scenario
+    assert now is not None and "table" not in {one.name for one in movables(now)}
     choose(choices.of_rail, "source_arm", (-300.0, 400.0))
     rail = cell().source_arm.rail
     assert rail is not None and rail.range_mm == (-300, 400)

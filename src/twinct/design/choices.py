@@ -1,4 +1,4 @@
-"""What a design chooses from lists: arms, room, table, specimen, material, and rails.
+"""Choices of a design from lists: arms, room, table, specimen, material, and rails.
 
 Each choice returns plain values by dotted key, which are one edit.
 """

@@ -38,7 +38,7 @@ TASK_RADIUS_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What a state of the scenario can do.
+    """Reach and motion of a state of the scenario.
 
     Attributes:
         scenario: the state.

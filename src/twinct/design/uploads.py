@@ -168,7 +168,7 @@ class Received:
 
 @dataclass(frozen=True)
 class ReceivedSpecimen(Question):
-    """Whether a file that ``kept`` has written can be the specimen.
+    """Question for the edit that makes a file of ``kept`` the specimen.
 
     Attributes:
         path: the file or folder.

@@ -19,7 +19,7 @@ SIDES = {"source": "source_arm", "detector": "detector_arm"}
 
 
 class ChooseFolder(Tool):
-    """What the room holds, from lists and files."""
+    """Choice of the room's content, from lists and files."""
 
     def __init__(self, tools: Tools, order: float) -> None:
         """Add the folder."""

@@ -1,4 +1,4 @@
-"""What all folders and tabs of the page share."""
+"""Tools that all folders and tabs of the page share."""
 
 from __future__ import annotations
 
