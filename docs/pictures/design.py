@@ -42,7 +42,6 @@ def main() -> None:
             browser.number("view", VIEW % 60)
             says("all pixels")
             page.settle()
-            browser.still()
             browser.screenshot(IMAGES / "design.png")
 
             part = trimesh.creation.annulus(r_min=20, r_max=40, height=60)
@@ -56,7 +55,6 @@ def main() -> None:
             browser.press("place arms")
             says("proposed")
             page.settle()
-            browser.still()
             browser.screenshot(IMAGES / "design_proposal.png")
             browser.leave()
     close(server)
