@@ -22,7 +22,7 @@ from twinct.design.draft import Draft
 from twinct.design.page import DesignPage
 from twinct.viewer.server import LOOPBACK, address, close, serve
 
-sys.path[:0] = [str(Path(__file__).parents[1] / "tests" / name) for name in ("viewer", "support")]
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 
 from listener import Listener  # noqa: E402
 
@@ -77,8 +77,8 @@ def measure(name: str, moves: int, folder: Path) -> dict[str, list[float]]:
             )
         arm = "source arm"
         listener.set("body", arm)
-        wait(page._chosen)
-        base = list(page._chosen().position_mm)  # type: ignore[union-attr]
+        wait(page.move.chosen)
+        base = list(page.move.chosen().position_mm)  # type: ignore[union-attr]
         for k in range(max(moves // 5, 3)):
             before, told = page.bench.draft.text, len(shadings(listener))
             to = (base[0] + 5 * (k % 5 + 1), base[1] + 3 * (k + 1), base[2])
@@ -108,7 +108,7 @@ def measure(name: str, moves: int, folder: Path) -> dict[str, list[float]]:
 
 def slider(page: DesignPage) -> tuple[str, list[float]]:
     """The slider of the path that is moved, and its values."""
-    known = page._sliders
+    known = page.path.sliders
     for key in ("latitude_amplitude_deg", "latitude_deg", "longitude_range_deg"):
         if key in known:
             now = known[key].value

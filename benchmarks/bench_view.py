@@ -37,7 +37,7 @@ from twinct.viewer.server import LOOPBACK, address, close, serve
 
 HERE = Path(__file__).parent
 SCENARIOS = HERE.parent / "scenarios"
-sys.path[:0] = [str(HERE.parent / "tests" / name) for name in ("view", "support")]
+sys.path.insert(0, str(HERE.parent / "tests" / "support"))
 
 PORT = 18_080
 BLOCK = 10

@@ -1,18 +1,11 @@
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from pages import no_browser_is_waited_for, server
 
-from twinct.viewer import live_page
-from twinct.viewer.server import LOOPBACK, Server, close, serve
-
-VIEWER = str(Path(__file__).parents[1] / "viewer")
-
-if VIEWER not in sys.path:  # the listener and the browser
-    sys.path.insert(0, VIEWER)
+__all__ = ["no_browser_is_waited_for", "server"]
 
 SMALL = """\
 extends: demo
@@ -34,22 +27,14 @@ reconstruction: {iterations: 2, grid: {voxels: [20, 24, 28], voxel_mm: 6}}
 
 
 @pytest.fixture
+def files() -> bool:
+    """The page takes uploads."""
+    return True
+
+
+@pytest.fixture
 def small_file(tmp_path: Path) -> Path:
     """A scenario of seconds."""
     path = tmp_path / "small.yaml"
     path.write_text(SMALL, encoding="utf-8")
     return path
-
-
-@pytest.fixture
-def server() -> Iterator[Server]:
-    """On any port."""
-    made = serve(LOOPBACK, 0)
-    yield made
-    close(made)
-
-
-@pytest.fixture(autouse=True)
-def _no_browser_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_page, "BROWSER_COMES_S", 0.0)
-    monkeypatch.setattr(live_page, "BROWSER_DRAWS_S", 0.0)

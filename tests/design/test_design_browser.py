@@ -1,4 +1,4 @@
-"""The whole way in Chromium: open, move, path, image, small volume, save."""
+"""The whole way in Chromium: open, move, path, image, small volume, save; and a newcomer's task."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+import trimesh
 from browser import Browser
 from waiting import HANG_S
 
@@ -68,5 +69,66 @@ def test_a_scenario_is_designed_by_the_page_alone(
         browser.press("save")
         says("small.yaml: saved")
         assert "trajectory: {views: 8} # few" in small_file.read_text(encoding="utf-8")
+        assert browser.complaints() == []
+        browser.leave()
+
+
+def test_a_newcomer_puts_an_own_part_into_the_room(
+    browser: Browser, server: Server, small_file: Path, tmp_path: Path
+) -> None:
+    """A new STL, the table out of the way, a path within reach, an image, a small volume, save."""
+
+    def says(text: str) -> None:
+        browser.wait(lambda: text in browser.text(), f"the page does not say {text!r}")
+
+    part = trimesh.creation.annulus(r_min=20, r_max=40, height=60)
+    stl = tmp_path / "my part.stl"
+    part.export(stl)
+    with closing(DesignPage(server, Draft.open(small_file), tmp_path / "workers")) as page:
+        browser.open(page.page)
+        says("12 of 12 views within reach")
+
+        browser.open_folder("Choose")
+        browser.upload(stl)
+        says("my-part.stl: 80.0 x 80.0 x 60.0 mm")
+        assert "path: small_files/my-part.stl" in page.bench.draft.text
+
+        # Something that is no part is refused, and says why.
+        (tmp_path / "none.stl").write_text("solid nothing")
+        browser.upload(tmp_path / "none.stl")
+        says("holds no triangles")
+
+        browser.choose("body", "table")
+        says("height, mm")
+        browser.number("height, mm", -700)
+        browser.wait(lambda: "top_z_mm: -700" in page.bench.draft.text, "the table stays")
+
+        # An arm out of the way: some views are dead; the page says why, and finds a better place.
+        browser.choose("body", "source arm")
+        says("position, mm")
+        browser.type_numbers("position, mm", (1000, 0, -150))
+        says("source arm: out of reach")
+        browser.press("cure")
+        says("proposed")
+        browser.press("accept")
+        browser.wait(lambda: len(page.bench.draft.edits) == 4, "it is not accepted")
+        browser.press("undo")
+        browser.press("undo")
+        says("12 of 12 views within reach")
+
+        browser.turn_to("Image")
+        says("this view sees 100 % of the specimen")
+        browser.press("small volume")
+        says("small volume: fresh")
+        browser.press("save")
+        says("small.yaml: saved")
+        assert "my-part" in small_file.read_text(encoding="utf-8")
+
+        browser.press("run")
+        says("finished in")
+        assert page.settle(HANG_S)
+        assert {"reconstruction", "truth"} <= {*page.page.shows[0].volumes}
+        assert page.page.shows[0].acquired == 12
+        assert (small_file.parent / "out" / "small" / "report.html").is_file()
         assert browser.complaints() == []
         browser.leave()

@@ -8,14 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from listener import Listener
 from waiting import HANG_S, until
 
+from twinct.core.errors import InputError
 from twinct.design.draft import Draft, open_draft
 from twinct.design.page import DesignPage
 from twinct.viewer.server import Server, address
 
 pytestmark = pytest.mark.process
+
+UPLOAD = "upload STL, NIfTI or zipped DICOM"
 
 
 @pytest.fixture
@@ -69,12 +73,45 @@ def test_a_design_goes_from_opening_to_saving(
     assert page.settle(HANG_S)
 
 
+def test_a_dead_view_says_why(listener: Listener, page: DesignPage) -> None:
+    listener.set("body", "source arm")
+    listener.wait(lambda: listener.control("position, mm")["value"][0] == 850)
+    listener.set("position, mm", (1400.0, 0.0, -300.0))
+    listener.wait(lambda: "view 0: source arm: out of reach by" in listener.texts())
+    listener.set("view", 5)
+    until(lambda: not page.path._reason.visible, "a view within reach has no reason")
+    with pytest.raises(InputError, match="the proposal is not asked"):
+        page.bench.accept()
+
+
+def test_an_upload_is_used_or_refused(
+    listener: Listener, page: DesignPage, small_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=30).export(file_type="stl")
+    assert isinstance(ball, bytes)
+    listener.upload(UPLOAD, "ball.stl", ball)
+    listener.wait(lambda: "ball.stl: 60.0 x 60.0 x 60.0 mm" in listener.texts())
+    until(lambda: "small_files/ball.stl" in page.bench.draft.text, "it is not the specimen")
+    listener.upload(UPLOAD, "other.stl", b"solid nothing")
+    listener.wait(lambda: "other.stl: refused: part 'other'" in listener.texts())
+    assert [one.name for one in small_file.with_name("small_files").iterdir()] == ["ball.stl"]
+    listener.upload(UPLOAD, "ball.txt", b"x")
+    listener.wait(lambda: "expected a file of a specimen" in listener.texts())
+    # One that states more than is allowed is refused before any of it is kept.
+    uuid = next(u for u, c in listener.gui.items() if c.get("label") == UPLOAD)
+    told = {"source_component_uuid": uuid, "transfer_uuid": "t", "mime_type": ""}
+    size = {"size_bytes": 2**40, "part_count": 2**21, "filename": "huge.nii"}
+    listener.send({"type": "FileTransferStartUpload", **told, **size})
+    listener.wait(lambda: "huge.nii: refused: it has 1099511627776 bytes" in listener.texts())
+    assert not page.page.server.gui._current_file_upload_states
+
+
 def test_the_gizmo_moves_a_body_by_steps(listener: Listener, page: DesignPage) -> None:
     listener.set("body", "specimen")
     listener.wait(lambda: listener.node("/design/gizmo"))
-    until(lambda: page._gizmo.visible, "the gizmo is shown")
-    page._gizmo.position = (0.0234, 0.0, -0.0051)
-    page._drop()
+    until(lambda: page.move.gizmo.visible, "the gizmo is shown")
+    page.move.gizmo.position = (0.0234, 0.0, -0.0051)
+    page.move.drop()
     assert page.bench.draft.scenario is not None
     assert page.bench.draft.scenario.specimen.position_mm == (20, 0, -10)
     assert "position_mm: [20, 0, -10]" in page.bench.draft.text

@@ -10,6 +10,7 @@ import pytest
 from twinct import needs, reach
 from twinct.core.errors import InputError
 from twinct.design.bench import Bench
+from twinct.design.draft import Draft
 from twinct.design.questions import (
     Checked,
     HeldViews,
@@ -141,15 +142,31 @@ def test_the_whole_check_says_what_check_says(source: ScenarioText, far: Scenari
     ("key", "value", "asked"),
     [
         ("trajectory.latitude_amplitude_deg", 20, {HeldViews, PlannedMotion, Projection}),
-        ("cell.source_arm.base_position_mm", [860, 0, 0], None),
+        ("cell.source_arm.base_position_mm", [860, 0, 0], {HeldViews, PlannedMotion, ShadedSphere}),
         ("seed", 5, set()),
         ("reconstruction.iterations", 3, set()),
     ],
 )
 def test_a_change_asks_only_what_it_may_change(
-    scenario: Scenario, key: str, value: object, asked: set[type[Question]] | None
+    scenario: Scenario, key: str, value: object, asked: set[type[Question]]
 ) -> None:
     changed = scenario.with_({key: value})
     kinds = {HeldViews, PlannedMotion, Projection, ShadedSphere}
     differ = {kind for kind in kinds if kind.reads(changed) != kind.reads(scenario)}
-    assert differ == (kinds if asked is None else asked)
+    assert differ == asked
+
+
+def test_a_changed_path_keeps_the_room_and_a_moved_base_keeps_the_images(small_file: Path) -> None:
+    draft, bench = Draft.open(small_file), Bench()
+    HeldViews(draft.source).answered(bench)
+    Projection(draft.source).answered(bench)
+    room = bench.builder(bench.scenario(draft.source)).cell
+    assert bench._imager is not None
+    imager = bench._imager[1]
+    draft.set({"trajectory.latitude_amplitude_deg": 20})
+    assert bench.builder(bench.scenario(draft.source)).cell is room
+    draft.set({"cell.source_arm.base_position_mm": [860, 0, 0]})
+    assert bench.builder(bench.scenario(draft.source)).cell is not room
+    Projection(draft.source).answered(bench)
+    assert bench._imager[1] is imager
+    bench.close()

@@ -17,13 +17,10 @@ from typing import Any
 from urllib.parse import quote
 
 import pytest
+from browser import Browser
 from waiting import until
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "viewer"))
-
-from browser import Browser  # noqa: E402
-
 
 class Quiet(SimpleHTTPRequestHandler):
     def log_message(self, format: str, *args: object) -> None:

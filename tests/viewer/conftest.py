@@ -1,28 +1,24 @@
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from pages import files, no_browser_is_waited_for, server
 from waiting import HANG_S
 
 from twinct import run
 from twinct.runs import Run
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, load_scenario
-from twinct.viewer import live_page
 from twinct.viewer.filling import fill
 from twinct.viewer.live_page import Page
 from twinct.viewer.run_folder import RunFolder
-from twinct.viewer.server import LOOPBACK, Server, close, serve
 from twinct.viewer.show import Show
 
-HERE = Path(__file__).parent
-DEMO = HERE.parents[1] / "scenarios" / "demo.yaml"
+__all__ = ["files", "no_browser_is_waited_for", "server"]
 
-if str(HERE) not in sys.path:  # the listener is shared with benchmarks
-    sys.path.insert(0, str(HERE))
+DEMO = Path(__file__).parents[2] / "scenarios" / "demo.yaml"
 
 KEYS = (
     "trajectory.views=8",
@@ -66,17 +62,3 @@ def put(builder: SimulationBuilder) -> Callable[[Page, int, Show], None]:
         assert page.settle(HANG_S)
 
     return wait
-
-
-@pytest.fixture
-def server() -> Iterator[Server]:
-    """On any port."""
-    made = serve(LOOPBACK, 0)
-    yield made
-    close(made)
-
-
-@pytest.fixture(autouse=True)
-def _no_browser_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_page, "BROWSER_COMES_S", 0.0)
-    monkeypatch.setattr(live_page, "BROWSER_DRAWS_S", 0.0)

@@ -92,7 +92,7 @@ def design_scenario(scenario: Path, host: str, port: int, allow_network: bool) -
     draft = open_draft(scenario)
     with (
         suppress(KeyboardInterrupt),
-        serving(host, port, allow_network) as server,
+        serving(host, port, allow_network, files=True) as server,
         temporary_folder() as folder,
         closing(DesignPage(server, draft, folder)),
     ):
@@ -105,9 +105,9 @@ def design_scenario(scenario: Path, host: str, port: int, allow_network: bool) -
 
 
 @contextmanager
-def serving(host: str, port: int, allow_network: bool) -> Iterator[Server]:
+def serving(host: str, port: int, allow_network: bool, *, files: bool = False) -> Iterator[Server]:
     """Yield a server, and print its address, which is the key to it."""
-    server = serve(host, port, allow_network=allow_network, label="twinct")
+    server = serve(host, port, allow_network=allow_network, label="twinct", files=files)
     try:
         say(f"page: {address(server)} (Ctrl-C ends it)")
         if is_loopback(host):

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twinct.design.progress_note import ProgressNote
+from twinct.observers import Observers
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, ScenarioText, load_scenario
 
@@ -14,12 +17,22 @@ if TYPE_CHECKING:
 
 @dataclass
 class Bench:
-    """Parts of the newest scenarios, which are built at their first use."""
+    """Parts of the newest scenarios, which are built at their first use.
 
+    Attributes:
+        note: file for the progress of the present question; None: it is not noted.
+    """
+
+    note: Path | None = None
     _text: ScenarioText | None = None
     _scenario: Scenario | None = None
     _builder: SimulationBuilder | None = None
     _imager: tuple[object, Any] | None = field(default=None, repr=False)
+
+    @property
+    def observers(self) -> Observers:
+        """Observers of work that takes longer."""
+        return () if self.note is None else (ProgressNote(self.note).observer,)
 
     def scenario(self, source: ScenarioText) -> Scenario:
         """Return the scenario of a text.
@@ -32,9 +45,11 @@ class Bench:
         return self._scenario
 
     def builder(self, scenario: Scenario) -> SimulationBuilder:
-        """Return the builder of a scenario; the process keeps its specimen for the next one."""
-        if self._builder is None or self._builder.scenario != scenario:
+        """Return the builder of a scenario, which takes over what the change leaves as it is."""
+        if self._builder is None:
             self._builder = SimulationBuilder(scenario)
+        elif self._builder.scenario != scenario:
+            self._builder = self._builder.of_changed(scenario)
         return self._builder
 
     def imager(self, builder: SimulationBuilder) -> Imager:
@@ -54,8 +69,8 @@ class Bench:
 
 def _read_by_imager(scenario: Scenario) -> tuple[object, ...]:
     """Return the sections that an imager reads."""
-    common = (scenario.specimen, scenario.source, scenario.detector, scenario.xray, scenario.cell)
+    common = (scenario.specimen, scenario.source, scenario.detector, scenario.xray)
     # An ideal image needs the views only to split large triangles, and allows any.
     if scenario.source.ideal and scenario.detector.ideal:
-        return common
-    return (*common, scenario.trajectory, scenario.seed)
+        return (*common, scenario.cell.keyed_objects)
+    return (*common, scenario.cell, scenario.trajectory, scenario.seed)

@@ -12,6 +12,7 @@ from typing import Any
 
 from twinct.core.errors import TwinctError
 from twinct.design.bench import Bench
+from twinct.design.progress_note import read_note
 from twinct.design.questions import Question
 from twinct.workers import Done, LocalPool, Place, Work
 
@@ -42,6 +43,7 @@ class Answer:
         question: question that the value answers.
         problems: why the newest question has no answer.
         seconds: time that the value took.
+        progress: what is being done for the newest question; empty unless it takes longer.
     """
 
     state: State = State.UNASKED
@@ -49,14 +51,16 @@ class Answer:
     question: Question | None = None
     problems: tuple[str, ...] = ()
     seconds: float = 0.0
+    progress: str = ""
 
 
 _bench = Bench()
 
 
-def answer(question: Question, place: Place) -> Any:
-    """Answer a question in a worker, which keeps its bench."""
+def answer(asked: tuple[Question, Path], place: Place) -> Any:
+    """Answer a question in a worker, which keeps its bench and notes its progress in a file."""
     del place
+    question, _bench.note = asked
     return question.answered(_bench)
 
 
@@ -124,7 +128,7 @@ class Desk:
         with self._changed:
             self._waiting.pop(question.subject, None)
             self._waiting[question.subject] = question
-            self._put(question.subject, state=State.COMPUTING, problems=())
+            self._put(question.subject, state=State.COMPUTING, problems=(), progress="")
             self._changed.notify_all()
 
     def outdate(self, subject: str) -> None:
@@ -183,7 +187,7 @@ class Desk:
                 return False
             question = self._waiting.pop(next(iter(self._waiting)))
             self._count += 1
-            self._running = _Running(question, f"question {self._count}", self._clock())
+            self._running = _Running(question, f"question-{self._count}", self._clock())
         return True
 
     def _finish(self) -> None:
@@ -192,7 +196,8 @@ class Desk:
         try:
             if self._pool is None:
                 self._pool = LocalPool(self._folder, workers=1, threads=self._threads)
-            self._pool.submit(Work(running.key, answer, running.question))
+            note = self._folder / f"{running.key}.progress"
+            self._pool.submit(Work(running.key, answer, (running.question, note)))
             event = None
             while event is None:
                 if self._must_stop(running):
@@ -200,6 +205,7 @@ class Desk:
                     self._record(running, None)
                     return
                 event = next(iter(self._pool.wait(TURN_S)), None)
+                self._tell_progress(running, read_note(note))
         except TwinctError as error:
             self._record(running, Answer(State.FAILED, problems=tuple(error.lines)))
             return
@@ -209,6 +215,12 @@ class Desk:
             problems = getattr(event, "problems", None) or (getattr(event, "how", "failed"),)
             value = Answer(State.FAILED, problems=tuple(problems))
         self._record(running, value)
+
+    def _tell_progress(self, running: _Running, text: str) -> None:
+        subject = running.question.subject
+        with self._changed:
+            if text and text != self._answers.get(subject, Answer()).progress:
+                self._put(subject, progress=text)
 
     def _must_stop(self, running: _Running) -> bool:
         with self._changed:
@@ -226,10 +238,10 @@ class Desk:
             asked_again = subject in self._waiting
             if made is None:
                 state = State.COMPUTING if asked_again else State.OLD
-                self._put(subject, state=state)
+                self._put(subject, state=state, progress="")
             elif made.state is State.FAILED:
                 state = State.COMPUTING if asked_again else State.FAILED
-                self._put(subject, state=state, problems=made.problems)
+                self._put(subject, state=state, problems=made.problems, progress="")
             else:
                 state = State.COMPUTING if asked_again else State.FRESH
                 if known.state is State.OLD and not asked_again:  # it was outdated meanwhile

@@ -20,9 +20,12 @@ class Movable:
     Attributes:
         name: name for users.
         position_key: dotted key of its position, mm.
-        rotation_key: dotted key of its extrinsic rotations about x, y, z, degrees.
+        rotation_key: dotted key of its extrinsic rotations about x, y, z, degrees; empty if it
+            does not turn.
         position_mm: its position.
         rotation_deg: its rotations.
+        axis: index of the only axis along which it moves, whose place is then the value of
+            ``position_key``; None: all.
     """
 
     name: str
@@ -30,6 +33,13 @@ class Movable:
     rotation_key: str
     position_mm: tuple[float, ...]
     rotation_deg: tuple[float, ...]
+    axis: int | None = None
+
+    @property
+    def axes(self) -> tuple[bool, bool, bool]:
+        """Axes along which it moves."""
+        x, y, z = (self.axis in (None, k) for k in range(3))
+        return x, y, z
 
     @property
     def pose(self) -> Pose:
@@ -38,7 +48,7 @@ class Movable:
 
     def moved(
         self, pose: Pose, snap_mm: float = 0.0, snap_deg: float = 0.0
-    ) -> Mapping[str, list[float]]:
+    ) -> Mapping[str, list[float] | float]:
         """Return the keys that a new pose changes, rounded to steps; 0 for thousandths."""
         angles = Rotation.from_quat(pose.quat).as_euler("xyz", degrees=True)
         changes: dict[str, Any] = {}
@@ -47,9 +57,12 @@ class Movable:
             (self.rotation_key, self.rotation_deg, angles, snap_deg),
         ):
             moved = np.abs(np.asarray(new) - now) > 1e-3
-            if moved.any():
+            if self.axis is not None:
+                moved &= self.axes
+            if key and moved.any():
                 rounded = np.where(moved, rounded_to(np.asarray(new), step), now)
-                changes[key] = [tidy(number) for number in rounded.tolist()]
+                numbers = [tidy(number) for number in rounded.tolist()]
+                changes[key] = numbers if self.axis is None else numbers[self.axis]
         return changes
 
 
@@ -78,7 +91,13 @@ def movables(scenario: Scenario) -> tuple[Movable, ...]:
     found += [
         (f"object {one.name or k}", f"cell.objects.{k}", one) for k, one in enumerate(cell.objects)
     ]
-    return tuple(_movable(name, key, section) for name, key, section in found)
+    bodies = [_movable(name, key, section) for name, key, section in found]
+    if isinstance(cell, Cell) and cell.table.present:
+        at = (0.0, 0.0, cell.table.top_z_mm)
+        table = Movable("table", "cell.table.top_z_mm", "", at, (0.0, 0.0, 0.0), axis=2)
+        after = 1 + [body.name for body in bodies].index("specimen")
+        bodies.insert(after, table)
+    return tuple(bodies)
 
 
 def _movable(name: str, key: str, section: Any) -> Movable:

@@ -259,7 +259,7 @@ class Projection(Question):
             scenario.detector,
             scenario.xray,
             scenario.trajectory,
-            scenario.cell,
+            scenario.cell.keyed_objects,
         )
 
     def answered(self, bench: Bench) -> Image:

@@ -10,6 +10,8 @@ import numpy as np
 from twinct.design.desk import Answer, State
 from twinct.design.draft import Draft
 from twinct.design.edits import Line
+from twinct.design.proposals import Proposal, Standing
+from twinct.design.whole_run import WholeRun
 from twinct.design.workbench import Price, Workbench
 from twinct.viewer.markdown import plain
 
@@ -60,6 +62,8 @@ def prices_in_words(prices: Sequence[Price]) -> str:
 
 
 def _now(price: Price) -> str:
+    if price.why:
+        return f"none: {plain(price.why)}"
     if math.isnan(price.now):
         return "none" if price.state is State.FRESH else str(price.state)
     mark = "" if price.state is State.FRESH else f" ({price.state})"
@@ -70,6 +74,42 @@ def _change(price: Price) -> str:
     if math.isnan(price.change):
         return ""
     return "0" if abs(price.change) < 1e-9 else f"{price.change:+.3g} {price.unit}".strip()
+
+
+def proposal_in_words(proposal: Proposal) -> str:
+    """Return a proposal as a table, now and then, with its changed keys."""
+    now, then = proposal.now, proposal.then
+    rows = [
+        f"| {name} | {one(now)} | {one(then)} |"
+        for name, one in (
+            ("views within reach", _held),
+            ("motion time", lambda of: _number(of.motion.duration_s, "s")),
+            ("smallest clearance", lambda of: _number(of.motion.clearance_mm, "mm")),
+        )
+    ]
+    why = [f"**{plain(problem)}**" for problem in then.motion.problems[:1]]
+    table = "\n".join(["| | now | proposed |", "|---|---|---|", *rows])
+    keys = code("\n".join(f"{key}: {value}" for key, value in proposal.edit.values.items()), "yaml")
+    return "\n\n".join([*map(plain, proposal.words), table, *why, keys])
+
+
+def _held(standing: Standing) -> str:
+    return f"{int(standing.held.sum())} of {len(standing.held)}"
+
+
+def _number(value: float, unit: str) -> str:
+    return "none" if math.isnan(value) else f"{value:.1f} {unit}"
+
+
+def run_in_words(run: WholeRun, answer: Answer) -> str:
+    """Return the state of a run."""
+    place = f"folder {plain(run.out.parent.name)}/{plain(run.out.name)}"
+    if answer.state is State.COMPUTING:
+        return f"{place}: *{plain(answer.progress or 'it begins')}*"
+    if answer.state is State.FRESH:
+        return f"{place}: finished in {answer.seconds:.0f} s; its report is report.html"
+    why = "; ".join(answer.problems) or "cancelled; its views are kept, and *run* goes on with them"
+    return f"{place}: **{plain(why)}**" if answer.problems else f"{place}: {why}"
 
 
 def draft_in_words(draft: Draft, changed_outside: bool) -> str:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twinct.core.errors import InputError
 from twinct.core.threads import available_threads
 from twinct.design.desk import Answer, Desk, State
+from twinct.design.doses import PathDose, dose_is_known
 from twinct.design.draft import Draft
 from twinct.design.edits import Edit
 from twinct.design.questions import (
@@ -21,13 +23,20 @@ from twinct.design.questions import (
     ShadedSphere,
     Shading,
 )
+from twinct.design.reasons import WhyDead
+from twinct.design.seen import SeenShare
+from twinct.design.whole_run import WholeRun, folder_of
+from twinct.runs.acquisition import Link
 from twinct.scenario import Scenario
 
 FINEST_DIRECTIONS = 800
 """Directions at which the shading of the sphere ends."""
 
-OF_IMAGES = ("image", "costs")
+OF_IMAGES = ("image", "costs", "seen")
 """Subjects of the desk for images, which never wait for a motion plan."""
+
+ON_REQUEST = ("volume", "check", "proposal", "upload", "dose")
+"""Subjects of the desk for longer work, which neither images nor reach wait for."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,7 @@ class Price:
         now: value of the present state, or of the last one that has an answer; NaN without any.
         saved: value of the last saved state; NaN if it is not known.
         state: state of ``now``.
+        why: why there is no value; empty if there is one, or none was asked for.
     """
 
     name: str
@@ -47,6 +57,7 @@ class Price:
     now: float
     saved: float
     state: State
+    why: str = ""
 
     @property
     def change(self) -> float:
@@ -62,6 +73,9 @@ _PRICES: tuple[tuple[str, str, str, Callable[[Any], float]], ...] = (
     ("costs", "exposure", "s", lambda value: value.exposure_s),
     ("costs", "memory", "GB", lambda value: value.memory_bytes / 1e9),
     ("costs", "disk", "GB", lambda value: value.disk_bytes / 1e9),
+    ("seen", "specimen in every view", "%", lambda value: 100 * value.by_all),
+    ("dose", "mean dose", "mGy", lambda value: 1000 * value.mean_gy),
+    ("dose", "kerma-area product", "Gy cm2", lambda value: value.kerma_area_product_gy_cm2),
 )
 """Subject, name, unit and value of each price."""
 
@@ -75,6 +89,7 @@ class Workbench:
     Attributes:
         draft: the draft.
         view: index of the view of the image.
+        started: the newest run; None before the first one.
     """
 
     def __init__(
@@ -88,21 +103,25 @@ class Workbench:
             told: called with subject and answer after each change, in any thread.
         """
         self.draft, self.view = draft, 0
+        self.started: WholeRun | None = None
+        self._why: WhyDead | None = None
         self._told = told
         self._asked: dict[str, object] = {}
         self._at_saved: dict[str, Any] = {}
         threads = max(available_threads() // 2, 1)
         self._images = Desk(folder / "images", self._hear, threads=threads)
         self._motions = Desk(folder / "motions", self._hear, threads=threads)
+        self._longer = Desk(folder / "longer", self._hear, threads=threads)
+        self._runs = Desk(folder / "runs", self._hear, threads=available_threads())
 
     def begin(self) -> None:
         """Ask the first questions."""
         self._ask_anew()
 
     def close(self) -> None:
-        """End both workers; the draft stays on disk."""
-        self._images.close()
-        self._motions.close()
+        """End all workers, a run too, which keeps its views; the draft stays on disk."""
+        for desk in self._desks:
+            desk.close()
 
     def set(self, values: Mapping[str, Any], *, gesture: object = None) -> None:
         """Set keys, as one edit; see ``Draft.set``."""
@@ -150,8 +169,64 @@ class Workbench:
         self._desk_of(question.subject).ask(question)
 
     def cancel(self) -> None:
-        """Stop the calculations of motions and volumes."""
+        """Stop the calculations of motions, volumes and proposals; a run goes on."""
         self._motions.cancel()
+        self._longer.cancel()
+
+    def rest(self) -> None:
+        """Ask what is only worth its time when nothing has changed for a while."""
+        if self.draft.scenario is not None and not self.draft.problems:
+            self.look(self.view, whole=True)
+            if dose_is_known(self.draft.scenario):
+                self._ask_if_changed(PathDose(self.draft.source), self.draft.scenario)
+
+    def explain(self) -> None:
+        """Ask why the arms cannot take the view of the image, if they cannot."""
+        held = self.answer("views")
+        if held.state is not State.FRESH or self.view >= len(held.value) or held.value[self.view]:
+            return
+        question = WhyDead(self.draft.source, self.view)
+        known = self.answer("reason")
+        if self._why != question or known.state is State.OLD:
+            self._why = question
+            self._motions.ask(question)
+
+    def accept(self) -> None:
+        """Make the proposal's edit, as one step that can be undone.
+
+        Raises:
+            InputError: there is no proposal for the present state.
+        """
+        proposal = self.answer("proposal")
+        if proposal.state is not State.FRESH:
+            raise InputError(f"the proposal is {proposal.state}: ask for one of the present state")
+        self.apply(proposal.value.edit)
+
+    def run(self, link: Link | None = None) -> None:
+        """Start the whole run of the present state, unless one works.
+
+        Args:
+            link: as of ``twinct.run``.
+
+        Raises:
+            InputError: a run works already, or the draft has problems.
+        """
+        scenario = self.draft.scenario
+        if scenario is None or self.draft.problems:
+            raise InputError(self.draft.problems or "there is no scenario")
+        if self.answer("run").state is State.COMPUTING:
+            raise InputError("a run works already: cancel it, or wait for its end")
+        self.started = WholeRun(self.draft.source, folder_of(self.draft.path, scenario), link)
+        self._runs.ask(self.started)
+
+    def cancel_run(self) -> None:
+        """Stop the run; it keeps its views, and goes on with them when it is started again."""
+        self._runs.cancel()
+
+    @property
+    def shows_run(self) -> bool:
+        """True if the newest run is one of the present state."""
+        return self.started is not None and self.started.source == self.draft.source
 
     def answer(self, subject: str) -> Answer:
         """Return the answer of a subject."""
@@ -164,15 +239,24 @@ class Workbench:
             answer, saved = self.answer(subject), self._at_saved.get(subject)
             now = math.nan if answer.value is None else float(value(answer.value))
             before = math.nan if saved is None else float(value(saved))
-            prices.append(Price(name, unit, now, before, answer.state))
+            why = "; ".join(answer.problems) if answer.state is State.FAILED else ""
+            prices.append(Price(name, unit, now, before, answer.state, why))
         return prices
 
     def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until all questions are answered; return False on timeout."""
-        return self._images.settle(timeout_s) and self._motions.settle(timeout_s)
+        return all(desk.settle(timeout_s) for desk in self._desks)
+
+    @property
+    def _desks(self) -> tuple[Desk, ...]:
+        return self._images, self._motions, self._longer, self._runs
 
     def _desk_of(self, subject: str) -> Desk:
-        return self._images if subject in OF_IMAGES else self._motions
+        if subject in OF_IMAGES:
+            return self._images
+        if subject in ON_REQUEST:
+            return self._longer
+        return self._runs if subject == WholeRun.subject else self._motions
 
     def _ask_anew(self) -> None:
         """Ask the questions whose answers may have changed; the others on request become old."""
@@ -183,6 +267,7 @@ class Workbench:
             HeldViews(source),
             ShadedSphere(source),
             PlannedMotion(source),
+            SeenShare(source),
         )
         if scenario is None or self.draft.problems:
             for subject in self._asked:
@@ -191,9 +276,14 @@ class Workbench:
             return
         for question in usual:
             self._ask_if_changed(question, scenario)
+        of_path = PathDose(source)
+        if self._asked.get(of_path.subject) == of_path.reads(scenario):
+            usual = (*usual, of_path)
         for subject in set(self._asked) - {question.subject for question in usual}:
             del self._asked[subject]
             self._desk_of(subject).outdate(subject)
+        if self._why is not None and self._why.source != source:
+            self._motions.outdate(WhyDead.subject)
 
     def _ask_if_changed(self, question: Question, scenario: Scenario) -> None:
         reads = question.reads(scenario)

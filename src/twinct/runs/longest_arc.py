@@ -13,6 +13,7 @@ from twinct.core.errors import InputError, NoPathError, TrajectoryError
 from twinct.core.progress import WorkSpentError
 from twinct.geometry.wire import targets_of
 from twinct.robots.motion import find_joint_path
+from twinct.robots.reach import Remedy
 from twinct.scan import SimulationBuilder
 from twinct.trajectory import OrbitSettings
 
@@ -129,9 +130,10 @@ def _longest(
             return None
         text = ", ".join(f"{key}: {arc[key]}" for key in _TOLD)
         which = "its views" if len(passed) == len(stretch) else f"{len(passed)} of its views"
-        return (
+        return Remedy(
             f"the longest arc that works, by a path through {which}: trajectory: "
-            f"{{kind: arc, {text}}}"
+            f"{{kind: arc, {text}}}",
+            {"trajectory": arc},
         )
     return None
 

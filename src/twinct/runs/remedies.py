@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,11 +14,19 @@ from twinct.core.files.writing import check_picture, storage_errors
 from twinct.core.progress import SILENT, Effort, Progress, WorkSpentError, counted
 from twinct.robots.cell import Marks, overlaps, render_cell
 from twinct.robots.motion.feasible import Indices
-from twinct.robots.reach import CureSearch, Holder, TargetPoses, reasons, shown
+from twinct.robots.reach import (
+    CureSearch,
+    HeldView,
+    Holder,
+    Remedy,
+    TargetPoses,
+    reasons,
+    shown,
+)
 from twinct.robots.reach.cures import MORE
 from twinct.runs.longest_arc import PATH_VIEWS, longest_arc
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Cell
+from twinct.scenario import Cell, Scenario
 
 PICTURE_PX = (1000, 625)
 """Width and height of the picture of an infeasible view."""
@@ -89,7 +98,8 @@ def remedies(
         progress: progress display.
 
     Returns:
-        the views that cannot be held, and sentences about remedies.
+        the views that cannot be held, and sentences about remedies: those that name a change are
+        each a ``Remedy``, of which ``keys_of`` returns the keys.
     """
     try:
         with counted(most):
@@ -121,6 +131,23 @@ def _remedies(
     )
     remedies, more = reasons(search, lost, progress)
     return remedies, [*more, *words]
+
+
+def keys_of(remedy: Remedy, scenario: Scenario) -> dict[str, Any]:
+    """Return the keys of a scenario that a remedy changes, with plain values."""
+    keys: dict[str, Any] = dict(remedy.keys)
+    if remedy.scale != 1:
+        section: Mapping[str, Any] = scenario.trajectory.model_dump(mode="json")
+        for name in ("sod_mm", "sdd_mm"):
+            now = section[name]
+            scaled = np.round(remedy.scale * np.asarray(now, dtype=float), 6).tolist()
+            keys[f"trajectory.{name}"] = scaled
+    return keys
+
+
+def held_as_well_as_can_be(builder: SimulationBuilder, view: int) -> HeldView:
+    """Return the joints that hold a view or come nearest to it, and the problems in words."""
+    return shown(_holder(builder), requested_poses(builder), view)
 
 
 def draw_anyway(

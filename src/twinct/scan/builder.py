@@ -46,11 +46,18 @@ class SimulationBuilder:
         scenario: the scenario.
         given_plan: plan that a scan of the scenario already follows; None to compute or read one.
         given_specimen: the specimen, if it is already built.
+        given_cell: ``cell``, if it is already built.
     """
 
     scenario: Scenario
     given_plan: MotionPlan | None = None
     given_specimen: BuiltSpecimen | None = None
+    given_cell: CellModel | None = None
+
+    def of_changed(self, scenario: Scenario) -> Self:
+        """Return a builder of a changed scenario, with the cell of this one if it is unchanged."""
+        kept = "cell" in self.__dict__ and _decide_cell(scenario) == _decide_cell(self.scenario)
+        return type(self)(scenario, given_cell=self.cell if kept else None)
 
     @classmethod
     def with_specimen(cls, scenario: Scenario, file: Path | None) -> Self:
@@ -144,6 +151,8 @@ class SimulationBuilder:
         Raises:
             ScenarioError: an arm cannot be built, or fixed bodies overlap.
         """
+        if self.given_cell is not None:
+            return self.given_cell
         from twinct.robots.cell import apart
 
         # The specimen may lie closer to its table than to an arm.
@@ -404,3 +413,8 @@ class SimulationBuilder:
             engine=scenario.xray.engine,
             objects=self.beam_objects,
         )
+
+
+def _decide_cell(scenario: Scenario) -> object:
+    """Return the sections that decide ``SimulationBuilder.cell``."""
+    return scenario.cell, scenario.specimen, scenario.detector.panel

@@ -127,7 +127,7 @@ def _absent(file: Path, why: str) -> str:
 
 def write_scenario(
     path: Path,
-    source: str | Path | Mapping[str, Any],
+    source: Source,
     overrides: Overrides = (),
     changes: Mapping[str, Any] | None = None,
 ) -> None:

@@ -24,7 +24,14 @@ from twinct.geometry import Floats, ScanGeometry
 from twinct.observers import Observers, audience_of
 from twinct.robots.motion import save_plan
 from twinct.scan import SimulationBuilder
-from twinct.scenario import Cell, ViewTask, load_scenario, stage_digests, write_scenario
+from twinct.scenario import (
+    Cell,
+    ScenarioText,
+    ViewTask,
+    load_scenario,
+    stage_digests,
+    write_scenario,
+)
 from twinct.trajectory import OrbitSettings, write_views
 from twinct.view_planning import Goal, Searched, has_limit, search_views
 from twinct.view_plans import trial
@@ -79,7 +86,7 @@ class ViewPlan:
 
 @kinds_checked
 def plan(
-    source: str | Path,
+    source: str | Path | ScenarioText,
     out: str | Path,
     overrides: Sequence[str] = (),
     *,
@@ -94,7 +101,7 @@ def plan(
     """Choose views for the task of a scenario, with the processes of this machine or of a cluster.
 
     Args:
-        source: scenario file.
+        source: scenario file, or a text that is not saved.
         out: folder for the results.
         overrides: changes ``KEY=VALUE`` to the scenario.
         scout: run of a few views to which the specimen is registered first.
@@ -115,7 +122,7 @@ def plan(
         require("robots")
     with audience_of(observers) as audience, _pool(address, jobs, bound) as pool:
         return plan_views(
-            Path(source),
+            source if isinstance(source, ScenarioText) else Path(source),
             Path(out),
             overrides,
             scout=None if scout is None else Path(scout),
@@ -146,7 +153,7 @@ def _pool(address: str | None, jobs: int | None, bound: int) -> Generator[Pool |
 
 
 def plan_views(
-    source: Path,
+    source: Path | ScenarioText,
     out: Path,
     overrides: Sequence[str] = (),
     *,
@@ -161,7 +168,7 @@ def plan_views(
     Writes views.csv, planned.yaml, which ``twinct run`` executes, plan.npz, plan.json and plan.png.
 
     Args:
-        source: scenario file.
+        source: scenario file, or a text that is not saved.
         out: folder for the results.
         overrides: changes ``KEY=VALUE`` to the scenario.
         scout: run of a few views to which the specimen is registered first; the planned scenario
@@ -183,7 +190,9 @@ def plan_views(
     scenario = load_scenario(source, overrides)
     task = scenario.task
     if task is None:
-        raise InputError(f"{source}: the section task is missing; it sets the goals of the views")
+        raise InputError(
+            f"{_file_of(source)}: the section task is missing; it sets the goals of the views"
+        )
     check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK, *TRIED})
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -243,6 +252,10 @@ def plan_views(
             figures,
         )
         return plan
+
+
+def _file_of(source: Path | ScenarioText) -> Path:
+    return source.path if isinstance(source, ScenarioText) else source
 
 
 @dataclass(frozen=True, eq=False)
@@ -343,7 +356,7 @@ def _figures(
 
 def _driven(
     builder: SimulationBuilder,
-    source: Path,
+    source: Path | ScenarioText,
     overrides: Sequence[str],
     out: Path,
     section: OrbitSettings | None,

@@ -27,6 +27,9 @@ log = logging.getLogger(__name__)
 LARGEST_MESSAGE = 2**16
 """Largest message from a browser, bytes; cameras and controls need less than a hundredth."""
 
+LARGEST_PART = 2**19
+"""Bytes of a file in one message, as viser's client sends it to a page that accepts files."""
+
 MOST_SAID = 10
 """Number of different refusals that are logged; more say nothing new."""
 

@@ -13,7 +13,7 @@ import ipaddress
 import logging
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import viser
@@ -22,7 +22,7 @@ from viser import _messages as messages
 from websockets.protocol import State
 
 from twinct.core.errors import InputError
-from twinct.viewer.guard import LARGEST_MESSAGE, LOCAL_NAMES, Guard
+from twinct.viewer.guard import LARGEST_MESSAGE, LARGEST_PART, LOCAL_NAMES, Guard
 
 LOOPBACK = "127.0.0.1"
 
@@ -36,14 +36,14 @@ class Server(viser.ViserServer):
         guard: checks each request, for the page's file and for its data.
     """
 
-    def __init__(self, host: str, port: int, guard: Guard, label: str) -> None:
-        """Start the server.
+    def __init__(self, host: str, port: int, guard: Guard, label: str, largest: int) -> None:
+        """Start the server, which takes messages of at most ``largest`` bytes.
 
         Raises:
             RuntimeError: this version of viser starts it another way, without the guard.
         """
         self.guard = guard
-        with _guarded(guard) as started:
+        with _guarded(guard, largest) as started:
             super().__init__(host=host, port=port, verbose=False, label=label)
         self._started = started
         if not started:
@@ -65,7 +65,7 @@ class Server(viser.ViserServer):
 
 
 @contextlib.contextmanager
-def _guarded(guard: Guard) -> Iterator[list[Any]]:
+def _guarded(guard: Guard, largest: int) -> Iterator[list[Any]]:
     """Guard the websocket servers that start in this block; yield them.
 
     viser passes no such options on to the library, so its function is replaced meanwhile.
@@ -77,7 +77,7 @@ def _guarded(guard: Guard) -> Iterator[list[Any]]:
 
         def serve(handler: Any, host: str, port: int, **options: Any) -> Any:
             check = guard.over(options.pop("process_request"))
-            options["max_size"] = LARGEST_MESSAGE
+            options["max_size"] = largest
             made = real(handler, host, port, process_request=check, **options)
             started.append(made.server)
             return made
@@ -89,7 +89,9 @@ def _guarded(guard: Guard) -> Iterator[list[Any]]:
             module.serve = real
 
 
-def serve(host: str, port: int, *, allow_network: bool = False, label: str = "") -> Server:
+def serve(
+    host: str, port: int, *, allow_network: bool = False, label: str = "", files: bool = False
+) -> Server:
     """Start a server; ``close`` ends it.
 
     Args:
@@ -97,6 +99,7 @@ def serve(host: str, port: int, *, allow_network: bool = False, label: str = "")
         port: port to listen on; 0 for any free one.
         allow_network: permit addresses other than loopback.
         label: label of the page's panel.
+        files: permit messages with parts of files; ``accept_uploads`` then accepts these.
 
     Raises:
         InputError: the port is in use or forbidden, or the address does not belong to this machine,
@@ -111,7 +114,8 @@ def serve(host: str, port: int, *, allow_network: bool = False, label: str = "")
         raise InputError(f"--port {port}: a port is a number from 0 to 65535")
     _require_free(host, port)
     with _quiet():
-        server = Server(host, port, _guard(host, allow_network), label)
+        largest = LARGEST_MESSAGE + (LARGEST_PART if files else 0)
+        server = Server(host, port, _guard(host, allow_network), label, largest)
     # Users need not know of connections without a valid handshake.
     logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
     if port and server.get_port() != port:  # another process was faster: viser took the next
@@ -126,6 +130,40 @@ def _guard(host: str, allow_network: bool) -> Guard:
     if allow_network:
         names.add(socket.gethostname().lower())
     return Guard(names, any_address=allow_network)
+
+
+def accept_uploads(server: Server, most_bytes: int, refused: Callable[[str, str], object]) -> None:
+    """Accept files from browsers, up to a size; without this call, all are ignored.
+
+    A browser sends a file in parts, which are held until the last one has come.
+
+    Args:
+        server: the server.
+        most_bytes: largest file, and the most bytes of all files that are under way.
+        refused: called with the name of a larger file, and the reason.
+    """
+    gui, accept = server.gui, server.gui._handle_file_transfer_start
+
+    def start(client: Any, message: messages.FileTransferStartUpload) -> None:
+        under_way = sum(one["total_bytes"] for one in gui._current_file_upload_states.values())
+        parts = -(-message.size_bytes // LARGEST_PART) if message.size_bytes >= 0 else -1
+        if message.part_count == parts and message.size_bytes + under_way <= most_bytes:
+            accept(client, message)
+            return
+        # The browser waits for the receipt of all parts before it sends another file.
+        told = messages.FileTransferPartAck(
+            source_component_uuid=message.source_component_uuid,
+            transfer_uuid=message.transfer_uuid,
+            transferred_bytes=message.size_bytes,
+            total_bytes=message.size_bytes,
+        )
+        server._websock_server.queue_message(told)
+        size = f"{message.size_bytes} bytes, the limit is {most_bytes}"
+        refused(str(message.filename), f"it has {size}" if parts >= 0 else "it states no size")
+
+    handlers = server._websock_server
+    handlers.register_handler(messages.FileTransferStartUpload, start)
+    handlers.register_handler(messages.FileTransferPart, gui._handle_file_transfer_part)
 
 
 def close(server: viser.ViserServer) -> None:
@@ -176,9 +214,10 @@ def _in_use(port: int) -> str:
 
 
 def _share_nothing(server: viser.ViserServer) -> None:
-    """Hide the share button, and ignore its messages."""
+    """Hide the share button, and ignore its messages and all files."""
     server.gui.configure_theme(show_share_button=False, show_logo=False, brand_color=(31, 96, 145))
-    for kind in (messages.ShareUrlRequest, messages.ShareUrlDisconnect):
+    unwanted = (messages.ShareUrlRequest, messages.ShareUrlDisconnect)
+    for kind in (*unwanted, messages.FileTransferStartUpload, messages.FileTransferPart):
         server._websock_server.unregister_handler(kind)
 
 

@@ -27,6 +27,9 @@ COLOURS: dict[str, tuple[int, int, int]] = {
 }
 OTHERS = ((46, 139, 87), (148, 82, 175), (190, 60, 90), (140, 110, 60))
 REFUSED = (214, 40, 40)
+REFUSED_SIZE = 3.0
+"""Size of the dot of a view that the arms cannot take, relative to that of others."""
+
 BEAM = (246, 200, 80)
 IVORY = (232, 220, 190)
 
@@ -263,30 +266,36 @@ class Stage:
             for kind in ("path", "dots"):
                 if self._nodes[f"{kind} {name}"].visible != look.paths:
                     self._nodes[f"{kind} {name}"].visible = look.paths
+        gone = {name for kind, _, name in (key.partition(" ") for key in self._nodes)
+                if kind in ("path", "dots", "ball") and name not in show.geometries}  # fmt: skip
+        for key in [f"{kind} {name}" for name in gone for kind in ("path", "dots", "ball")]:
+            self._remove(key)
         self._remove("refused")
         if show.refused:
             points = show.geometries[show.first_name].source[list(show.refused)] * MM
-            self._nodes["refused"] = self._scene.add_point_cloud(
-                f"{self._root}/refused",
-                points,
-                colors=REFUSED,
-                point_size=0.012,
-                point_shape="circle",
-            )
+            self._nodes["refused"] = self._add_dots("refused", points, REFUSED, REFUSED_SIZE)
+            self._clickable(self._nodes["refused"], "path", show.first_name)
 
     def _draw_dots(self, show: Show, name: str, points: Floats) -> None:
         """Draw a dot at each view of a path, because lines cannot be clicked."""
-        key, still = f"dots {name}", np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1))
+        key = f"dots {name}"
         if key in self._nodes and len(self._nodes[key].batched_positions) == len(points):
             self._nodes[key].batched_positions = points.astype(np.float32)
             return
         self._remove(key)
-        self._nodes[key] = self._scene.add_batched_meshes_simple(
-            self._fresh(f"paths/{name}/views"), *_OCTAHEDRON,
-            batched_wxyzs=still, batched_positions=points, batched_colors=colour_of(name, show),
+        self._nodes[key] = self._add_dots(f"paths/{name}/views", points, colour_of(name, show))
+        self._clickable(self._nodes[key], "path", name)
+
+    def _add_dots(
+        self, name: str, points: Floats, colour: tuple[int, int, int], size: float = 1.0
+    ) -> Any:
+        corners_m, triangles = _OCTAHEDRON
+        return self._scene.add_batched_meshes_simple(
+            self._fresh(name), size * corners_m, triangles,
+            batched_wxyzs=np.tile((1.0, 0.0, 0.0, 0.0), (len(points), 1)),
+            batched_positions=points, batched_colors=colour,
             flat_shading=True, lod="off", cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
-        self._clickable(self._nodes[key], "path", name)
 
     def _draw_marks(self, show: Show, look: Look, view: int) -> None:
         """Draw a ball at the focal spot of each geometry."""

@@ -6,8 +6,9 @@ changes with the largest bounds are then tried, the smallest of them first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from twinct.robots.cell import CellModel, apart
 from twinct.robots.motion.branches import SIDES, Branches
 from twinct.robots.motion.feasible import Indices
 from twinct.robots.reach.holding import Flags, Holder, TargetPoses
+from twinct.robots.reach.remedy import Remedy
 from twinct.robots.sections import Cell, Motion
 
 FAILING = 8
@@ -44,7 +46,8 @@ class Change:
     """One change of a scenario.
 
     Attributes:
-        words: keys with their new values.
+        words: keys with their new values, for people.
+        keys: plain values by dotted key; those of a scaled trajectory are not among them.
         cell: section of the changed cell.
         roll_free: whether source and panel may then roll about their own axes.
         arm: index of the only arm that changes, if one.
@@ -54,6 +57,7 @@ class Change:
     """
 
     words: str
+    keys: Mapping[str, Any]
     cell: Cell
     roll_free: tuple[bool, bool]
     arm: int | None = None
@@ -135,7 +139,7 @@ class CureSearch:
     poses: Callable[[Indices], TargetPoses]
 
     def words(self, failing: Indices, progress: Progress = SILENT) -> str:
-        """Return a sentence about the best change that was found.
+        """Return a sentence about the best change that was found; a ``Remedy`` if there is one.
 
         A cure is tested on at most FAILING infeasible views, and must keep at most OTHERS feasible
         views. Paths between views are not checked.
@@ -147,7 +151,7 @@ class CureSearch:
         commanded = self.poses(_some(failing, FAILING))
         scope = f"{len(commanded)} tested views (of {len(failing)} that cannot be held)"
         changes = list(_changes(self.cell, self.roll_free))
-        best, gained, tried = "", 0, 0
+        best, gained, tried = None, 0, 0
         try:
             hopes = _Hopes(self.model, self.motion, self.roll_free, commanded)
             ranked = [(hopes.of(change), change) for change in changes]
@@ -156,18 +160,20 @@ class CureSearch:
                 for hope, change in ranked:
                     if hope > gained:
                         gain = self._gained(change, commanded, failing, gained, hopes)
-                        best, gained = (change.words, gain) if gain else (best, gained)
+                        best, gained = (change, gain) if gain else (best, gained)
                     tried += 1
                     step()
         except WorkSpentError:
             pass
-        if gained == len(commanded):
-            return f"cure: {best}; this cures the {scope}"
         all_tried = tried == len(changes)
         left = f"{tried} of {len(changes)} changes were tried, in the time of planning; {MORE}"
-        if gained:
-            text = f"partial cure: {best}; this cures {gained} of the {scope}"
-            return text if all_tried else f"{text}; {left}"
+        if best is not None:
+            text = f"partial cure: {best.words}; this cures {gained} of the {scope}"
+            if gained == len(commanded):
+                text = f"cure: {best.words}; this cures the {scope}"
+            elif not all_tried:
+                text += f"; {left}"
+            return Remedy(text, best.keys, best.scale)
         return f"no single change cures the {scope}; {TESTED if all_tried else left}"
 
     def _gained(
@@ -212,8 +218,10 @@ def _changes(cell: Cell, roll_free: tuple[bool, bool]) -> Iterator[Change]:
     for free in ((roll_free[0], True), (True, True)):
         if free != roll_free:
             opened = zip(SIDES, free, roll_free, strict=True)
-            keys = [f"motion.{side}_roll: free" for side, now, before in opened if now > before]
-            yield Change(" and ".join(keys), cell, free)
+            sides = [side for side, now, before in opened if now > before]
+            words = " and ".join(f"motion.{side}_roll: free" for side in sides)
+            keys = {f"motion.{side}_roll": "free" for side in sides}
+            yield Change(words, keys, cell, free)
     moves = [
         (size, arm, "base_position_mm", axis, sign * size)
         for arm in range(2)
@@ -232,8 +240,10 @@ def _changes(cell: Cell, roll_free: tuple[bool, bool]) -> Iterator[Change]:
         value = section.standoff_mm + forward_mm if forward_mm else place
         moved = section.model_copy(update={key: value if forward_mm else tuple(place)})
         changed = cell.model_copy(update={f"{side}_arm": moved})
-        words = f"cell.{side}_arm.{key}: {value}"
-        yield Change(words, changed, roll_free, arm, shift_mm, forward_mm)
+        name = f"cell.{side}_arm.{key}"
+        yield Change(
+            f"{name}: {value}", {name: value}, changed, roll_free, arm, shift_mm, forward_mm
+        )
     for scale in RADII:
         words = f"trajectory.sod_mm and sdd_mm times {scale:g}"
-        yield Change(words, cell, roll_free, scale=scale)
+        yield Change(words, {}, cell, roll_free, scale=scale)

@@ -237,6 +237,17 @@ class Browser:
         handle = next(h for h in handles if getattr(h, "label", None) == label)
         self.wait(lambda: handle.value == value, f"{label} does not become {value}")
 
+    def open_folder(self, name: str) -> None:
+        """Open or close a folder of controls."""
+        path = f"//*[normalize-space(text())='{name}']"
+        found = [one for one in self._driver.find_elements(By.XPATH, path) if one.is_displayed()]
+        found[-1].click()
+
+    def upload(self, path: Path) -> None:
+        """Give a file to the page's upload button."""
+        (box,) = self._driver.find_elements(By.CSS_SELECTOR, "input[type=file]")
+        box.send_keys(str(path))
+
     def press(self, button: str) -> None:
         self._driver.find_element(By.XPATH, f"//button[normalize-space(.)='{button}']").click()
 

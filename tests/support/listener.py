@@ -20,6 +20,7 @@ import zstandard
 from PIL import Image
 from waiting import HANG_S
 
+from twinct.viewer.guard import LARGEST_PART
 from twinct.viewer.live_page import Page
 
 CAMERA = {
@@ -138,6 +139,18 @@ class Listener:
         with self._changed:
             uuid = next(u for u, c in self.gui.items() if button in c.get("options", ()))
         self.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": button}})
+
+    def upload(self, label: str, name: str, content: bytes, part: int = LARGEST_PART) -> None:
+        """Send a file, as a browser does."""
+        with self._changed:
+            uuid = next(u for u, c in self.gui.items() if c.get("label") == label)
+        transfer, parts = f"transfer-{next(_MARKS)}", range(0, len(content), part)
+        told = {"source_component_uuid": uuid, "transfer_uuid": transfer}
+        start = {"filename": name, "mime_type": "", "size_bytes": len(content)}
+        self.send({"type": "FileTransferStartUpload", **told, **start, "part_count": len(parts)})
+        for k, at in enumerate(parts):
+            one = {"part_index": k, "content": content[at : at + part]}
+            self.send({"type": "FileTransferPart", **told, **one})
 
     def send(self, message: dict[str, Any]) -> None:
         self._socket.send(msgspec.msgpack.encode(message))

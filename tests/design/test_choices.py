@@ -1,0 +1,106 @@
+"""Choices are edits; profiles and shares are calls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twinct.design import choices
+from twinct.design.bench import Bench
+from twinct.design.draft import Draft
+from twinct.design.movable import movables
+from twinct.design.profiles import profile_of
+from twinct.design.seen import SeenShare
+from twinct.geometry import Panel, Pose
+from twinct.scenario import Cell
+
+
+@pytest.fixture
+def draft(small_file: Path) -> Draft:
+    return Draft.open(small_file)
+
+
+def test_every_specimen_of_the_list_is_valid(draft: Draft) -> None:
+    names = choices.specimen_names()
+    assert {"skull", "of scenario patient_head", "of scenario head_screws"} <= {*names}
+    for name in names:
+        assert draft.scenario is not None
+        draft.set(choices.of_specimen(draft.scenario, name))
+        assert not draft.problems, name
+        draft.undo()
+    assert draft.text == draft.saved
+
+
+def test_room_table_rail_and_arm_are_one_edit_each(draft: Draft) -> None:
+    def cell() -> Cell:
+        assert draft.scenario is not None and isinstance(draft.scenario.cell, Cell)
+        assert not draft.problems
+        return draft.scenario.cell
+
+    def choose(of: Callable[..., Any], *values: object) -> None:
+        before = len(draft.edits)
+        draft.set(of(draft.scenario, *values))
+        assert len(draft.edits) == before + 1
+        assert of(draft.scenario, *values) == {}  # chosen already
+
+    choose(choices.of_room, "operating")
+    assert cell().room == "operating"
+    choose(choices.of_table, False)
+    assert not cell().table.present
+    now = draft.scenario
+    assert now is not None and "table" not in {one.name for one in movables(now)}
+    choose(choices.of_rail, "source_arm", (-300.0, 400.0))
+    rail = cell().source_arm.rail
+    assert rail is not None and rail.range_mm == (-300, 400)
+    choose(choices.of_rail, "source_arm", (-300.0, 500.0))
+    choose(choices.of_rail, "source_arm", None)
+    assert cell().source_arm.rail is None
+    choose(choices.of_arm, "detector_arm", "lbr_iiwa14")
+    assert cell().detector_arm.model == "lbr_iiwa14"
+
+
+def test_a_material_is_that_of_a_part(draft: Draft) -> None:
+    assert draft.scenario is not None
+    assert choices.materials_of(draft.scenario) == {"0: sphere": "bone", "1: bump": "bone"}
+    draft.set(choices.of_material(draft.scenario, "1: bump", "titanium"))
+    assert [part.material for part in draft.scenario.specimen.parts] == ["bone", "titanium"]
+    assert choices.of_material(draft.scenario, "7: none", "titanium") == {}
+
+
+def test_the_table_moves_up_and_down_only(draft: Draft) -> None:
+    assert draft.scenario is not None
+    table = next(one for one in movables(draft.scenario) if one.name == "table")
+    assert table.axes == (False, False, True)
+    moved = table.moved(Pose.from_euler((50, 60, -703), (0, 0, 30)), 10.0, 5.0)
+    assert moved == {"cell.table.top_z_mm": -700}
+    draft.set(moved)
+    assert isinstance(draft.scenario.cell, Cell) and draft.scenario.cell.table.top_z_mm == -700
+
+
+def test_a_profile_goes_through_the_nearest_pixels() -> None:
+    panel = Panel(30, 40, 2.0, 3.0)  # 80 x 90 mm, shown with 4 x 3 pixels
+    image = np.exp(-np.arange(12, dtype=np.float32).reshape(3, 4))
+    along = profile_of(image, panel, "columns", 29.0, "line integral")
+    assert along.index == 2
+    np.testing.assert_allclose(along.place_mm, [-30, -10, 10, 30])
+    np.testing.assert_allclose(along.values, [8, 9, 10, 11], rtol=1e-6)
+    down = profile_of(image, panel, "rows", -1000.0, "transmission")
+    assert down.index == 0
+    np.testing.assert_allclose(down.place_mm, [-30, 0, 30])
+    np.testing.assert_allclose(down.values, np.exp([-0.0, -4, -8]), rtol=1e-6)
+
+
+def test_the_share_that_views_see_follows_the_panel(draft: Draft) -> None:
+    draft.set({"specimen.parts": [{"shape": {"kind": "box", "size_mm": [40, 40, 40]}}]})
+    whole = SeenShare(draft.source).answered(Bench())
+    assert whole.by_all == 1 and (whole.by_view == 1).all() and len(whole.by_view) == 12
+    draft.set({"detector": {"columns": 48, "rows": 10, "pixel_pitch_mm": 6}})
+    part = SeenShare(draft.source).answered(Bench())
+    # 60 mm of the panel show 30 mm of the middle, three quarters of the box; views from above and
+    # below see other quarters.
+    assert (abs(part.by_view - 0.75) < 0.1).all()
+    assert 0.3 < part.by_all < part.by_view.min()
