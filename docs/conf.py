@@ -27,6 +27,7 @@ extensions = [
     "generated_pages",
     "gallery_folder",
     "moved_pages",
+    "search_words",
 ]
 root_doc = "index"
 exclude_patterns = ["site", "**/sg_execution_times.rst"]
