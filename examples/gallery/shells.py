@@ -2,7 +2,7 @@
 Thin walls
 ==========
 
-Shells of 1 mm, in voxels of 1 mm: the volume blurs what is thinner than its voxels.
+Shells of 1 mm, in voxels of 1.5 mm: the volume blurs what is thinner than its voxels.
 """
 
 from twinct import load_scenario, reconstruct, simulate
@@ -14,9 +14,9 @@ SHELLS = [
 SMALL = {
     "specimen.parts": SHELLS,
     "xray.engine": "mesh",
-    "trajectory.views": 90,
-    "detector": {"columns": 128, "rows": 96, "pixel_pitch_mm": 2},
-    "reconstruction.grid": {"voxels": 88, "voxel_mm": 1},
+    "trajectory.views": 60,
+    "detector": {"columns": 88, "rows": 64, "pixel_pitch_mm": 3},
+    "reconstruction.grid": {"voxels": 60, "voxel_mm": 1.5},
 }
 scan = simulate(load_scenario("circle_gantry", SMALL))
 reconstruct(scan, algorithm="fdk").show("shells.png")

@@ -19,12 +19,12 @@ RODS = [
 SMALL = {
     "specimen.parts": [BODY, *RODS],
     "xray.engine": "mesh",
-    "trajectory.views": 90,
-    "detector": {"columns": 128, "rows": 48, "pixel_pitch_mm": 2},
-    "reconstruction.grid": {"voxels": [112, 112, 40], "voxel_mm": 1},
+    "trajectory.views": 60,
+    "detector": {"columns": 88, "rows": 32, "pixel_pitch_mm": 3},
+    "reconstruction.grid": {"voxels": [76, 76, 24], "voxel_mm": 1.5},
 }
 
-inside = {"reconstruction.grid": {"voxels": [60, 60, 24], "voxel_mm": 1}}
+inside = {"reconstruction.grid": {"voxels": [40, 40, 16], "voxel_mm": 1.5}}
 scan = simulate(load_scenario("circle_gantry", SMALL | inside))
 reconstruct(scan, algorithm="sart", iterations=3).show("truncation_rim.png")
 
