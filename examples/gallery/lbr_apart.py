@@ -10,4 +10,4 @@ from twinct import load_scenario
 from twinct.scan import SimulationBuilder
 
 scenario = load_scenario("lbr_apart")
-SimulationBuilder(scenario).draw("lbr_apart.png", width=1000, height=560)
+SimulationBuilder(scenario).draw("lbr_apart.png", view=0, width=1000, height=560)

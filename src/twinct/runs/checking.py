@@ -67,7 +67,7 @@ def check(
         cures: search for a remedy of infeasible views.
         all_cures: try all changes that may help, even if that takes longer than planning.
         picture: file for the picture of an infeasible view; None, or without ``cures``: no picture.
-        time: take three small scans of the scenario to measure the time of a run, unless that was
+        time: take small scans of the scenario to measure the time of a run, unless that was
             done on this machine; see ``Checked.findings``.
         observers: notified of the progress and of warnings.
 

@@ -112,7 +112,7 @@ def needs_in_words(scenario: Scenario, link: Link) -> dict[str, str]:
     return {
         "memory": f"at most {stages[largest].memory_bytes / 2**30:.2g} GiB, in the stage {largest}",
         "disk": f"at most {disk / 1e6:.0f} MB" if disk < 1e9 else f"at most {disk / 1e9:.2f} GB",
-        "time": time.in_words if time else "twinct check --time measures it, by three small scans",
+        "time": time.in_words if time else "twinct check --time measures it, by small scans",
     }
 
 

@@ -248,7 +248,7 @@ def dry_run(
 ) -> DryRun:
     """Check a study and return a preview; for a search, of its first batch.
 
-    With ``time``, three small scans of each kind of trials measure its time, unless it is known.
+    With ``time``, small scans of each kind of trials measure its time, unless it is known.
 
     Raises:
         InputError: a problem that is detected before work starts.

@@ -42,7 +42,7 @@ def check(
         picture: File for the picture of an infeasible view.
         no_cures: Report infeasible views without a remedy and a picture.
         all_cures: Try all changes that may help, even if that takes longer than planning.
-        time: Take three small scans of the scenario, once for each kind on a machine, and state the
+        time: Take small scans of the scenario, once for each kind on a machine, and state the
             time of a run.
         time_limit: Longest time that the check may take; then it ends with the problems found.
     """

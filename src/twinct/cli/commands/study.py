@@ -55,7 +55,7 @@ def study(
         resume: Resume an interrupted study, or extend one.
         retry_failed: With --resume, try failed trials again, too.
         dry_run: Only list the trials and their expected cost.
-        time: With --dry-run, take three small scans of each kind of trials, once on a machine, and
+        time: With --dry-run, take small scans of each kind of trials, once on a machine, and
             state the time of the study.
         shard: Run one of N parts, such as 2/4, each in a DIR of its own, as a job array does.
         merge: Join the folders of all shards in DIR, instead of running trials.
