@@ -27,7 +27,7 @@ SMALL = {
 path = {
     "trajectory": {
         "kind": "helix",
-        "views": 180,
+        "views": 90,
         "turns": 3,
         "pitch_mm": 30,
         "sod_mm": 300,

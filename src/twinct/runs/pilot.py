@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from scipy.optimize import nnls
 
 from twinct.core.errors import InputError
 from twinct.core.files.plain_json import read_json
@@ -148,6 +147,8 @@ def predicted(
         seconds: seconds of each stage of each small scan.
         wanted: operations of the run.
     """
+    from scipy.optimize import nnls  # 0.2 s
+
     cold, *warm = seconds
     stages: dict[str, float] = {}
     for stage in cold:

@@ -24,7 +24,6 @@ from twinct.study.design import Design, Trial, load_study
 from twinct.study.driver import Driver, Tally
 from twinct.study.estimate import BYTES_IN_TABLE, Estimate, estimate, page_kind, page_parts
 from twinct.study.folder import StudyFolder
-from twinct.study.notebook import study_in_notebook
 from twinct.study.page import write_page
 from twinct.study.results import load_results, write_results
 from twinct.study.rows import Rows
@@ -67,6 +66,8 @@ class StudyRun:
 
     def _repr_html_(self) -> str:
         """Return the first figure over each axis, its means and the page, for a notebook."""
+        from twinct.study.notebook import study_in_notebook  # pandas
+
         return study_in_notebook(self.folder.path.name, self.results, self.folder.page)
 
 
