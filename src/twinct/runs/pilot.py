@@ -37,8 +37,12 @@ from twinct.trajectory import write_views
 
 log = logging.getLogger(__name__)
 
-SIZES = ((6, 48, 32), (8, 64, 48), (24, 160, 96))
-"""Views, columns and voxels along the longest edge of the small scans; never more than a run's."""
+SIZES = ((4, 48, 32), (4, 64, 48), (9, 160, 96))
+"""Views, columns and voxels along the longest edge of the small scans; never more than a run's.
+
+With ten views or more, coarse voxels would leave so much unexplained that its causes are searched
+for, which few runs need.
+"""
 
 SIZE_KEYS = ("columns", "rows", "pixel_pitch_mm")
 
@@ -168,8 +172,8 @@ def _operations(scenario: Scenario) -> dict[str, list[float]]:
     """Return what the stages of a run do, each as numbers whose rates a machine decides.
 
     Rendering: views, and pixels of all views. Reconstruction: in each pass, each ray takes as many
-    samples as the grid has planes, and each view updates each voxel. Stages that are missing here,
-    such as the start of both simulations, take equally long in all sizes.
+    samples as the grid has planes, and each view updates each voxel. Stages that are missing here
+    take equally long in all sizes: the start of both simulations, and the motion along the path.
     """
     views = len(SimulationBuilder(scenario).requested)
     section, panel = scenario.reconstruction, scenario.detector.panel
@@ -179,7 +183,6 @@ def _operations(scenario: Scenario) -> dict[str, list[float]]:
     passes = getattr(section, "iterations", 1) * len(section.geometries)
     return {
         "plan": [1.0, views],
-        "motion": [1.0, views],
         "xray": [views, views * pixels],
         "storing": [views, views * pixels],
         "truth": [1.0, voxels],
