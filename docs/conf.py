@@ -27,6 +27,7 @@ extensions = [
     "generated_pages",
     "gallery_folder",
     "moved_pages",
+    "search_words",
 ]
 root_doc = "index"
 exclude_patterns = ["site", "**/sg_execution_times.rst"]
@@ -74,7 +75,11 @@ html_extra_path = ["site/root"]
 html_show_sourcelink = False
 html_copy_source = False
 html_theme_options = {
-    "logo": {"text": "twinct"},
+    "logo": {
+        "image_light": "site/static/twinct.svg",
+        "image_dark": "site/static/twinct.svg",
+        "text": "twinct",
+    },
     "header_links_before_dropdown": 7,
     "navbar_start": ["navbar-logo"],
     "navbar_end": ["version-switcher", "theme-switcher"],

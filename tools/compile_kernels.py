@@ -4,7 +4,8 @@
 
 ``make setup`` calls this script. Three processes compile in parallel: each kernel of the plain
 engine has one cache beside its source and another one below the cache of the vector engine, and
-Warp keeps the kernels of a card in its own.
+Warp keeps the kernels of a card in its own. Each finished group of kernels is counted in one line
+of the terminal; without a terminal, each has a line of its own.
 """
 
 from __future__ import annotations
@@ -13,61 +14,108 @@ import logging
 import os
 import subprocess
 import sys
+import threading
+import time
 
 import numpy as np
 
-PARTS = ("vector", "rest", "card")
+DONE = "compiled: "
+"""Beginning of the line by which a process reports a finished group of kernels."""
+
+STILL_S = 15
+"""Without news for so many seconds, a line says that the work goes on."""
 
 
 def main() -> int:
     """Compile one part, or each part in its own process, and return the exit code."""
     logging.getLogger("twinct").setLevel(logging.ERROR)  # make setup has announced the compilation
     if len(sys.argv) > 1:
-        {"vector": compile_vector, "rest": compile_rest, "card": compile_card}[sys.argv[1]]()
+        for name, compile_group in PARTS[sys.argv[1]].items():
+            compile_group()
+            sys.stdout.write(f"{DONE}{name}\n")
+            sys.stdout.flush()
         return 0
+    progress = Progress()
     workers = [
         subprocess.Popen(
-            [sys.executable, __file__, part], stderr=subprocess.PIPE if part == "card" else None
+            [sys.executable, __file__, part],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE if part == "card" else None,
+            text=True,
         )
         for part in PARTS
     ]
-    said = workers[-1].communicate()[1]
-    if workers[-1].returncode:  # else Warp only says that there is no card
-        sys.stderr.buffer.write(said)
-    return max(worker.wait() for worker in workers)
+    listeners = [threading.Thread(target=progress.follow, args=(one.stdout,)) for one in workers]
+    for listener in listeners:
+        listener.start()
+    progress.until_end_of(listeners)
+    codes = [worker.wait() for worker in workers]
+    if codes[-1]:  # else Warp only says that there is no card
+        sys.stderr.write(workers[-1].stderr.read())
+    return max(codes)
 
 
-def compile_vector() -> None:
-    """Compile the vector engine, then the plain engine in the same process."""
-    _reconstruct("vector")
-    _reconstruct("plain")
+class Progress:
+    """Count of the finished groups of kernels, on the terminal or in lines."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._all = sum(map(len, PARTS.values()))
+        self._done, self._start = 0, time.monotonic()
+        self._news = threading.Event()
+        self._lock = threading.Lock()
+
+    def follow(self, lines) -> None:
+        """Count what a process reports."""
+        for line in lines:
+            if line.startswith(DONE):
+                with self._lock:
+                    self._done += 1
+                    self._say(f"{self._done} of {self._all}: {line[len(DONE) :].strip()}")
+                    self._news.set()
+
+    def until_end_of(self, threads) -> None:
+        """Wait for threads, and say from time to time that the work goes on."""
+        told = time.monotonic()
+        while any(thread.is_alive() for thread in threads):
+            if self._news.wait(0.2):
+                self._news.clear()
+                told = time.monotonic()
+            if time.monotonic() - told > STILL_S:
+                told = time.monotonic()
+                with self._lock:
+                    self._say(f"{self._done} of {self._all}: still compiling")
+        if sys.stdout.isatty():
+            sys.stdout.write("\r\033[K")
+
+    def _say(self, words: str) -> None:
+        words = f"  {words} ({time.monotonic() - self._start:.0f} s)"
+        sys.stdout.write(f"\r\033[K{words}" if sys.stdout.isatty() else f"{words}\n")
+        sys.stdout.flush()
 
 
-def compile_rest() -> None:
-    """Compile the plain engine into its own cache, and all kernels outside the engines."""
-    from twinct.specimen.skull import skull_surface
-
+def _plain_alone() -> None:
     os.environ["TWINCT_ENGINE"] = "plain"
     _reconstruct("plain")
-    _voxelise()
+
+
+def _skull() -> None:
+    from twinct.specimen.skull import skull_surface
+
     skull_surface()  # kept on disk for later processes
-    _move()
-    _interpolate()
-    _paint()
-    _cast_shadows()
-    _cross()
-    _expose()
-    _judge()
-    _transport()
 
 
-def compile_card() -> None:
+def _card() -> None:
     """Compile the kernels of a card for the processor, on which the tests run them."""
     from twinct.core.card import DEVICE_VARIABLE
-    from twinct.xray.cuda_mesh import CudaMeshEngine
 
     os.environ[DEVICE_VARIABLE] = "cpu"
     _reconstruct("cuda")
+
+
+def _card_mesh() -> None:
+    from twinct.xray.cuda_mesh import CudaMeshEngine
+
     _expose_mesh(CudaMeshEngine())
 
 
@@ -259,6 +307,29 @@ def _judge() -> None:
     image_figures(truth, truth, region, 1.0, grid)
     rmse_by_depth(truth, truth, region, depth, 1.0)
     Edges(np.full((LEAST_POINTS, 3), 3.5), np.ones((LEAST_POINTS, 3)), np.zeros(12)).width(truth)
+
+
+PARTS = {
+    "vector": {  # the plain engine has a second cache below that of the vector engine
+        "vector engine": lambda: _reconstruct("vector"),
+        "plain engine, beside it": lambda: _reconstruct("plain"),
+    },
+    "rest": {
+        "plain engine": _plain_alone,
+        "voxels of bodies": _voxelise,
+        "skull": _skull,
+        "moving voxels": _move,
+        "interpolation": _interpolate,
+        "phantoms": _paint,
+        "shadows": _cast_shadows,
+        "rays through meshes and voxels": _cross,
+        "detector": _expose,
+        "figures": _judge,
+        "photons": _transport,
+    },
+    "card": {"card: reconstruction": _card, "card: projections": _card_mesh},
+}
+"""Groups of kernels, by the process that compiles them one after the other."""
 
 
 if __name__ == "__main__":

@@ -77,7 +77,7 @@ def test_bash_completes_commands_and_options(
     ask = (
         f'source {script}; complete_it() {{ COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); '
         '_tyro_twinct; printf "%s\\n" "${COMPREPLY[@]}"; }; '
-        "complete -p twinct; complete_it twinct che; complete_it twinct check --time"
+        "complete -p twinct; complete_it twinct che; complete_it twinct check --time-"
     )
     done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
     assert done.stdout.split() == [

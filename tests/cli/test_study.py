@@ -55,7 +55,8 @@ def test_a_dry_run_shows_the_trials_and_what_they_take(study, tmp_path, capfd) -
     assert " ".join(lines[9]) == "8 trials to run; 2 scans"
     told = " ".join(lines[10])
     assert re.fullmatch(r"disk: \d\.\d MB at most: no trial of this kind has run on this .*", told)
-    assert len(lines) == 11
+    assert " ".join(lines[11]) == "time: unknown; --time measures it, by small scans"
+    assert len(lines) == 12
     assert not (tmp_path / "out").exists()
 
 

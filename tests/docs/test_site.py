@@ -90,19 +90,47 @@ def test_the_search_finds_a_key(browser: Browser, address: str) -> None:
 
 
 SEARCHES = {
+    "believed": "explanation/geometry",
+    "double edges": "howto/symptoms",
+    "ghost": "howto/symptoms",
+    "PACS": "howto/open_volume",
+    "rail": "arms",
+    "STL": "howto/own_stl",
+    "dose": "transport",
+    "metal": "howto/metal",
     "CT patient": "howto/ct_as_specimen",
     "how long run takes": "howto/faster",
     "projection matrices": "howto/open_volume",
     "noise off": "howto/noise",
     "Windows": "start/install",
     "own robot": "howto/own_arm",
+    "how do I pick the voxel size": "howto/grid",
+    "scan is mirrored": "howto/symptoms",
+    "run on a GPU": "howto/faster",
+    "out of memory": "howto/errors",
+    "center of rotation is wrong": "calibration",
+    "kilovolt and filter of the tube": "howto/noise",
+    "flat field correction": "measured",
+    "SLURM job array": "howto/study",
+    "Jupyter notebook": "start/python",
+    "collision with the table": "reach",
+    "respiratory motion": "howto/ct_as_specimen",
+    "sparse view reconstruction": "howto/few_views",
+    "field of view too small": "howto/truncation",
+    "neural network gradients": "howto/own_algorithm",
+    "anti-scatter grid": "howto/scatter",
+    "modulation transfer function": "figures",
+    "my volume is blurry": "howto/symptoms",
+    "spiral trajectory": "howto/own_trajectory",
+    "rosbag recording": "recording",
+    "Hounsfield units": "howto/open_volume",
 }
 """Words that a new user types, and the page that answers."""
 
 
 @pytest.mark.browser
 @pytest.mark.process
-@pytest.mark.parametrize(("words", "page"), SEARCHES.items(), ids=SEARCHES.values())
+@pytest.mark.parametrize(("words", "page"), SEARCHES.items(), ids=SEARCHES)
 def test_the_search_shows_the_answer_early(
     browser: Browser, address: str, words: str, page: str
 ) -> None:
@@ -110,9 +138,9 @@ def test_the_search_shows_the_answer_early(
 
     def shown() -> bool:
         links = browser.find("ul.search > li > a")
-        return any(f"/{page}.html" in str(link.get_attribute("href")) for link in links[:5])
+        return any(f"/{page}.html" in str(link.get_attribute("href")) for link in links[:3])
 
-    until(shown, f"{page} is not among the first five results")
+    until(shown, f"{page} is not among the first three results")
     assert browser.complaints() == []
 
 

@@ -8,6 +8,7 @@ from scipy import stats
 
 from twinct.core.errors import InputError
 from twinct.study.journal import Row
+from twinct.study.notebook import study_in_notebook
 from twinct.study.results import load_results, results_table, write_results
 
 pytest.importorskip("pandas")
@@ -108,3 +109,17 @@ def test_a_table_that_was_read_again_and_a_part_of_it_know_their_axes(tmp_path):
     write_results(tmp_path, rows())
     table = load_results(tmp_path)
     assert len(table[table.seed < 3].summary(FIGURE)) == 4
+
+
+def test_a_notebook_shows_the_first_figure_as_a_picture_and_a_table(tmp_path):
+    page = tmp_path / "study.html"
+    page.touch()
+    shown = study_in_notebook("paths <1>", results_table(rows()), page)
+    assert "paths &lt;1&gt;" in shown and 'src="data:image/png;base64,iVBOR' in shown
+    assert shown.count("<tr") == 5 and "saddle" in shown and str(page) in shown
+
+
+def test_a_notebook_shows_a_single_combination_without_a_picture(tmp_path):
+    alone = [row for row in rows() if row.axes == {"path": "circle", "views": 20}]
+    shown = study_in_notebook("alone", results_table(alone), tmp_path / "none.html")
+    assert "<img" not in shown and shown.count("<tr") == 2 and "none" not in shown

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,9 +18,10 @@ from twinct.core.arguments import kinds_checked
 from twinct.core.errors import InputError, ScanExistsError
 from twinct.core.extras import optional
 from twinct.core.files.nifti import read_nifti
-from twinct.core.files.pictures import show
+from twinct.core.files.pictures import notebook_widgets, show
 from twinct.core.files.writing import complete, storage_errors
 from twinct.geometry import Floats, Pose, VolumeGrid
+from twinct.recon.sections_picture import SIZE_INCH, draw_sections, show_with_sliders
 from twinct.recon.volume_formats import (
     VolumeFacts,
     format_of_name,
@@ -167,40 +169,21 @@ class Volume(NDArrayOperatorsMixin):
 
         Args:
             path: file for the picture, such as ``volume.png``, or a buffer for PNG; None opens a
-                window, or shows it in the notebook.
+                window, or shows it in the notebook, with sliders if ipywidgets is installed.
 
         Raises:
             InputError: no path is given, and there is no window; or the file's ending is unknown.
         """
-        show(self._draw, (10.4, 3.4), path)
+        if path is None and (widgets := notebook_widgets()):
+            show_with_sliders(self.array, self.grid, widgets)
+        else:
+            show(partial(draw_sections, self.array, self.grid), SIZE_INCH, path)
 
     def _repr_png_(self) -> bytes:
         """Return a PNG image of the three sections, for a notebook."""
         picture = io.BytesIO()
         self.show(picture)
         return picture.getvalue()
-
-    def _draw(self, figure: Any) -> None:
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-
-        x, y, z = self.grid.axes()
-        nz, ny, nx = (n // 2 for n in self.grid.shape)
-        greys = ScalarMappable(
-            Normalize(*np.percentile(self.array[::2, ::2, ::2], (0.1, 99.9))), "gray"
-        )
-        for axes, section, (across, along), (up, upwards), (name, at) in zip(
-            figure.subplots(1, 3),
-            (self.array[nz], self.array[:, ny], self.array[:, :, nx]),
-            (("x", x), ("x", x), ("y", y)),
-            (("y", y), ("z", z), ("z", z)),
-            (("z", z[nz]), ("y", y[ny]), ("x", x[nx])),
-            strict=True,
-        ):
-            extent = (*_borders(along), *_borders(upwards))
-            axes.imshow(section, cmap="gray", norm=greys.norm, origin="lower", extent=extent)
-            axes.set(title=f"{name} = {at:.4g} mm", xlabel=f"{across} / mm", ylabel=f"{up} / mm")
-        figure.colorbar(greys, ax=figure.axes, shrink=0.8, label="attenuation / mm⁻¹")
 
     def to_xarray(self) -> Any:
         """Return a labelled view of the voxels, an ``xarray.DataArray`` that shares their memory.
@@ -291,11 +274,6 @@ class Volume(NDArrayOperatorsMixin):
         except (ValueError, KeyError) as error:
             raise InputError(f"{path}: not a readable NIfTI volume: {error}") from None
         return cls(array, grid, {"note": note})
-
-
-def _borders(centres: Floats) -> tuple[float, float]:
-    half = (centres[-1] - centres[0]) / max(len(centres) - 1, 1) / 2 or 0.5
-    return float(centres[0] - half), float(centres[-1] + half)
 
 
 def _grid_of(shape: tuple[int, ...], affine: Floats) -> VolumeGrid:

@@ -13,6 +13,7 @@ from twinct.core.files.writing import check_plan_file
 from twinct.core.progress import Progress
 from twinct.observers import Observers, audience_of
 from twinct.robots.motion import save_plan
+from twinct.runs.acquisition import installed_link
 from twinct.runs.checks import (
     check_geometries,
     check_physics,
@@ -21,7 +22,8 @@ from twinct.runs.checks import (
     rehearse,
     require_extras,
 )
-from twinct.runs.needs import require_memory
+from twinct.runs.needs import needs_in_words, require_memory
+from twinct.runs.pilot import measured_time
 from twinct.runs.remedies import explained
 from twinct.runs.volumes import require_feasible
 from twinct.scan import SimulationBuilder
@@ -51,6 +53,7 @@ def check(
     cures: bool = True,
     all_cures: bool = False,
     picture: str | Path | None = None,
+    time: bool = False,
     observers: Observers = (),
 ) -> Checked:
     """Validate a scenario, build its specimen, plan its motion and rehearse it, without running it.
@@ -64,6 +67,8 @@ def check(
         cures: search for a remedy of infeasible views.
         all_cures: try all changes that may help, even if that takes longer than planning.
         picture: file for the picture of an infeasible view; None, or without ``cures``: no picture.
+        time: take small scans of the scenario to measure the time of a run, unless that was
+            done on this machine; see ``Checked.findings``.
         observers: notified of the progress and of warnings.
 
     Raises:
@@ -99,6 +104,10 @@ def check(
             plan_motion(builder, audience)
         rehearse(builder, audience)
         found = {name: words.replace("×", "x") for name, words in findings(builder).items()}
+        link = installed_link()
+        if time and measured_time(scenario, link, audience) is None:
+            audience.say("a small scan failed, so the time of a run is not known", warning=True)
+        found |= needs_in_words(scenario, link)
         if save is not None:
             assert builder.followed is not None  # as _check_plan_file has found
             save_plan(builder.followed, save)

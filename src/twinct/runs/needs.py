@@ -1,9 +1,9 @@
-"""Estimates of the memory, disk space and threads of a run, before it starts."""
+"""Estimates of the memory, disk space, threads and time of a run, before it starts."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twinct.core.arguments import kinds_checked
@@ -12,6 +12,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.memory import available_bytes
 from twinct.core.threads import threads
 from twinct.runs.acquisition import Link
+from twinct.runs.pilot import expected_time
 from twinct.runs.volumes import memory_needed
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, as_scenario
@@ -27,6 +28,17 @@ ROOM_BYTES = 250 * 2**20
 REPORT_BYTES = 300 * 2**20
 
 
+STAGES_OF = {
+    "specimen": ("specimen",),
+    "plan": ("plan",),
+    "views": ("link", "motion", "xray", "storing"),
+    "truth": ("truth",),
+    "reconstruction": ("reconstruction",),
+    "report": ("judge", "report", "other"),
+}
+"""Timed stages of a run, by the stage whose needs they are."""
+
+
 @dataclass(frozen=True)
 class Need:
     """Resources of one stage, summed over all processes of the run.
@@ -36,17 +48,20 @@ class Need:
         disk_bytes: size of the stage's files in the folder.
         threads: number of threads that compute at a time.
         processes: number of processes.
+        seconds: expected time; None unless small scans of this kind were timed on this machine
+            (``measured_time``).
     """
 
     memory_bytes: int
     disk_bytes: int = 0
     threads: int = 1
     processes: int = 1
+    seconds: float | None = None
 
 
 @kinds_checked
 def needs(scenario: Scenario | str | Path, link: Link = "ros2") -> dict[str, Need]:
-    """Estimate bytes and threads of each stage of a run, before anything is built or rendered.
+    """Estimate bytes, threads and time of each stage of a run, before anything is built.
 
     The memory of the engines was measured with software OpenGL; specimens from files are estimated
     by the size of the files.
@@ -71,13 +86,33 @@ def needs(scenario: Scenario | str | Path, link: Link = "ros2") -> dict[str, Nee
     acquiring = (specimen if local else 3 * specimen) + simulations + moved
     scan, stored = 2 * number * image, (1 + len(scenario.detector.keep)) * number * image
     reconstructing = max(memory_needed(scenario, views).values())
-    return {
+    stages = {
         "specimen": Need(specimen),
         "plan": Need(specimen + room),
         "views": Need(acquiring, stored, many, 1 if local else 3),
         "truth": Need(specimen + moved + stays + scan + 16 * voxels, 4 * voxels, many),
         "reconstruction": Need(specimen + stays + reconstructing, 4 * voxels, many),
         "report": Need(specimen + stays + scan + 9 * voxels + REPORT_BYTES, 8 * 2**20),
+    }
+    time = expected_time(scenario, link)
+    if time is None:
+        return stages
+    return {
+        name: replace(need, seconds=sum(time.stages[stage] for stage in STAGES_OF[name]))
+        for name, need in stages.items()
+    }
+
+
+def needs_in_words(scenario: Scenario, link: Link) -> dict[str, str]:
+    """Return the memory, disk space and time of a run, in words by topic."""
+    stages = needs(scenario, link)
+    largest = max(stages, key=lambda name: stages[name].memory_bytes)
+    disk = sum(need.disk_bytes for need in stages.values())
+    time = expected_time(scenario, link)
+    return {
+        "memory": f"at most {stages[largest].memory_bytes / 2**30:.2g} GiB, in the stage {largest}",
+        "disk": f"at most {disk / 1e6:.0f} MB" if disk < 1e9 else f"at most {disk / 1e9:.2f} GB",
+        "time": time.in_words if time else "twinct check --time measures it, by small scans",
     }
 
 

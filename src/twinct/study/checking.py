@@ -15,6 +15,7 @@ from twinct.core.foreign_text import quoted
 from twinct.core.progress import SILENT, Progress
 from twinct.core.settings import FILE_KEYS
 from twinct.runs import needs
+from twinct.runs.pilot import measured_time
 from twinct.scenario import Part, Scenario, stage_digests
 from twinct.specimen.materials import material
 from twinct.study.cost import Cost
@@ -27,9 +28,13 @@ MOST_PROBLEMS = 9
 
 @dataclass
 class Checker:
-    """Checker of the trials of a design; caches costs and materials."""
+    """Checker of the trials of a design; caches costs and materials.
+
+    With ``time``, it measures the time of each kind of trials by small scans.
+    """
 
     design: Design
+    time: bool = False
     costs: dict[str, Cost] = field(default_factory=dict[str, Cost])
     materials: dict[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
 
@@ -138,6 +143,8 @@ class Checker:
         rest = [*panel, *volume, len(section.geometries), study.keep]
         kinds = _digest([*scan, *how]), _digest([*rest, *how])
         if (both := "".join(kinds)) not in self.costs:
+            if self.time:
+                measured_time(scenario, study.link)
             self.costs[both] = Cost(*kinds, needs(scenario, study.link))
         return self.costs[both]
 

@@ -27,6 +27,21 @@ class Cost:
         return max(need.memory_bytes for need in self.stages.values())
 
     @property
+    def scan_s(self) -> float | None:
+        """Expected seconds of the scan; None if they were not measured on this machine."""
+        return self._seconds("specimen", "plan", "views")
+
+    @property
+    def rest_s(self) -> float | None:
+        """Expected seconds of all later stages; None if they were not measured."""
+        return self._seconds("truth", "reconstruction", "report")
+
+    def _seconds(self, *names: str) -> float | None:
+        seconds = [self.stages[name].seconds for name in names if name in self.stages]
+        known = [one for one in seconds if one is not None]
+        return sum(known) if known and len(known) == len(seconds) else None
+
+    @property
     def scan_bytes(self) -> int:
         """Size of the scan on disk."""
         return self.stages["views"].disk_bytes

@@ -31,7 +31,8 @@ class Estimate:
         trials: number of trials still to run.
         scans: number of different scans among them.
         disk_bytes: final size of their results in the folder.
-        seconds: wall-clock time; None if a kind of trial has never run on this machine.
+        seconds: wall-clock time; None if a kind of trial has neither run on this machine nor
+            been timed by small scans.
         measured: True if all kinds of trials have run on this machine; else the sizes assume
             uncompressed files.
     """
@@ -52,8 +53,10 @@ def estimate(
     first = {one.scan: one for one in trials}
     # Trials that share a volume reconstruct it once.
     tried = trials if whole else list({one.volume: one for one in trials}.values())
-    seconds: list[float | None] = [timings.mean(one.cost.scan) for one in first.values()]
-    seconds += [timings.mean(one.cost.rest) for one in tried]
+    measured = [timings.mean(one.cost.scan) for one in first.values()]
+    measured += [timings.mean(one.cost.rest) for one in tried]
+    expected = [one.cost.scan_s for one in first.values()] + [one.cost.rest_s for one in tried]
+    seconds = [b if a is None else a for a, b in zip(measured, expected, strict=True)]
     known = [s for s in seconds if s is not None]
     stored = [one for digest, one in first.items() if whole or numbers[digest] > 1]
     # Trial folders hold shared scans as hard links, so each scan's bytes count once.
@@ -70,8 +73,8 @@ def estimate(
         kind = f"{trials[0].cost.rest} sections bytes"
         size += combinations * _mean(timings, kind, SECTIONS_BYTES)
         size += page_parts(combinations) * _mean(timings, page_kind(study), PAGE_BYTES)
-    complete = len(known) == len(seconds)
-    wall = sum(known) / max(min(workers, len(tried)), 1) if complete else None
+    complete = all(s is not None for s in measured)
+    wall = sum(known) / max(min(workers, len(tried)), 1) if len(known) == len(seconds) else None
     if wall:
         wall += timings.mean("seconds around") or 0.0
     return Estimate(len(trials), len(numbers), round(size), wall, complete)

@@ -64,6 +64,12 @@ class StudyRun:
         """Return folder and number of trials in one line."""
         return f"StudyRun({str(self.folder.path)!r}, {self.done} done, {self.failed} failed)"
 
+    def _repr_html_(self) -> str:
+        """Return the first figure over each axis, its means and the page, for a notebook."""
+        from twinct.study.notebook import study_in_notebook  # pandas
+
+        return study_in_notebook(self.folder.path.name, self.results, self.folder.page)
+
 
 @dataclass(frozen=True)
 class DryRun:
@@ -238,9 +244,12 @@ def dry_run(
     *,
     jobs: int | None = None,
     retry: bool = False,
+    time: bool = False,
     observers: Observers = (),
 ) -> DryRun:
     """Check a study and return a preview; for a search, of its first batch.
+
+    With ``time``, small scans of each kind of trials measure its time, unless it is known.
 
     Raises:
         InputError: a problem that is detected before work starts.
@@ -250,7 +259,7 @@ def dry_run(
         folder = StudyFolder(Path(out)) if out is not None else None
         if folder is not None:
             folder.check(design, resume=True)
-        trials = _first_trials(design, Checker(design), audience)
+        trials = _first_trials(design, Checker(design, time), audience)
     there = Rows(folder, design.study) if folder else None
     open_ = [one for one in trials if there is None or there.wanted(one.key, retry=retry)]
     workers = jobs or _workers(design.study.threads)

@@ -25,6 +25,7 @@ def check(
     picture: Annotated[Path, tyro.conf.arg(metavar="PNG")] = Path("view.png"),
     no_cures: Flag = False,
     all_cures: Flag = False,
+    time: Flag = False,
     time_limit: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     threads: Threads = None,
     as_json: Json = False,
@@ -41,6 +42,8 @@ def check(
         picture: File for the picture of an infeasible view.
         no_cures: Report infeasible views without a remedy and a picture.
         all_cures: Try all changes that may help, even if that takes longer than planning.
+        time: Take small scans of the scenario, once for each kind on a machine, and state the
+            time of a run.
         time_limit: Longest time that the check may take; then it ends with the problems found.
     """
     limit_threads(threads)
@@ -56,6 +59,7 @@ def check(
                 cures=not no_cures,
                 all_cures=all_cures,
                 picture=picture,
+                time=time,
                 observers=audience,
             )
         answer |= {"can_be_run": True, "findings": checked.findings}

@@ -40,6 +40,7 @@ def study(
     resume: Flag = False,
     retry_failed: Flag = False,
     dry_run: Flag = False,
+    time: Flag = False,
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
     merge: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="DIR")] = (),
 ) -> None:
@@ -54,6 +55,8 @@ def study(
         resume: Resume an interrupted study, or extend one.
         retry_failed: With --resume, try failed trials again, too.
         dry_run: Only list the trials and their expected cost.
+        time: With --dry-run, take small scans of each kind of trials, once on a machine, and
+            state the time of the study.
         shard: Run one of N parts, such as 2/4, each in a DIR of its own, as a job array does.
         merge: Join the folders of all shards in DIR, instead of running trials.
     """
@@ -63,8 +66,14 @@ def study(
         raise InputError(f"--jobs {jobs}: must be at least 1")
     if merge and (shard or dry_run or address or jobs or retry_failed):
         raise InputError("--merge runs no trials: only --out goes with it")
+    if time and not dry_run:
+        raise InputError("--time needs --dry-run")
     if dry_run:
-        _show(_planned(file, out, jobs, retry_failed))
+        with on_terminal() as audience:
+            planned = preview(
+                file, out, jobs=jobs, retry=retry_failed, time=time, observers=audience
+            )
+        _show(planned)
         return
     with on_terminal() as audience, _Line() as line:
         if merge:
@@ -95,11 +104,6 @@ def study(
         )
 
 
-def _planned(file: Path, out: Path, jobs: int | None, retry: bool) -> DryRun:
-    with on_terminal() as audience:
-        return preview(file, out, jobs=jobs, retry=retry, observers=audience)
-
-
 def _show(preview: DryRun) -> None:
     console, estimate = Console(), preview.estimate
     table = Table(box=None)
@@ -111,7 +115,7 @@ def _show(preview: DryRun) -> None:
         table.add_row(str(trial.number), *values, "" if trial.seed is None else str(trial.seed))
     console.print(table)
     if len(preview.trials) > _MOST_SHOWN:
-        console.print(f"... and {len(preview.trials) - _MOST_SHOWN} more")
+        console.print(f"... and {len(preview.trials) - _MOST_SHOWN} more trials, left out here")
     there = f", {preview.there} already present" if preview.there else ""
     size = f"{estimate.disk_bytes / 1e6:.1f} MB" if estimate.disk_bytes < 1e9 else ""
     size = size or f"{estimate.disk_bytes / 1e9:.2f} GB"
@@ -126,8 +130,10 @@ def _show(preview: DryRun) -> None:
         "" if estimate.measured else " at most: no trial of this kind has run on this machine yet"
     )
     console.print(f"disk: {size}{known}", highlight=False)
+    time = "unknown; --time measures it, by small scans"
     if estimate.seconds is not None:
-        console.print(f"time: about {duration(estimate.seconds)}", highlight=False)
+        time = f"about {duration(estimate.seconds)}"
+    console.print(f"time: {time}", highlight=False)
 
 
 def _number(count: int, what: str) -> str:

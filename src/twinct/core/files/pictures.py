@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
+import sys
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -60,3 +63,12 @@ def _on_screen(draw: Callable[[Any], None], size_inch: tuple[float, float]) -> N
         )
     draw(pyplot.figure(figsize=size_inch, layout="constrained"))
     pyplot.show()
+
+
+def notebook_widgets() -> Any:
+    """Return the module ``ipywidgets`` in a notebook that has it; else None."""
+    shell = sys.modules.get("IPython")
+    session = shell.get_ipython() if shell is not None else None
+    if getattr(session, "kernel", None) is None or not importlib.util.find_spec("ipywidgets"):
+        return None
+    return importlib.import_module("ipywidgets")

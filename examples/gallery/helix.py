@@ -1,0 +1,39 @@
+"""
+A helix
+=======
+
+A long part on a narrow panel: the source climbs along it.
+"""
+
+from twinct import load_scenario, reconstruct, simulate
+
+BODY = {"shape": {"kind": "cylinder", "radius_mm": 42, "height_mm": 120}, "material": "pmma"}
+RODS = [
+    {
+        "shape": {"kind": "cylinder", "radius_mm": radius, "height_mm": 120},
+        "material": "bone",
+        "position_mm": [x, y, 0],
+    }
+    for radius, x, y in ((8, 20, 0), (5, -8, 22), (3, -18, -14), (2, 4, -26))
+]
+SMALL = {
+    "specimen.parts": [BODY, *RODS],
+    "xray.engine": "mesh",
+    "trajectory.views": 60,
+    "detector": {"columns": 88, "rows": 32, "pixel_pitch_mm": 3},
+    "reconstruction.grid": {"voxels": [76, 76, 24], "voxel_mm": 1.5},
+}
+
+path = {
+    "trajectory": {
+        "kind": "helix",
+        "views": 90,
+        "turns": 3,
+        "pitch_mm": 30,
+        "sod_mm": 300,
+        "sdd_mm": 600,
+    },
+    "reconstruction.grid": {"voxels": [56, 56, 60], "voxel_mm": 2},
+}
+scan = simulate(load_scenario("circle_gantry", SMALL | path))
+reconstruct(scan, algorithm="fast").show("helix_volume.png")
