@@ -138,7 +138,7 @@ def _twinct(arguments: list[str]) -> None:
         assert re.fullmatch(r"out/\w+", scenario) and not rest
         assert any(f"--out {scenario}" in command for command in COMMANDS)
         return
-    assert command in ("run", "check", "reach")
+    assert command in ("run", "check", "reach", "uncertainty")
     flags = {("reach", "--connected"), ("run", "--link=ros2")}
     rest = [word for word in rest if (command, word) not in flags]
     load_scenario(_file(scenario), rest[1::2])

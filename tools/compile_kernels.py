@@ -50,8 +50,8 @@ def main() -> int:
         listener.start()
     progress.until_end_of(listeners)
     codes = [worker.wait() for worker in workers]
-    if codes[-1]:  # else Warp only says that there is no card
-        sys.stderr.write(workers[-1].stderr.read())
+    if codes[-1] and (told := workers[-1].stderr):  # else Warp only says that there is no card
+        sys.stderr.write(told.read())
     return max(codes)
 
 

@@ -22,6 +22,7 @@ from waiting import until
 
 ROOT = Path(__file__).parents[2]
 
+
 class Quiet(SimpleHTTPRequestHandler):
     def log_message(self, format: str, *args: object) -> None:
         """Requests are of no interest."""
