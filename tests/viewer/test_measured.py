@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from ball_scan import PITCH, SDD, SOD, VIEWS, ball_images, orbit
 from listener import Listener
-from test_page import alike, label, seen
+from page_contents import alike, label, seen
 from waiting import HANG_S
 
 from twinct.cli import run_command

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import viser
 from listener import Listener
+from page_contents import alike, label, seen
 from waiting import HANG_S, until
 
 from twinct.runs import Run
@@ -43,23 +44,6 @@ def listener(server: Server, page: Page) -> Iterator[Listener]:
     with closing(Listener(address(server))) as made:
         made.wait(lambda: made.node("/projection"))
         yield made
-
-
-def seen(show: Show, view: int) -> np.ndarray:
-    """The image of a view as the page shows it, up to the scale of its greys."""
-    assert show.transmission is not None
-    return -np.log(show.transmission(view))
-
-
-def alike(picture: np.ndarray, values: np.ndarray) -> float:
-    """Correlation of a picture's greys with values."""
-    grey = picture[:, :, 0].astype(float)
-    assert grey.shape == values.shape
-    return float(np.corrcoef(grey.ravel(), values.ravel())[0, 1])
-
-
-def label(listener: Listener) -> str:
-    return listener.node("/label")["text"]
 
 
 def test_the_slider_shows_each_view_where_it_was_taken(

@@ -68,30 +68,32 @@ class Course:
     _seen: dict[int, _Seen] = field(default_factory=dict)
 
     def mostly_straight(self, clear: Clear, rounds: int = ROUNDS) -> Indices:
-        """Return the best node of each layer, after checks of which straight moves are clear.
+        """Return the best checked node of each layer.
 
         Args:
             clear: checks straight moves.
             rounds: most repeated choices.
         """
-        path = np.zeros(0, np.intp)
+        path, least = np.zeros(0, np.intp), np.inf
         for _ in range(rounds):
-            path, _ = self.choice.best()
+            tried, _ = self.choice.best()
             edges = [
                 (k, int(i), int(j))
-                for k, (i, j) in enumerate(zip(path[:-1], path[1:], strict=True))
+                for k, (i, j) in enumerate(zip(tried[:-1], tried[1:], strict=True))
             ]
             unknown = [edge for edge in edges if edge not in self.straight]
             if not unknown:
-                break
+                return tried
             starts = np.array([self.nodes[k][i] for k, i, _ in unknown])
             ends = np.array([self.nodes[k + 1][j] for k, _, j in unknown])
             way = self.shorter(ends - starts)
-            for least in np.unique(self.least_mm):
-                mine = [m for m, edge in enumerate(unknown) if self.least_mm[edge[0]] == least]
-                good = clear(starts[mine], starts[mine] + way[mine], float(least))
+            for gap_mm in np.unique(self.least_mm):
+                mine = [m for m, edge in enumerate(unknown) if self.least_mm[edge[0]] == gap_mm]
+                good = clear(starts[mine], starts[mine] + way[mine], float(gap_mm))
                 for m, one in zip(mine, good.tolist(), strict=True):
                     self._learn(unknown[m], one)
+            if (taken := self.choice.along(tried)) < least:
+                path, least = tried, taken
         return path
 
     def joints(self, path: Indices) -> Floats:

@@ -151,6 +151,11 @@ class LayerSearch:
         """Raise the costs of all moves from a layer to the next one, (m, p)."""
         self._costs[layer] += seconds
 
+    def along(self, path: Indices) -> float:
+        """Return the cost of a path with one node in each layer."""
+        moves = zip(self._costs, path[:-1], path[1:], strict=True)
+        return float(self._start[path[0]] + sum(cost[i, j] for cost, i, j in moves))
+
     def best(self) -> tuple[Indices, float]:
         """Return the node of each layer on the best path, and its cost, inf if no path exists."""
         value, back = self._start, []

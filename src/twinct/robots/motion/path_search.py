@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -57,9 +58,6 @@ TRIED_S = 0.15
 
 JUDGED = 4
 """Orders are compared after this part of the usual checks."""
-
-OF_FASTER = 0.1
-"""Part of the faster arm's time that counts: it need not hurry, but should not wander."""
 
 STRONG_LOOKS = 100_000
 """Largest number of configurations that searches for detours check where torques count."""
@@ -198,7 +196,7 @@ class _Finder:
             order = order_of_views(
                 first,
                 lambda order: self._taken(self._course(candidates, order, start)),
-                self._seconds,
+                self._slower,
                 lambda a, b: self._straight(a, a + self._shorter(b - a), self._least_mm),
             )
         course = self._course(candidates, order, start)
@@ -293,25 +291,37 @@ class _Finder:
             np.hstack([arm[k].joints[p] for arm, p in zip(layers, pair.T, strict=True)])
             for k, pair in enumerate(pairs)
         ]
-        costs = [self._seconds(a, b) for a, b in zip(nodes[:-1], nodes[1:], strict=True)]
+        costs = [np.sum(self._seconds(a, b), axis=0) for a, b in pairwise(nodes)]
         loads = [
             layer[0].load_s[pair[:, 0]] + layer[1].load_s[pair[:, 1]]
             for *layer, pair in zip(*layers, pairs, strict=True)
         ]
         return Course(views, layers, pairs, nodes, LayerSearch(costs, loads), least, self._shorter)
 
-    def _seconds(self, a: Floats, b: Floats) -> Floats:
-        """Return the time from each of (m, n) configurations to each of (p, n), (m, p)."""
+    def _seconds(self, a: Floats, b: Floats) -> list[Floats]:
+        """Return each arm's time from each of (m, n) configurations to each of (p, n), (m, p)."""
         of_arms = zip(self._arms, self._cell.arm_joints, strict=True)
-        one, other = (speeds.seconds(a[:, part], b[:, part]) for speeds, part in of_arms)
-        return np.maximum(one, other) + OF_FASTER * np.minimum(one, other)
+        return [speeds.seconds(a[:, part], b[:, part]) for speeds, part in of_arms]
+
+    def _slower(self, a: Floats, b: Floats) -> Floats:
+        """Return the time of the slower arm, which the plan takes, as ``_seconds``."""
+        return np.maximum(*self._seconds(a, b))
 
     def _taken(self, course: Course) -> tuple[float, Floats]:
         """Return the time of a course, detours included, and its joints by view, (views, n)."""
         path = course.mostly_straight(self._straight, ROUNDS // JUDGED)
+        knots = course.joints(path)
+        legs = [np.array([a, a + self._shorter(b - a)]) for a, b in pairwise(knots)]
+        detours = sum(
+            not course.straight[k, int(i), int(j)] for k, (i, j) in enumerate(pairwise(path))
+        )
+        # Joints that reach the end of their ranges have to be turned back.
+        rewinding_s, from_start = np.full(len(legs), DETOUR_S), bool(course.views[0] < 0)
+        placed = lifted(knots, legs, self._cell.joint_ranges, self._speeds, rewinding_s, from_start)
+        moving = float((np.abs(np.diff(placed, axis=0)) / self._speeds).max(axis=1).sum())
         of_views = course.views >= 0
-        joints = course.joints(path)[of_views]
-        return course.choice.best()[1], joints[np.argsort(course.views[of_views])]
+        by_view = knots[of_views][np.argsort(course.views[of_views])]
+        return moving + DETOUR_S * detours, by_view
 
     def _through(self, course: Course) -> tuple[list[Floats], list[Indices]]:
         """Return the paths between layers, knots (m, n) each, and each layer's candidate pair."""
