@@ -78,7 +78,9 @@ def measure(name: str, moves: int, folder: Path) -> dict[str, list[float]]:
         arm = "source arm"
         listener.set("body", arm)
         wait(page.move.chosen)
-        base = list(page.move.chosen().position_mm)  # type: ignore[union-attr]
+        chosen = page.move.chosen()
+        assert chosen is not None
+        base = list(chosen.position_mm)
         for k in range(max(moves // 5, 3)):
             before, told = page.bench.draft.text, len(shadings(listener))
             to = (base[0] + 5 * (k % 5 + 1), base[1] + 3 * (k + 1), base[2])

@@ -80,3 +80,11 @@ def test_no_worse_order_is_returned() -> None:
     first = list(range(12))
     assert order_of_views(first, judge, apart, lambda a, b: np.ones(len(a), np.bool_)) == first
     assert len(judged) == 2
+
+
+def test_up_to_two_views_have_one_order() -> None:
+    def judge(order: list[int]) -> tuple[float, Floats]:
+        raise AssertionError("there is nothing to choose")
+
+    for first in ([0], [0, 1]):
+        assert order_of_views(first, judge, apart, lambda a, b: np.ones(len(a), np.bool_)) == first

@@ -50,8 +50,9 @@ STEPS = 8
 """Steps of expectation maximisation for images = primary + scatter, in each round.
 
 The scatter of an early body, which attenuates too little, may exceed the images: their difference
-would be no image, and its volume full of streaks. In a head at 120 kVp two rounds leave 38 % of the
-error by 1 step, 10 % by 8, and 9 % by 30 (``benchmarks/bench_scatter_correction.py``).
+would be no image, and its volume full of streaks. In a head at 120 kVp two rounds left 38 % of the
+error by 1 step, 10 % by 8, and 9 % by 30, while air still scattered (``LIGHTEST``); now they leave
+11 % by 8 (``benchmarks/bench_scatter_correction.py``).
 """
 
 LIGHTEST = 0.13

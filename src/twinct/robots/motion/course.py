@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twinct.geometry import Floats
 from twinct.robots.motion.feasible import Flags, Indices
@@ -32,14 +33,23 @@ class _Seen:
     Attributes:
         all: number of checked moves, each as much as its ends are near.
         blocked: the blocked ones among them.
-        raised: seconds added to the moves.
-        known: seconds to add to the checked ones, by both nodes.
+        known: whether the checked ones are clear, by both nodes.
     """
 
-    all: Floats
-    blocked: Floats
-    raised: Floats
-    known: dict[tuple[int, int], float] = field(default_factory=dict)
+    all: NDArray[np.float32]
+    blocked: NDArray[np.float32]
+    known: dict[tuple[int, int], bool] = field(default_factory=dict)
+
+    def seconds(self) -> Floats:
+        """Return the likely time of detours of each move, (m, p), s.
+
+        The probability is that of the rule of succession, with one more move, unseen and clear.
+        Checked moves have what they showed.
+        """
+        found = DETOUR_S * (self.blocked / (1.0 + self.all.astype(np.float64)))
+        for move, good in self.known.items():
+            found[move] = 0.0 if good else DETOUR_S
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,26 +111,21 @@ class Course:
         return np.array([layer[node] for layer, node in zip(self.nodes, path, strict=True)])
 
     def _learn(self, edge: tuple[int, int, int], good: bool) -> None:
-        """Put the cost of a detour on a blocked move, and its likely share on moves beside it.
-
-        The probability is that of the rule of succession, with one more move, unseen and clear.
-        """
+        """Put the cost of a detour on a blocked move, and its likely share on moves beside it."""
         self.straight[edge] = good
         layer, i, j = edge
         seen = self._seen.get(layer)
         if seen is None:
             shape = len(self.nodes[layer]), len(self.nodes[layer + 1])
-            seen = self._seen[layer] = _Seen(np.zeros(shape), np.zeros(shape), np.zeros(shape))
+            none = np.zeros(shape, np.float32)
+            seen = self._seen[layer] = _Seen(none, none.copy())
         before, after = (
             np.abs(self.shorter(nodes - nodes[at])).max(axis=1)
             for nodes, at in zip(self.nodes[layer : layer + 2], (i, j), strict=True)
         )
         alike = np.clip(1 - np.maximum(before[:, None], after) / OTHER_BRANCH_RAD, 0.0, None)
-        seen.all += alike
-        seen.blocked += alike * (not good)
-        seen.known[i, j] = 0.0 if good else DETOUR_S
-        raised = DETOUR_S * seen.blocked / (1 + seen.all)
-        for move, seconds in seen.known.items():
-            raised[move] = seconds
-        self.choice.raise_costs(layer, raised - seen.raised)
-        seen.raised = raised
+        raised = seen.seconds()
+        seen.all += alike.astype(np.float32)
+        seen.blocked += alike.astype(np.float32) * (not good)
+        seen.known[i, j] = good
+        self.choice.raise_costs(layer, seen.seconds() - raised)

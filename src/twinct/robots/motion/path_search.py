@@ -192,9 +192,8 @@ class _Finder:
             start = self._checked(start)
         if self._motion.order == "shortest":
             joints = [[c.joints for c in arm] for arm in candidates]
-            first = shortest_tour(moving_seconds(joints, self._arms))
             order = order_of_views(
-                first,
+                shortest_tour(moving_seconds(joints, self._arms)),
                 lambda order: self._taken(self._course(candidates, order, start)),
                 self._slower,
                 lambda a, b: self._straight(a, a + self._shorter(b - a), self._least_mm),

@@ -31,7 +31,7 @@ from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.sections import Motion
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import PPoly
 
 CURVE_SHARE = 0.5
 """Share of the acceleration for following the curve; the rest is for speeding up and braking."""
@@ -238,7 +238,7 @@ class TimeLaw:
             "torque": self._torque_shares(states) / TORQUE_SHARE,
         }
 
-    def _allowed(self, way: CubicSpline, s: Floats, at_views: Floats) -> tuple[Floats, Floats]:
+    def _allowed(self, way: PPoly, s: Floats, at_views: Floats) -> tuple[Floats, Floats]:
         """Return the largest speed of s at each value of s, and the acceleration left for s."""
         first, second, third = (np.abs(way(s, d)) for d in (1, 2, 3))
         with np.errstate(divide="ignore"):
@@ -254,14 +254,14 @@ class TimeLaw:
             gain = (1 - CURVE_SHARE) * self._acceleration / first.max(axis=1)
         return most, gain
 
-    def _passing(self, way: CubicSpline, passed: Floats, views: Sequence[int]) -> Passing:
+    def _passing(self, way: PPoly, passed: Floats, views: Sequence[int]) -> Passing:
         """Return the limits at views that are taken in passing."""
         knots = np.array(views, dtype=np.intp)
         with np.errstate(divide="ignore"):
             at_views = self._tool_at_view_m_s / self._slopes(way, passed[knots])
         return Passing(knots, passed[knots], at_views, self._interval_s)
 
-    def _tool_slopes(self, way: CubicSpline, s: Floats, at_views: Floats) -> Floats:
+    def _tool_slopes(self, way: PPoly, s: Floats, at_views: Floats) -> Floats:
         """Return ``_slopes`` where the tools' speed is limited, else zeros.
 
         Args:
@@ -290,7 +290,7 @@ class TimeLaw:
             place[:] = self._data.site_xpos[list(self._cell.site_ids)]
         return places
 
-    def _slopes(self, way: CubicSpline, s: Floats) -> Floats:
+    def _slopes(self, way: PPoly, s: Floats) -> Floats:
         """Return the distance that the faster tool travels per unit of s, m."""
         return self.tool_speeds_m_s(way(s), way(s, 1))
 
@@ -315,7 +315,7 @@ class TimeLaw:
                 speeds[k] = max(speeds[k], float(np.linalg.norm(jacobian @ slope)))
         return speeds
 
-    def _law(self, way: CubicSpline, s: Floats, most: Floats, gain: Floats, passed: Floats) -> Law:
+    def _law(self, way: PPoly, s: Floats, most: Floats, gain: Floats, passed: Floats) -> Law:
         speed = self._reachable(s, most, gain)
         # The acceleration is constant between two values of s: the mean speed gives the time.
         ends = np.concatenate([[0.0], np.cumsum(2 * np.diff(s) / (speed[1:] + speed[:-1]))])

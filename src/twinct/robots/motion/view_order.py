@@ -41,6 +41,8 @@ def order_of_views(
         seconds: time from each of (m, n) configurations to each of (p, n), (m, p).
         clear: flags of the straight ways from (m, n) to (m, n) that are clear.
     """
+    if len(first) < 3:
+        return first  # the first view stays the first
     best, order = first, first
     least, joints = judge(first)
     for _ in range(TURNS):
@@ -62,10 +64,9 @@ def _moves(
     """Return the time from view to view, with that of a detour where no way is known clear."""
     apart = seconds(joints, joints)
     near = np.argsort(apart + np.diag(np.full(len(apart), np.inf)), axis=1)[:, :NEIGHBOURS]
-    pairs = {
-        tuple(sorted((view, other))) for view, row in enumerate(near) for other in row.tolist()
-    }
-    one, other = np.array(sorted(pairs)).T
+    among = np.zeros(apart.shape, np.bool_)
+    np.put_along_axis(among, near, True, axis=1)
+    one, other = np.nonzero(np.triu(among | among.T, 1))
     good = clear(joints[one], joints[other])
     apart += DETOUR_S
     apart[one[good], other[good]] -= DETOUR_S
