@@ -139,7 +139,7 @@ def _twinct(arguments: list[str]) -> None:
         assert any(f"--out {scenario}" in command for command in COMMANDS)
         return
     assert command in ("run", "check", "reach", "uncertainty")
-    flags = {("reach", "--connected"), ("run", "--link=ros2")}
+    flags = {("reach", "--connected"), ("run", "--link=ros2"), ("check", "--time")}
     rest = [word for word in rest if (command, word) not in flags]
     load_scenario(_file(scenario), rest[1::2])
     assert set(rest[::2]) <= {"--set"}
