@@ -34,8 +34,16 @@ SWITCHES = (
     "--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE localhost , EXCLUDE 127.0.0.1",
 )
 
-KNOWN = ("THREE.Clock: This module", "KHR_parallel_shader_compile", "GPU stall due to ReadPixels")
-"""What three.js and the software renderer say of themselves."""
+KNOWN = (
+    *("THREE.Clock: This module", "KHR_parallel_shader_compile", "GPU stall due to ReadPixels"),
+    "Tried to update non-existent component",
+)
+"""Messages that name no fault of the page.
+
+The first three come from three.js and the software renderer. The last comes from viser's client: it
+applies the updates of one animation frame after the frame's removals, so a control that is updated
+and then removed within a slow frame is missing. viser's server refuses updates after a removal.
+"""
 
 CHANGED = 12
 """Difference of grey values by which a pixel counts as another; what is drawn anew is the same."""
