@@ -35,9 +35,9 @@ from twinct.geometry import Pose, ScanGeometry
 from twinct.runs import acquire_to_store
 from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
-from twinct.trajectory import commanded_views, write_views
+from twinct.trajectory import commanded_views, farthest_first, write_views
 from twinct.view_planning import Goal, Mean, search_views
-from twinct.view_plans.candidates import candidates_of, orbit_of, reachable, spread_evenly
+from twinct.view_plans.candidates import candidates_of, orbit_of, reachable
 from twinct.view_plans.scout import scouted
 from twinct.view_plans.task_goals import goals_of
 from twinct.xray.build import build_beam
@@ -179,7 +179,7 @@ def main() -> None:
             json.dumps(reachable(SimulationBuilder(truth), everywhere, SILENT).tolist())
         )
     within = everywhere[json.loads(kept.read_text())]
-    count, even = len(within), spread_evenly(within.source, VIEWS)
+    count, even = len(within), farthest_first(within.source, VIEWS)
     print(f"{count} of {CANDIDATES} candidates within reach", flush=True)
     turned = [
         commanded_views(

@@ -35,8 +35,8 @@ from twinct.evaluation import region_of_interest
 from twinct.runs import acquire_to_store, reconstruct
 from twinct.scan import SimulationBuilder, local_rig
 from twinct.scenario import Scenario, load_scenario, parse_scenario
-from twinct.trajectory import write_views
-from twinct.view_plans.candidates import candidates_of, orbit_of, reachable, spread_evenly
+from twinct.trajectory import farthest_first, write_views
+from twinct.view_plans.candidates import candidates_of, orbit_of, reachable
 from twinct.view_plans.planner import plan_views
 from twinct.workers import LocalPool
 from twinct.xray.build import effective_energy_kev
@@ -147,7 +147,7 @@ class Bench:
                 drawn = np.random.default_rng([seed, 16]).permutation(len(self.within))
                 chosen = np.sort(drawn[:views]).tolist()
             else:
-                chosen, seed = spread_evenly(self.within.source, views), seed
+                chosen, seed = farthest_first(self.within.source, views), seed
             file = self.folder / f"{path.replace(' ', '_')}_{views}_{seed}.csv"
             write_views(file, self.within[chosen])
             trajectory = {"kind": "file", "path": str(file.resolve())}

@@ -18,7 +18,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from twinct.core.errors import MotionError
-from twinct.geometry import Panel
 from twinct.geometry.wire import JointSample, PosePairs, Reached, targets_of
 from twinct.link import messages
 from twinct.link.arm_server import ArmServer
@@ -53,7 +52,6 @@ from twinct.link.topics import (
 from twinct.robots.motion import MotionPlan, PursuingSimulation
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario
-from twinct.trajectory import TrajectorySettings, commanded_views
 from twinct.version import __version__
 
 if TYPE_CHECKING:
@@ -124,8 +122,7 @@ def spin_robots(
     Returns:
         Exit code: 0.
     """
-    trajectory, panel = scenario.trajectory, scenario.detector.panel
-    turns = None if epoch is None else _turns(trajectory, panel, epoch, first_view)
+    turns = None if epoch is None else _turns(scenario, epoch, first_view)
     state = np.load(restore) if restore is not None else None
     description: str | None = None
     links: LinkFrames | None = None
@@ -166,8 +163,8 @@ def spin_robots(
     return run_node(ROBOTS, build_simulation, open_node, **common)
 
 
-def _turns(trajectory: TrajectorySettings, panel: Panel, epoch: str, first_view: int) -> Turns:
-    targets = targets_of(commanded_views(trajectory, panel))
+def _turns(scenario: Scenario, epoch: str, first_view: int) -> Turns:
+    targets = targets_of(SimulationBuilder(scenario).requested)
     return Turns(Epoch.parse(epoch), targets, first_view)
 
 

@@ -261,12 +261,23 @@ def _setting(report: ReportData) -> dict[str, str]:
     return {
         "Specimen": ", ".join(f"{p.label} ({p.made_of})" for p in scenario.specimen.parts),
         **({"Motion": report.motion} if report.motion else {}),
-        "Trajectory": f"{scenario.trajectory.kind}, {counted(report.metrics['views'], 'view')}",
+        "Trajectory": f"{scenario.trajectory.kind}, {counted(report.metrics['views'], 'view')}"
+        + _sweeps_in_words(report.metrics),
         **_machine(scenario.cell),
         **physics_in_words(scenario, *report.commanded[0], report.mas),
         "Reconstruction": with_results(scenario.reconstruction.in_words, apart),
         **voxels,
     }
+
+
+def _sweeps_in_words(metrics: Mapping[str, Any]) -> str:
+    """Return how a scan in sweeps ended; an empty text for all others."""
+    changes = metrics.get("changes_rel")
+    if changes is None:
+        return ""
+    each = ", ".join(f"{views}: {100 * change:.2g} %" for views, change in changes.items())
+    course = f"; change of the volume since half the views, by views: {each}" if each else ""
+    return f" of at most {metrics['planned_views']}{course}"
 
 
 def _stages(seconds: dict[str, float]) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -18,13 +18,16 @@ from twinct.core.extras import require
 from twinct.geometry.wire import Reached
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
+from twinct.runs.sweep_test import SweepTest
 from twinct.scan import (
     LocalRig,
+    Rig,
     RigFactory,
     Scan,
     ScanStore,
     SimulationBuilder,
     Stopwatch,
+    Sweeps,
     View,
     acquire,
     image_digests,
@@ -35,6 +38,7 @@ from twinct.xray import prepare_engine
 
 if TYPE_CHECKING:
     from twinct.link.tap import Heard
+    from twinct.xray import Imager
     from twinct.xray.chain import ViewImages
 
 log = logging.getLogger(__name__)
@@ -142,9 +146,32 @@ def simulate(
             audience.tell(ViewStored(index, views_to_take, View(image, reached).frozen()))
             step()
 
-        acquire(rig, builder.targets, keep)
-    commanded, plan = builder.commanded_poses, builder.followed
-    return Scan.from_views(scenario, commanded, images, states, builder.mas, plan)
+        taken = _HeldScan(builder, images, states)
+        test = SweepTest(scenario, views_to_take, taken, audience)
+        acquire(rig, builder.targets, keep, enough=test.enough)
+    return taken.read()
+
+
+@dataclass
+class _HeldScan:
+    """A scan that is held in memory."""
+
+    builder: SimulationBuilder
+    images: list[NDArray[np.float32]]
+    states: list[Reached]
+    sweeps: Sweeps = Sweeps()
+
+    def read(self) -> Scan:
+        """Return the scan of the views taken."""
+        builder, number = self.builder, len(self.images)
+        commanded = builder.commanded_poses[:number]
+        mas = None if builder.mas is None else builder.mas[:number]
+        of_views = commanded, self.images, self.states, mas
+        return Scan.from_views(builder.scenario, *of_views, builder.followed)
+
+    def note(self, sweeps: Sweeps) -> None:
+        """Keep the comparisons so far."""
+        self.sweeps = sweeps
 
 
 def acquire_to_store(
@@ -164,45 +191,94 @@ def acquire_to_store(
         ScanExistsError: a scan exists and ``resume`` is false, or it belongs to another scenario.
     """
     scenario, targets = builder.scenario, builder.targets
-    store = None
+    stored = _StoredScan(builder, path)
     if resume and path.exists():
-        store = ScanStore.resume(path, image_digests(scenario))
-    missing = store.missing if store else [range(len(targets))]
+        stored.store = ScanStore.resume(path, image_digests(scenario))
+    missing = stored.store.missing if stored.store else [range(len(targets))]
 
     def keep(index: int, image: NDArray[np.float32], reached: Reached) -> None:
-        nonlocal store
         frames = None
         if imager is not None:  # no link transmits these images: they are rendered again
             frames = imager.frame(reached.path, index, reached.before)
-        if store is None:
-            robots = reached.joint_names, len(reached.state), builder.followed
-            store = ScanStore.create(
-                path, scenario, builder.commanded_poses, *robots, mas=builder.mas
-            )
-        store.write(index, image, reached, frames)
+        stored.write(index, image, reached, frames)
         log.info("view %d: t %.3f s, %s", index, reached.time_s, reached.clearance_in_words)
         view = View(image, reached, frames).frozen()
         audience.tell(ViewStored(index, len(targets), view))
         step()
 
     with audience_of(observers) as audience:
+        test = SweepTest(scenario, len(targets), stored, audience)
         for views in missing:  # several ranges only if views were damaged
-            state = store.state(views.start - 1) if store and views.start else None
+            state = stored.state_before(views.start)
             with ExitStack() as stack:
                 rig = stack.enter_context(closing(make_rig(builder, views.start, state)))
-                imager = None
-                if scenario.detector.keep:
-                    local = isinstance(rig, LocalRig)
-                    imager = rig.imager if local else stack.enter_context(builder.imager())
+                imager = _imager_of(rig, builder, stack)
                 stage = audience.stage("views", len(targets), views.start)
                 step = stack.enter_context(stage)
                 if audience.wants(JointSample):
                     rig.listen(audience.tell)
                 if views is missing[0]:
                     audience.tell(PlanMade(scenario, builder.commanded_poses, builder.followed))
-                acquire(rig, targets[: views.stop], keep, first=views.start, watch=watch)
-    assert store is not None
-    return store
+                wanted = targets[: views.stop]
+                acquire(rig, wanted, keep, first=views.start, watch=watch, enough=test.enough)
+    return stored.complete()
+
+
+@dataclass
+class _StoredScan:
+    """A scan that is stored view by view; its first view creates the store."""
+
+    builder: SimulationBuilder
+    path: Path
+    store: ScanStore | None = None
+
+    def write(
+        self, index: int, image: NDArray[np.float32], reached: Reached, frames: ViewImages | None
+    ) -> None:
+        """Write a view; see ``ScanStore.write``."""
+        if self.store is None:
+            builder = self.builder
+            robots = reached.joint_names, len(reached.state), builder.followed
+            self.store = ScanStore.create(
+                self.path, builder.scenario, builder.commanded_poses, *robots, mas=builder.mas
+            )
+        self.store.write(index, image, reached, frames)
+
+    def state_before(self, view: int) -> NDArray[np.float64] | None:
+        """Return the state from which a view is taken; None for the plan's home."""
+        return self.store.state(view - 1) if self.store and view else None
+
+    def read(self) -> Scan:
+        """Return the scan of the views on disk."""
+        return self._there.read(unfinished=True)
+
+    @property
+    def sweeps(self) -> Sweeps:
+        """Comparisons so far."""
+        return self._there.sweeps
+
+    def note(self, sweeps: Sweeps) -> None:
+        """Store the comparisons so far."""
+        self._there.note(sweeps)
+
+    def complete(self) -> ScanStore:
+        """Return the store; note that a scan in sweeps is complete with the views on disk."""
+        store = self._there
+        if self.builder.scenario.until is not None and store.sweeps.complete is None:
+            store.note(replace(store.sweeps, complete=store.acquired))
+        return store
+
+    @property
+    def _there(self) -> ScanStore:
+        assert self.store is not None  # a view was taken
+        return self.store
+
+
+def _imager_of(rig: Rig, builder: SimulationBuilder, stack: ExitStack) -> Imager | None:
+    """Return the imager that makes the images to keep; the stack closes it. None: none to keep."""
+    if not builder.scenario.detector.keep:
+        return None
+    return rig.imager if isinstance(rig, LocalRig) else stack.enter_context(builder.imager())
 
 
 def machine_frames(

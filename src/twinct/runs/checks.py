@@ -36,6 +36,7 @@ from twinct.scenario.imported import ScanSettings
 from twinct.specimen.convex_parts import Fit
 from twinct.specimen.room_bodies import convex_pieces, object_in_words
 from twinct.specimen.size import SpecimenSize, specimen_size
+from twinct.trajectory import ends_of_sweeps
 from twinct.xray.build import build_spectrum
 from twinct.xray.check import check_parts
 from twinct.xray.engines import engine_extras, engine_named
@@ -235,7 +236,7 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         clearance["shapes that collide"] = "; ".join(f"{n}: {fit.words}" for n, fit in fits.items())
     parts = (f"{part.name} of {part.in_words}" for part in builder.specimen.parts)
     return {
-        "views": f"{len(builder.targets)}, {scenario.trajectory.kind}",
+        "views": _views_in_words(builder),
         **{name.lower(): words for name, words in physics.items()},
         "specimen": ", ".join(parts),
         "specimen size": str(_size(builder)),
@@ -245,6 +246,22 @@ def findings(builder: SimulationBuilder) -> dict[str, str]:
         "reconstruction": scenario.reconstruction.in_words,
         "digest": stage_digests(scenario)["images"],
     }
+
+
+def _views_in_words(builder: SimulationBuilder) -> str:
+    """Return number and kind of the views, with the sweeps of a scan that may end early."""
+    views, kind, until = (
+        len(builder.targets),
+        builder.scenario.trajectory.kind,
+        builder.scenario.until,
+    )
+    if until is None:
+        return f"{views}, {kind}"
+    ends = ", ".join(map(str, ends_of_sweeps(views, until.first)))
+    return (
+        f"at most {views}, {kind}; in sweeps that end after {ends}, until twice as many views "
+        f"change the volume by less than {100 * until.change_rel:g} %"
+    )
 
 
 def machine_in_words(builder: SimulationBuilder) -> str:

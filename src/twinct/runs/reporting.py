@@ -50,7 +50,7 @@ from twinct.runs.regions import Places
 from twinct.runs.seconds import Seconds, Timing
 from twinct.runs.stages import figures_digest
 from twinct.runs.truth import Truth, truth_of
-from twinct.scan import Scan, SimulationBuilder
+from twinct.scan import Scan, ScanStore, SimulationBuilder
 from twinct.scenario import stage_digests
 from twinct.specimen import BuiltSpecimen, build_specimen
 
@@ -188,11 +188,23 @@ def write_results(
         geometries=_geometries(scan),
         reference_material=builder.specimen.reference_name,
         files=folder.file_digests(),
+        **_sweeps(folder),
         **drive_times(folder.drive),
         **planned_detectability(scenario, next(iter(results.figures.values())).as_dict()),
     )
     write_report(folder.report, replace(data, metrics=metrics), pictures)
     write_json(folder.metrics, metrics)
+
+
+def _sweeps(folder: Folder) -> dict[str, Any]:
+    """Return the comparisons of a scan in sweeps, and how many views it might have taken."""
+    store = ScanStore(folder.scan)
+    if store.sweeps.complete is None:
+        return {}
+    return {
+        "planned_views": store.planned_views,
+        "changes_rel": store.sweeps.as_dict()["changes_rel"],
+    }
 
 
 def write_volumes(folder: Folder, scan: Scan) -> None:

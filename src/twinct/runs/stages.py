@@ -106,4 +106,4 @@ def _digest(evaluation: Any) -> str:
 
 def _taken_from(folder: Folder) -> str | None:
     store = ScanStore(folder.scan)
-    return None if store.missing or store.damage else store.digests["images"]
+    return None if store.damage or store.missing else store.digests["images"]

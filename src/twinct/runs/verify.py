@@ -14,6 +14,7 @@ from twinct.runs.job import finished_run
 from twinct.runs.reconstruction_folder import check_files
 from twinct.scan import NamedGeometry, ScanStore, frame_damage, unknown_files, view_damage
 from twinct.scan.status import views_taken
+from twinct.scan.sweeps import SWEEPS
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ def verify(path: str | Path) -> Verdict:
             _ = scan.settings, scan.plan, scan.commanded
         except InputError as error:
             problems += (p if str(store) in p else f"{store}: {p}" for p in error.problems)
-    if scan is not None:
+    if scan is not None and all(damage.file != SWEEPS for damage in of_views):
         taken = len(views_taken(store))
         looked_at = f"{taken} of {scan.views} views"
         if not of_views and taken < scan.views:

@@ -19,6 +19,7 @@ from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, sc
 from twinct.scan.rig import LocalRig, Rig, RigFactory, local_rig
 from twinct.scan.saving import save_scan
 from twinct.scan.store import Readings, ScanStore, check_space
+from twinct.scan.sweeps import Sweeps
 
 __all__ = [
     "RigFactory",
@@ -35,6 +36,7 @@ __all__ = [
     "Simulated",
     "ScanStore",
     "Stopwatch",
+    "Sweeps",
     "View",
     "SimulationBuilder",
     "acquire",

@@ -33,6 +33,7 @@ def acquire(
     *,
     first: int = 0,
     watch: Stopwatch | None = None,
+    enough: Callable[[int], bool] = lambda _: False,
 ) -> None:
     """Move to each view, expose it, and wait for ``keep`` before requesting the next view.
 
@@ -42,10 +43,13 @@ def acquire(
         keep: called with the view's index, its transmission and the state of the robots.
         first: index of the first view to take.
         watch: sums the time of moves, exposures and storage.
+        enough: called with the number of views taken; the scan ends if it returns True.
     """
     watch = watch or Stopwatch()
     before_s: float | None = 0.0 if first == 0 else None
     for index in range(first, len(targets)):
+        if index and enough(index):
+            return
         start = time.perf_counter()
         reached = rig.move(index, targets[index])
         moved = time.perf_counter()

@@ -23,7 +23,7 @@ from twinct.scenario import Cell, GantryCell, Scenario, plan_digest, specimen_di
 from twinct.specimen import BuiltPart, BuiltSpecimen, build_specimen
 from twinct.specimen.built_file import load_built
 from twinct.specimen.surface import joined
-from twinct.trajectory import commanded_mas, commanded_views
+from twinct.trajectory import commanded_mas, commanded_views, in_sweeps
 from twinct.uncertainty import TrueCell
 
 if TYPE_CHECKING:
@@ -85,8 +85,17 @@ class SimulationBuilder:
 
     @cached_property
     def requested(self) -> ScanGeometry:
-        """Views that the trajectory requests, in its order."""
-        return commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+        """Views that the trajectory requests, in its order, or in sweeps if the scenario does."""
+        views = commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+        return views if self.scenario.until is None else views[self._in_sweeps]
+
+    @cached_property
+    def _in_sweeps(self) -> list[int]:
+        """Numbers of the trajectory's views in the order of the sweeps of ``until``."""
+        until = self.scenario.until
+        assert until is not None
+        views = commanded_views(self.scenario.trajectory, self.scenario.detector.panel)
+        return in_sweeps(views, until.first)
 
     @cached_property
     def commanded(self) -> ScanGeometry:
@@ -99,6 +108,8 @@ class SimulationBuilder:
     def mas(self) -> Floats | None:
         """Tube load of each commanded view, (views,), mAs; None if all have ``source.mas``."""
         mas = commanded_mas(self.scenario.trajectory)
+        if mas is not None and self.scenario.until is not None:
+            mas = mas[self._in_sweeps]
         if mas is None or not self.plan_chooses:
             return mas
         # If the plan chose the order, positions identify the views.

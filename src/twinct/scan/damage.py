@@ -28,6 +28,7 @@ from twinct.scan.manifest import (
     view_of,
 )
 from twinct.scan.status import status_file, views_taken
+from twinct.scan.sweeps import SWEEPS, sweeps_damage
 
 MOST_DIMENSIONS = 8
 """Limit on the dimensions of a view's values, twice the real maximum; file names list them."""
@@ -58,6 +59,8 @@ def view_damage(path: Path) -> list[Damage]:
         elif (path / status).read_bytes() != ACQUIRED:
             damages.append(Damage(status, "changed", view))
         damages += _by_row(path, view) if sizes is None else _by_size(path, view, sizes)
+    if (of_sweeps := sweeps_damage(path)) and not damages:
+        damages.append(of_sweeps)
     return damages
 
 
@@ -69,7 +72,7 @@ def unknown_files(path: Path) -> list[str]:
         return []
     if frame is None:
         return []
-    known = {FRAME_FILE, *frame}
+    known = {FRAME_FILE, SWEEPS, *frame}
     arrays = {file.removesuffix("/zarr.json") for file in frame}
     views = _number_of_views(path)
     whole: set[int] = set()

@@ -57,6 +57,7 @@ from twinct.scan.metadata import (
 from twinct.scan.named_geometries import NamedGeometry
 from twinct.scan.provenance import Imported, Provenance, Recorded, Simulated, scenario_in
 from twinct.scan.status import is_acquired, mark_acquired, status_file, views_taken
+from twinct.scan.sweeps import SWEEPS, Sweeps, read_sweeps, sweeps_damage, write_sweeps
 from twinct.scenario import Scenario, parse_scenario
 from twinct.scenario.imported import (
     STATED,
@@ -209,8 +210,10 @@ class ScanStore:
         for damage in damages:
             log.warning("%s: %s; its view will be taken again", path, damage)
         with storage_errors(path):
-            for view in {damage.view for damage in damages}:
-                (path / status_file(view or 0)).unlink(missing_ok=True)
+            for view in {damage.view for damage in damages if damage.view is not None}:
+                (path / status_file(view)).unlink(missing_ok=True)
+            if sweeps_damage(path):  # a damaged last view counts, too
+                (path / SWEEPS).unlink(missing_ok=True)
             store._remove_unfinished()
         return store
 
@@ -258,7 +261,7 @@ class ScanStore:
 
     @property
     def damage(self) -> list[Damage]:
-        """Damaged files of the views. This reads every file."""
+        """Damaged files of the views, or of their sweeps. This reads every file."""
         return view_damage(self.path)
 
     @property
@@ -268,8 +271,33 @@ class ScanStore:
 
     @property
     def views(self) -> int:
-        """Number of views of the complete scan."""
+        """Number of views of the complete scan; if it ended early, of those until then."""
+        complete = self.sweeps.complete
+        return self.planned_views if complete is None else complete
+
+    @property
+    def planned_views(self) -> int:
+        """Number of views that were commanded."""
         return self._array("status").shape[0]
+
+    @cached_property
+    def sweeps(self) -> Sweeps:
+        """Comparisons and end of a scan with ``until``; empty for all other scans.
+
+        Raises:
+            DamagedError: their file is damaged.
+        """
+        return read_sweeps(self.path)
+
+    def note(self, sweeps: Sweeps) -> None:
+        """Store comparisons and end of a scan with ``until``, of views that are on disk.
+
+        Raises:
+            StorageError: the disk is full.
+        """
+        with storage_errors(self.path), postponed():
+            write_sweeps(self.path, sweeps)
+        self.__dict__["sweeps"] = sweeps
 
     def _read(self, name: str, which: Any = ...) -> NDArray[Any]:
         """Return the values of an array for one, some or all views; finite, except clearances."""
@@ -395,7 +423,7 @@ class ScanStore:
         """
         if not self._has(MAS):
             return None
-        mas = self._read(MAS)
+        mas = self._read(MAS)[: self.views]
         if (wrong := mas <= 0).any():
             raise InputError(f"{self.path}: {MAS} of view {int(wrong.argmax())} is not above 0")
         return mas
@@ -466,13 +494,15 @@ class ScanStore:
             self._files.seal(index)
             mark_acquired(self.path, index)
 
-    def read(self) -> Scan:
+    def read(self, *, unfinished: bool = False) -> Scan:
         """Return the scan, with all images.
+
+        ``unfinished``: return the views on disk, even if there are more to come.
 
         Raises:
             ScanExistsError: some views are not acquired yet.
         """
-        if self.acquired < self.views:
+        if self.acquired < self.views and not unfinished:
             raise ScanExistsError(
                 f"{self.path} holds {self.acquired} of {self.views} views: "
                 "finish it with 'twinct run --resume'"
@@ -483,8 +513,9 @@ class ScanStore:
             for name in provenance.own:
                 if name != "believed" and (poses := provenance.poses(name)) is not None:
                     _ = poses.geometry(panel)
-        images = self._read("transmission")
-        return Scan(provenance, images, bad_pixels=self.bad_pixels, mas=self.mas)
+        images = self._read("transmission", slice(self.acquired))
+        mas = None if self.mas is None else self.mas[: len(images)]
+        return Scan(provenance, images, bad_pixels=self.bad_pixels, mas=mas)
 
     @cached_property
     def kind(self) -> type[Provenance]:

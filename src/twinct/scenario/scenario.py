@@ -25,6 +25,7 @@ from twinct.robots.sections.cell import AnyCell, Cell, GantryCell
 from twinct.robots.sections.motion import Motion
 from twinct.specimen.sections.specimen import Specimen
 from twinct.trajectory.families import AnyTrajectory
+from twinct.trajectory.sweeps import Until
 from twinct.uncertainty.sections import Uncertainty
 from twinct.view_planning.task import ViewTask
 from twinct.xray.sections.detector import Detector
@@ -49,6 +50,12 @@ class Scenario(Section):
     xray: Xray = setting(Xray(), "Computation of the X-ray images.", read_by="images")
     trajectory: Annotated[AnyTrajectory, ReadBy("plan")] = Field(
         description="Commanded path of source and panel."
+    )
+    until: Until | None = setting(
+        None,
+        "Criterion by which the scan ends early; its views are then taken in sweeps over the path, "
+        "each finer than the ones before. null: all views are taken, in the order of the path.",
+        read_by="plan",
     )
     specimen: Specimen = Field(description="Specimen to be imaged.")
     cell: AnyCell = setting(Cell(), "The room, with two arms or a gantry.")
@@ -109,6 +116,7 @@ class Scenario(Section):
                 self._something_to_correct(),
             ),
             *(self._time_to_expose(), self._plan_to_follow(), self._frames_to_keep()),
+            self._order_of_sweeps(),
             *(self._arms_to_err(), self._plan_to_vibrate(), self._time_of_a_frame()),
             *self._motion(),
             *(self.evaluation.conflicts(self.specimen) if self.evaluation else ()),
@@ -209,6 +217,15 @@ class Scenario(Section):
             f"{' and '.join(shaken)}: vibration follows from the plan: set motion.scheme: planned"
         )
         return Conflict(what, (*shaken, "motion.scheme"))
+
+    def _order_of_sweeps(self) -> Conflict | None:
+        if self.until is None or self.motion.order == "given":
+            return None
+        return Conflict(
+            "motion.order: shortest contradicts until, which takes the views in sweeps over the "
+            "path: leave out one of them",
+            ("until", "motion.order"),
+        )
 
     def _motion(self) -> Iterator[Conflict]:
         section = self.reconstruction

@@ -10,6 +10,7 @@ from twinct.trajectory.orbit import OrbitSettings, on_sphere, orbit_views, panel
 from twinct.trajectory.saddle import SaddleTrajectory
 from twinct.trajectory.sinusoid import SinusoidTrajectory
 from twinct.trajectory.spiral import SpiralTrajectory
+from twinct.trajectory.sweeps import Until, ends_of_sweeps, farthest_first, in_sweeps
 from twinct.trajectory.table import FileTrajectory, rows_of_views, write_rows, write_views
 from twinct.trajectory.uniform import UniformTrajectory
 
@@ -26,8 +27,12 @@ __all__ = [
     "SpiralTrajectory",
     "TrajectorySettings",
     "UniformTrajectory",
+    "Until",
     "commanded_mas",
     "commanded_views",
+    "ends_of_sweeps",
+    "farthest_first",
+    "in_sweeps",
     "leaves_roll",
     "on_sphere",
     "orbit_views",

@@ -109,13 +109,3 @@ def _holding(
     holder = Holder(builder.cell, builder.scenario.motion, roll_free=builder.roll_free)
     poses = TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
     return holder, (holder.alone(poses.source, 0), holder.alone(poses.detector, 1))
-
-
-def spread_evenly(sources: Floats, number: int) -> list[int]:
-    """Choose views evenly: each is the farthest from all previous ones (Gonzalez 1985)."""
-    chosen = [0]
-    far = np.linalg.norm(sources - sources[0], axis=1)
-    while len(chosen) < number:
-        chosen.append(int(far.argmax()))
-        far = np.minimum(far, np.linalg.norm(sources - sources[chosen[-1]], axis=1))
-    return chosen

@@ -32,7 +32,7 @@ from twinct.scenario import (
     stage_digests,
     write_scenario,
 )
-from twinct.trajectory import OrbitSettings, write_views
+from twinct.trajectory import OrbitSettings, farthest_first, write_views
 from twinct.view_planning import Goal, Searched, has_limit, search_views
 from twinct.view_plans import trial
 from twinct.view_plans.candidates import (
@@ -40,7 +40,6 @@ from twinct.view_plans.candidates import (
     orbit_of,
     own_path,
     reachable,
-    spread_evenly,
 )
 from twinct.view_plans.family_search import best_path, error_of
 from twinct.view_plans.journal import SearchJournal, search_digest
@@ -227,7 +226,7 @@ def plan_views(
         figures, chosen = choice.figures, choice.views
         errors = None
         if try_views:
-            even = within[spread_evenly(within.source, task.views)]
+            even = within[farthest_first(within.source, task.views)]
             every = {
                 "own_path": (own, None),
                 "spread_evenly": (even, None),
@@ -290,7 +289,7 @@ def _chosen(
     progress: Progress,
 ) -> _Choice:
     """Choose views among the reachable candidates."""
-    even = spread_evenly(within.source, task.views)
+    even = farthest_first(within.source, task.views)
     together = ScanGeometry.joined([within, own])
     goals = goals_of(builder, together, len(within), even, progress)
     limited = any(has_limit(goal) for goal in goals)
@@ -328,7 +327,7 @@ def _tuned(
 ) -> _Choice:
     """Choose the best path of the scenario's family."""
     count = task.views
-    reference = within[spread_evenly(within.source, count)]
+    reference = within[farthest_first(within.source, count)]
     tuned = best_path(builder, reference, journal, progress, pool)
     together = ScanGeometry.joined([reference, tuned.views, own])
     even, planned, path = (range(k * count, (k + 1) * count) for k in range(3))
@@ -372,7 +371,8 @@ def _driven(
         return None, None
     free = builder.roll_free[1]
     changes["motion.detector_roll"] = "free" if free else "fixed"
-    changes["motion.order"] = "shortest" if section is None else "given"
+    tour = section is None and builder.scenario.until is None
+    changes["motion.order"] = "shortest" if tour else "given"
     write_scenario(out / SCENARIO, source, overrides, changes)
     try:
         plan = SimulationBuilder(load_scenario(out / SCENARIO)).plan

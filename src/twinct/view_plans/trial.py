@@ -124,6 +124,6 @@ def _region(
 
 def _of_gantry(data: dict[str, Any], file: Path) -> Scenario:
     """Return the scenario of plain data with the views of a file and a gantry instead of arms."""
-    data = data | {"cell": {"kind": "gantry"}, "motion": {}, "task": None}
+    data = data | {"cell": {"kind": "gantry"}, "motion": {}, "task": None, "until": None}
     data["trajectory"] = {"kind": "file", "path": str(file.resolve())}
     return parse_scenario(data)
