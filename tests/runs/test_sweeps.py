@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -175,3 +177,21 @@ def test_other_criteria_are_other_scans(tiny: Tiny, tmp_path: Path) -> None:
 def test_refused(tiny: Tiny, keys: list[str], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         tiny("until.first=8", *keys)
+
+
+@pytest.mark.process
+def test_over_ros_the_scan_ends_with_the_same_views(tiny_keys: list[str], tmp_path: Path) -> None:
+    keys = [*tiny_keys, *KEYS[:2], ALWAYS]
+    records: list[bytes] = []
+    for link in ("ros2", "local"):
+        out = tmp_path / link
+        command = [sys.executable, "-m", "twinct", "run", "demo", "--out", str(out), "--link", link]
+        done = subprocess.run(
+            [*command, *(part for key in keys for part in ("--set", key))],
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        assert "16 views change the volume of 8 views" in done.stderr + done.stdout
+        records.append((out / "scan.zarr" / SWEEPS).read_bytes())
+    assert records[0] == records[1]
