@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twinct.evaluation.region_voxels import VoxelSet, ball, whole
 from twinct.geometry import Pose
-from twinct.observers import Audience
+from twinct.observers import Audience, Event, Said
 from twinct.runs.volumes import reconstruct
 from twinct.scan import Scan, Sweeps
 from twinct.scenario import Scenario
@@ -76,10 +76,16 @@ class SweepTest:
         scan = self.scan.read()
         for number in (half, taken):
             if number not in self._volumes:
-                self._volumes[number] = reconstruct(scan.of_views(range(number))).array
+                part = scan.of_views(range(number))
+                self._volumes[number] = reconstruct(part, observers=[self._hear]).array
         for number in [one for one in self._volumes if one < half]:
             del self._volumes[number]
         return relative_change(self._volumes[half], self._volumes[taken], self._region())
+
+    def _hear(self, event: Event) -> None:
+        """Pass on all but the warnings, which only the last volume deserves."""
+        if not isinstance(event, Said):
+            self.audience.tell(event)
 
     def _region(self) -> VoxelSet:
         """Return the voxels of the task's region, or all."""
