@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twinct import run, simulate, verify
+from twinct import needs, run, simulate, verify
 from twinct.core.errors import DamagedError, InputError, ScenarioError
 from twinct.evaluation.region_voxels import whole
 from twinct.observers.events import Said
@@ -195,3 +195,9 @@ def test_over_ros_the_scan_ends_with_the_same_views(tiny_keys: list[str], tmp_pa
         assert "16 views change the volume of 8 views" in done.stderr + done.stdout
         records.append((out / "scan.zarr" / SWEEPS).read_bytes())
     assert records[0] == records[1]
+
+
+def test_the_volumes_between_sweeps_count_in_the_needs(tiny: Tiny) -> None:
+    plain, swept = (needs(tiny("trajectory.views=40", *more)) for more in ((), KEYS[1:2]))
+    assert swept["views"].memory_bytes > plain["views"].memory_bytes
+    assert swept["reconstruction"] == plain["reconstruction"]

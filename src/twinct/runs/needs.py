@@ -27,6 +27,9 @@ ROOM_BYTES = 250 * 2**20
 
 REPORT_BYTES = 300 * 2**20
 
+COMPARED = 3
+"""Volumes that a scan in sweeps keeps: of half the views, of the sweep between, and of all."""
+
 
 STAGES_OF = {
     "specimen": ("specimen",),
@@ -86,6 +89,8 @@ def needs(scenario: Scenario | str | Path, link: Link = "ros2") -> dict[str, Nee
     acquiring = (specimen if local else 3 * specimen) + simulations + moved
     scan, stored = 2 * number * image, (1 + len(scenario.detector.keep)) * number * image
     reconstructing = max(memory_needed(scenario, views).values())
+    if scenario.until is not None:  # volumes are made and compared while both simulations wait
+        acquiring += reconstructing + 4 * voxels * COMPARED
     stages = {
         "specimen": Need(specimen),
         "plan": Need(specimen + room),

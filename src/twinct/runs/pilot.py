@@ -33,7 +33,7 @@ from twinct.core.threads import available_threads, threads
 from twinct.runs.acquisition import Link
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, parse_scenario
-from twinct.trajectory import write_views
+from twinct.trajectory import ends_of_sweeps, write_views
 
 log = logging.getLogger(__name__)
 
@@ -172,14 +172,17 @@ def _operations(scenario: Scenario) -> dict[str, list[float]]:
     """Return what the stages of a run do, each as numbers whose rates a machine decides.
 
     Rendering: views, and pixels of all views. Reconstruction: in each pass, each ray takes as many
-    samples as the grid has planes, and each view updates each voxel. Stages that are missing here
+    samples as the grid has planes, and each view updates each voxel. A scan with ``until`` counts
+    with all its sweeps, each of which ends with a reconstruction. Stages that are missing here
     take equally long in all sizes: the start of both simulations, and the motion along the path.
     """
     views = len(SimulationBuilder(scenario).requested)
     section, panel = scenario.reconstruction, scenario.detector.panel
     grid = section.volume_grid
     pixels, voxels = math.prod(panel.shape), math.prod(grid.shape)
-    samples = views * (pixels * max(grid.shape) + voxels)
+    until = scenario.until
+    between = 0 if until is None else sum(ends_of_sweeps(views, until.first)[:-1])
+    samples = (views + between) * (pixels * max(grid.shape) + voxels)
     passes = getattr(section, "iterations", 1) * len(section.geometries)
     return {
         "plan": [1.0, views],
