@@ -120,3 +120,20 @@ def test_the_way_between_is_told_apart(build: Callable[[Cell], CellModel]) -> No
     views, words = reasons(search(FIRST, build, at(0, 10), motion), None)
     assert not views
     assert "each view alone can be held" in words[0] and "motion.scheme: planned" in words[0]
+
+
+def test_a_tool_that_is_too_heavy_is_named(build: Callable[[Cell], CellModel]) -> None:
+    """A place that no plan can use is not said to hold its views."""
+    light, heavy = (
+        FIRST.model_copy(
+            update={"source_arm": FIRST.source_arm.model_copy(update={"tool_mass_kg": mass})}
+        )
+        for mass in (8.0, 60.0)
+    )
+    poses = at(0)
+    assert Holder(build(light), MOTION, roll_free=FIXED).held(poses).all()
+    holder = Holder(build(heavy), MOTION, roll_free=FIXED)
+    assert not holder.held(poses).any()
+    view = shown(holder, poses, 0)
+    assert re.match(r"view 0: source_\w+ needs \d+ % of its torque limit", view.words[0])
+    assert not view.marks.ghosts and not view.marks.red

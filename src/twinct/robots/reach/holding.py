@@ -1,4 +1,4 @@
-"""Poses that the arms can hold, clear of themselves, of the room and of each other.
+"""Poses that the arms can bear, clear of themselves, of the room and of each other.
 
 Each arm is solved alone, independently of the other; then pairs are checked until one is clear.
 Where the last joint rolls the tool about the beam, a free roll changes that joint only: the others
@@ -18,6 +18,7 @@ from twinct.robots.cell import CellModel
 from twinct.robots.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations, matrices
 from twinct.robots.motion.feasible import Feasible
 from twinct.robots.motion.path_search import required_gap_mm
+from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.sections import Motion
 
 ROLLS_DEG = np.array([0.0, 90.0, 45.0, 135.0, 180.0, 270.0, 225.0, 315.0, *range(15, 360, 15)])
@@ -79,7 +80,7 @@ class Holder:
         self.cell, self.least_mm = cell, required_gap_mm(motion)
         self.motion, self._starts, self._seed = motion, starts, seed
         self._rolls = [np.radians(ROLLS_DEG[: rolls if free else 1]) for free in roll_free]
-        self._cross = Feasible(cell, "cross")
+        self._cross, self._strength = Feasible(cell, "cross"), Strength(cell)
 
     def alone(self, poses: Floats, arm: int) -> Configurations:
         """Return the configurations of one arm that reach poses, clear of itself and the room.
@@ -162,10 +163,25 @@ class Holder:
         placed[:, self.cell.arm_joints[arm]] = joints
         return placed
 
+    def _borne(self, joints: Floats, arm: int) -> Floats:
+        """Return the configurations of one arm in which each of its joints bears its load."""
+        loads = self.loads(self.placed(joints, arm))[:, self.cell.arm_joints[arm]]
+        return joints[(loads < TORQUE_SHARE).all(axis=1)]
+
+    def loads(self, joints: Floats) -> Floats:
+        """Return the loads of joints at rest, as shares of their torque limits, (m, n).
+
+        They leave friction out, which also helps to hold still: a plan moves, if slowly, with any
+        load below ``TORQUE_SHARE``.
+        """
+        return self._strength.holding(joints)
+
     def pairs(
         self, source: Configurations, detector: Configurations, view: int, enough: int = 1
     ) -> Floats:
         """Return configurations of both arms that hold a view, clear of each other, (m, n).
+
+        Each joint bears its load, as a motion plan requires.
 
         Args:
             source: configurations of the source arm.
@@ -174,7 +190,8 @@ class Holder:
             enough: number of results at which the search ends; it may return more.
         """
         a, b = (
-            c.joints[slice(*np.searchsorted(c.pose, (view, view + 1)))] for c in (source, detector)
+            self._borne(c.joints[slice(*np.searchsorted(c.pose, (view, view + 1)))], arm)
+            for arm, c in enumerate((source, detector))
         )
         # Diagonal order, so that no configuration has to wait for all pairs of another.
         i, j = np.indices((len(a), len(b))).reshape(2, -1)

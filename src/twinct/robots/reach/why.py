@@ -13,7 +13,7 @@ from twinct.geometry.wire import PosePairs
 from twinct.robots.cell import CellModel, Clearance, Gap, Marks
 from twinct.robots.motion import Kinematics
 from twinct.robots.motion.branches import SIDES
-from twinct.robots.motion.refusals import far_problems, gap_text
+from twinct.robots.motion.refusals import far_problems, gap_text, weak_text
 from twinct.robots.reach.cures import CureSearch
 from twinct.robots.reach.holding import Holder, TargetPoses
 
@@ -71,6 +71,11 @@ def shown(holder: Holder, poses: TargetPoses, view: int) -> HeldView:
     if gap.distance_mm < holder.least_mm and not ghosts:
         words.append(f"view {view}: {gap_text(gap, holder.least_mm)}")
         red = gap.bodies
+    elif not ghosts:  # clear, but too heavy
+        loads = holder.loads(joints[None])[0]
+        worst = int(loads.argmax())
+        name = holder.cell.joint_names[worst]
+        words.append(f"view {view}: {weak_text(name, float(loads[worst]))}")
     return HeldView(joints, Marks(red=red, ghosts=tuple(ghosts)), tuple(words))
 
 
