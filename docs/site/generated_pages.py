@@ -13,7 +13,7 @@ from typing import Any
 import tyro
 from pydantic_core import PydanticUndefined
 from pygments.lexers.special import TextLexer
-from scenario_page import scenario, stages
+from scenario_page import measured, scenario, stages, study
 
 from twinct.cli.commands import application
 from twinct.evaluation import IMAGE_FIGURES, figure_kinds
@@ -105,10 +105,11 @@ def _default(value: Any) -> str:
 
 def _figures(where: str, shown: tuple[Figure, ...]) -> Iterator[str]:
     yield f"In `metrics.json` below `{where}`:\n"
-    yield "| figure | title | unit | meaning | a good value |"
-    yield "|---|---|---|---|---|"
+    yield "| figure | title | unit | meaning | a good value | blind to |"
+    yield "|---|---|---|---|---|---|"
     for one in (each.relative_to("bone") for each in shown):
-        cells = (one.title, one.unit, one.meaning, one.good or _BETTER[one.best])
+        blind = ", ".join(one.blind_to or ()) if one.best else ""
+        cells = (one.title, one.unit, one.meaning, one.good or _BETTER[one.best], blind)
         yield f"| `{one.key}` | " + " | ".join(_cell(cell) for cell in cells) + " |"
     yield ""
 
@@ -133,7 +134,7 @@ def changes() -> str:
 
 PARTS: dict[str, Callable[[], str]] = {
     **{"commands": commands, "figures": figures, "changes": changes},
-    **{"scenario": scenario, "stages": stages},
+    **{"scenario": scenario, "stages": stages, "measured": measured, "study": study},
 }
 
 
