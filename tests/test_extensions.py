@@ -227,7 +227,9 @@ def test_an_objective_that_does_not_fit_the_task_is_left_out(
 def test_the_page_includes_the_files_that_are_tested() -> None:
     page = HERE.parent / "docs" / "howto" / "extensions.md"
     text = page.read_text(encoding="utf-8")
-    found = re.findall(r"^```{literalinclude} (\S+)\n(?::start-at: (.*)\n)?```$", text, re.MULTILINE)
+    found = re.findall(
+        r"^```{literalinclude} (\S+)\n(?::start-at: (.*)\n)?```$", text, re.MULTILINE
+    )
     assert len(found) == text.count("literalinclude")
     for file, start in found:
         code = (page.parent / file).resolve()
