@@ -136,7 +136,7 @@ CLAIMS = [
     ("ctsimu.md", "| `--seed` | 0 |", _option("ctsimu render", "--seed"), "0"),
     (
         "exchange.md",
-        "`--geometry believed` (default;",
+        "`--geometry` is `believed` (default;",
         _argument(export_scan, "geometry"),
         None,
     ),
