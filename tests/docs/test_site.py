@@ -36,7 +36,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT / "docs", folder / "docs", ignore=left_out)
     shutil.copytree(ROOT / "examples", folder / "examples")
     shutil.copy(ROOT / "CHANGELOG.md", folder)  # links in it are read from where it lies
-    for name in ("benchmarks", "scenarios", "tests"):
+    for name in ("benchmarks", "pyproject.toml", "scenarios", "src", "tests"):
         (folder / name).symlink_to(ROOT / name)
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", "site"]
     execute = os.environ | {"TWINCT_DOCS_EXECUTE": "0"}
