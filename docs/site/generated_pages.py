@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import functools
 import re
+import tomllib
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import Any
 import tyro
 from pydantic_core import PydanticUndefined
 from pygments.lexers.special import TextLexer
-from scenario_page import scenario, stages
+from scenario_page import measured, scenario, stages, study
 
 from twinct.cli.commands import application
 from twinct.evaluation import IMAGE_FIGURES, figure_kinds
@@ -105,10 +107,11 @@ def _default(value: Any) -> str:
 
 def _figures(where: str, shown: tuple[Figure, ...]) -> Iterator[str]:
     yield f"In `metrics.json` below `{where}`:\n"
-    yield "| figure | title | unit | meaning | a good value |"
-    yield "|---|---|---|---|---|"
+    yield "| figure | title | unit | meaning | a good value | blind to |"
+    yield "|---|---|---|---|---|---|"
     for one in (each.relative_to("bone") for each in shown):
-        cells = (one.title, one.unit, one.meaning, one.good or _BETTER[one.best])
+        blind = ", ".join(one.blind_to or ()) if one.best else ""
+        cells = (one.title, one.unit, one.meaning, one.good or _BETTER[one.best], blind)
         yield f"| `{one.key}` | " + " | ".join(_cell(cell) for cell in cells) + " |"
     yield ""
 
@@ -125,6 +128,26 @@ def _cell(text: str) -> str:
     return " ".join(_text(text).split()).replace("|", r"\|")
 
 
+def packages() -> str:
+    """Return the packages by floor, as the contract of their imports orders them."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    layers = contracts["importlinter"]["contracts"][0]["layers"]
+    rows = ["| floor | package | holds |", "|---|---|---|"]
+    for floor, layer in zip(range(len(layers), 0, -1), layers, strict=True):
+        for name in re.findall(r"twinct\.(\w+)", layer):
+            if about := _about(name):
+                rows.append(f"| {floor} | `{name}` | {_cell(about)} |")
+    return "\n".join(rows) + "\n"
+
+
+def _about(name: str) -> str:
+    """Return the first paragraph of a package's docstring; none if it is a private module."""
+    room = ROOT / "src" / "twinct" / name
+    file = room / "__init__.py" if room.is_dir() else room.with_suffix(".py")
+    text = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or ""
+    return text.partition("\n\n")[0] if name != "version" else ""
+
+
 def changes() -> str:
     """Return the change log without its title; its links start where the site's pages do."""
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").partition("\n")[2]
@@ -132,8 +155,8 @@ def changes() -> str:
 
 
 PARTS: dict[str, Callable[[], str]] = {
-    **{"commands": commands, "figures": figures, "changes": changes},
-    **{"scenario": scenario, "stages": stages},
+    **{"commands": commands, "figures": figures, "changes": changes, "packages": packages},
+    **{"scenario": scenario, "stages": stages, "measured": measured, "study": study},
 }
 
 

@@ -1,4 +1,4 @@
-"""Tables of docs/scenario.md: every key of a scenario, from the models that validate it."""
+"""Every key of a scenario, a study and a measured scan, from the models that validate the files."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
 from twinct.core.settings import annotation_of, facts_of, models_in
+from twinct.measured.description import Measured
 from twinct.recon.sections.reconstruction import SECTIONS, own_keys
 from twinct.scenario import Reconstruction, Scenario
 from twinct.scenario.digests import STAGES, declared
+from twinct.study.settings import Study
 
 UNITS = {
     "mm": "mm",
@@ -70,8 +72,22 @@ PICTURES = {
 
 def scenario() -> str:
     """Return a table of keys for each section of a scenario."""
+    return _file(Scenario)
+
+
+def measured() -> str:
+    """Return a table of keys for each section of the description of a measured scan."""
+    return _file(Measured)
+
+
+def study() -> str:
+    """Return a table of keys for each section of a study file."""
+    return _file(Study)
+
+
+def _file(model: type[BaseModel]) -> str:
     sections: list[str] = []
-    _write(Scenario, "Scenario", sections, set())
+    _write(model, model.__name__, sections, set())
     return "\n".join(sections)
 
 
@@ -136,7 +152,8 @@ def _meaning(name: str, info: Any) -> str:
 
 
 def _title(title: str) -> str:
-    return "" if title == "Scenario" else title.split(" (")[0] + "."
+    whole = title in (Scenario.__name__, Measured.__name__, Study.__name__)
+    return "" if whole else title.split(" (")[0] + "."
 
 
 def _kind(model: type[BaseModel]) -> str:
@@ -154,18 +171,30 @@ def _type(annotation: Any, metadata: list[Any]) -> str:
         text = _type(args[0], list(args[1:]))
     elif origin is tuple:
         many = len(args) == 2 and args[1] is Ellipsis
-        text = f"list of {_type(args[0], [])}" if many else f"{len(args)} numbers"
+        one = _type(args[0], [])
+        text = f"list of {one}" if many else f"{len(args)} {_several(one)}"
     elif args and origin is not dict:
         text = " or ".join(dict.fromkeys(_type(arg, []) for arg in args if arg is not type(None)))
     elif origin is dict:
-        text = "mapping of names to numbers"
+        numbers = args[1] in (int, float)
+        text = "mapping of names to numbers" if numbers else "mapping"
     elif isinstance(annotation, type) and issubclass(annotation, BaseModel):
         text = "section"
     else:
-        names = {"str": "text", "float": "number", "int": "whole number", "bool": "true or false"}
+        names = {
+            "JsonValue": "value",
+            "str": "text",
+            "float": "number",
+            "int": "whole number",
+            "bool": "true or false",
+        }
         name = getattr(annotation, "__name__", str(annotation))
         text = names.get(name, name.lower())
     return text + _bounds(metadata)
+
+
+def _several(one: str) -> str:
+    return "numbers" if "number" in one else f"of {one}"
 
 
 def _bounds(metadata: list[Any]) -> str:

@@ -35,7 +35,7 @@ NOT_RUN = re.compile(r"<!-- not run: ([^\n]+) -->\n\s*$")
 SYSTEM = {"source", "xdg-open", "export", "cd", "git", "apt-get", "ros2", "sbatch", "srun", "ray"}
 """Programs of the reader's system, which cannot be checked here."""
 NOT_HERE = {"howto/errors.md", "scenario.md", "validation.md"}
-"""Commands that fail on purpose (test_errors.py), sketches, and long measurements."""
+"""Wrong keys on purpose (test_errors.py), sketches, and long measurements."""
 PAGES = [
     ROOT / "README.md",
     *sorted(

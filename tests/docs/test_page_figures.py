@@ -34,7 +34,7 @@ DEMO_SENTENCES = (
     ("start/report.md", "its RMSE near bone is {sart}, its mean in bone {mean}."),
     ("start/report.md", "The algorithm `fast` lowers the RMSE to {fast}, in less time."),
     ("start/report.md", "it reaches {around} if the parts of the skull outside the grid are"),
-    ("reconstruction.md", "after the paper's 10 iterations from {sart_alone} to {around},"),
+    ("howto/truncation.md", "after the paper's 10 iterations from {sart_alone} to {around},"),
 )
 CHECK = "The row *motion* says `{motion}`."
 
@@ -89,7 +89,7 @@ def test_the_demo_has_the_figures_of_the_pages(tmp_path: Path) -> None:
 @pytest.mark.tutorial
 def test_the_duration_that_check_states_is_that_of_the_page() -> None:
     holds(
-        "howto/real_robots.md",
+        "controllers.md",
         CHECK,
         motion=findings(SimulationBuilder(load_scenario(DEMO)))["motion"],
     )

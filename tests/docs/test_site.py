@@ -36,7 +36,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(ROOT / "docs", folder / "docs", ignore=left_out)
     shutil.copytree(ROOT / "examples", folder / "examples")
     shutil.copy(ROOT / "CHANGELOG.md", folder)  # links in it are read from where it lies
-    for name in ("benchmarks", "scenarios"):
+    for name in ("benchmarks", "pyproject.toml", "scenarios", "src", "tests"):
         (folder / name).symlink_to(ROOT / name)
     command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "docs", "site"]
     execute = os.environ | {"TWINCT_DOCS_EXECUTE": "0"}
@@ -98,13 +98,13 @@ SEARCHES = {
     "rail": "arms",
     "STL": "howto/own_stl",
     "dose": "transport",
-    "metal": "howto/metal",
+    "metal": "metal",
     "CT patient": "howto/ct_as_specimen",
     "how long run takes": "howto/faster",
     "projection matrices": "howto/open_volume",
     "noise off": "howto/noise",
     "Windows": "start/install",
-    "own robot": "howto/own_arm",
+    "own robot": "arm_files",
     "how do I pick the voxel size": "howto/grid",
     "scan is mirrored": "howto/symptoms",
     "run on a GPU": "howto/faster",
@@ -116,13 +116,13 @@ SEARCHES = {
     "Jupyter notebook": "start/python",
     "collision with the table": "reach",
     "respiratory motion": "howto/ct_as_specimen",
-    "sparse view reconstruction": "howto/few_views",
+    "sparse view reconstruction": "howto/which_algorithm",
     "field of view too small": "howto/truncation",
     "neural network gradients": "howto/own_algorithm",
     "anti-scatter grid": "howto/scatter",
     "modulation transfer function": "figures",
     "my volume is blurry": "howto/symptoms",
-    "spiral trajectory": "howto/own_trajectory",
+    "spiral trajectory": "trajectories",
     "rosbag recording": "recording",
     "Hounsfield units": "howto/open_volume",
 }

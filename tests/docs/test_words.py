@@ -131,12 +131,9 @@ CLAIMS = [
         _option("calibrate self", "--start"),
         "believed",
     ),
-    ("ctsimu.md", "| `--samples` | 3 |", _option("ctsimu render", "--samples"), "3"),
-    ("ctsimu.md", "| `--spot-points` | 32 |", _option("ctsimu render", "--spot-points"), "32"),
-    ("ctsimu.md", "| `--seed` | 0 |", _option("ctsimu render", "--seed"), "0"),
     (
         "exchange.md",
-        "`--geometry believed` (default;",
+        "`--geometry` is `believed` (default;",
         _argument(export_scan, "geometry"),
         None,
     ),

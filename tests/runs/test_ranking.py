@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -166,16 +165,3 @@ def test_nothing_is_never_best(name: str, figure: Figure, nothing: str, volumes:
         assert value == nested(volumes["truth"], name), "it describes the object, not the volume"
     elif value is not None:
         assert badness(figure, value) > badness(figure, nested(volumes["noise"], name))
-
-
-def test_the_page_shows_what_each_figure_sees() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "figures.md").read_text(encoding="utf-8")
-    rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| `")]
-    shown = {row[0].strip("| `"): [cell.strip(" |") for cell in row[1:]] for row in rows}
-    of_kinds = [(f"{kind.name}.", kind.figures) for kind in BUILT_IN.values()]
-    for prefix, figures in [("", IMAGE_FIGURES), *of_kinds]:
-        for one in figures:
-            if one.best:
-                name = prefix + one.key.partition(".")[0]
-                sees = ["–" if what in (one.blind_to or ()) else "sees" for what in ORDERS]
-                assert shown[name] == sees, name

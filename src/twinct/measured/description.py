@@ -61,7 +61,7 @@ class Air(Section):
 
 
 class BadPixels(Section):
-    """Pixels that do not count; their neighbours' mean replaces them."""
+    """Pixels that do not count: filled by their neighbours' mean, and left out of the volume."""
 
     path: str | None = setting(None, "Image that is not 0 where a pixel is bad.")
     find: bool = setting(
@@ -70,7 +70,12 @@ class BadPixels(Section):
 
 
 class Rings(Section):
-    """Removal of rings: gains of single pixels, alike in all views of a turn."""
+    """Removal of rings: gains of single pixels, alike in all views of a turn.
+
+    The mean line integral of all views, minus its median over ``width`` pixels along a row, is
+    subtracted from each view (Boin and Haibel, Opt. Express 14 (2006) 12071). Details closer to the
+    axis than half of ``width`` are lost.
+    """
 
     width: int = setting(
         9, "Pixels of the moving median along a row, with which the mean view is compared.",
@@ -85,7 +90,7 @@ class Rings(Section):
 
 
 class Lines(Section):
-    """Evening of rows or columns, each by its own air in each view."""
+    """Evening of rows or columns, each by its own air in each view, if off by 4 standard errors."""
 
     along: Literal["rows", "columns"] = Field(description="Lines that differ.")
     kind: Literal["gain", "offset"] = setting(
