@@ -22,7 +22,7 @@ class Until(Section):
     """Criterion by which a scan ends before all of its views are taken."""
 
     change_rel: Positive = setting(
-        0.05,
+        0.1,
         "The scan ends once twice as many views change the volume by less than this share: root "
         "mean square of the change over that of the volume, in the region of `task` if there is "
         "one.",
