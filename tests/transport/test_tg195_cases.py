@@ -38,13 +38,15 @@ def judge(bench, entries, figure) -> None:
     off = np.array([mean / known[key].median - 1 for key, (mean, _) in entries.items()])
     own = np.array([error / known[key].median for key, (_, error) in entries.items()])
     combined = np.hypot(own, [known[key].error for key in entries])
+    # Entries count alike as far as they are surer than the tolerance.
+    mean = np.average(off, weights=1 / (own**2 + MOST_MEAN**2))
     worst = int(np.argmax(abs(off) / combined))
     figure(
-        f"{len(entries)} entries: mean {off.mean():+.2%}; worst {', '.join(list(entries)[worst])}: "
+        f"{len(entries)} entries: mean {mean:+.2%}; worst {', '.join(list(entries)[worst])}: "
         f"{off[worst]:+.2%}, {abs(off[worst]) / combined[worst]:.1f} standard errors"
     )
     assert (abs(off) <= MOST_ERRORS * combined).all()
-    assert abs(off.mean()) <= MOST_MEAN
+    assert abs(mean) <= MOST_MEAN
 
 
 @pytest.mark.parametrize("case, photons", [("2", 200_000), ("4.2", 400_000)])
@@ -52,7 +54,8 @@ def test_boxes_and_rods(bench, figure, case: str, photons: int) -> None:
     """Energies in boxes of a slab, and in rods of a cylinder, are those of the four codes."""
     entries = {}
     for found in bench.CASES[case](photons, DATA):
-        entries |= found
+        # The codes' own means over all angles are not those of their angles (docs/validation.md).
+        entries |= {key: pair for key, pair in found.items() if key[1] != "Continuous"}
     judge(bench, entries, figure)
 
 
