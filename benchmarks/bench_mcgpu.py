@@ -1,12 +1,14 @@
 """Images of scatter against MC-GPU 1.3, on one thread each.
 
     python benchmarks/bench_mcgpu.py radiograph --binary mcgpu --water water.mcgpu
+    python benchmarks/bench_mcgpu.py speed --binary mcgpu --water water.mcgpu
     python benchmarks/bench_mcgpu.py cylinders --binary mcgpu --water water.mcgpu
 
 ``radiograph``: a cube of water of 200 mm and a panel of 400 mm, at 60 keV and 120 kVp; each order
-of scatter in each of 25 regions, relative to the whole signal there; and variance times processor
-time relative to MC-GPU's. ``cylinders``: scatter to primary behind the middle of cylinders of
-water. ``--coefficients own`` gives MC-GPU our mean free paths, so that the transport alone differs.
+of scatter in each of 25 regions, relative to the whole signal there. ``speed``: variance times
+processor time in these regions, relative to MC-GPU's, from 40 seeds with a tenth of the photons.
+``cylinders``: scatter to primary behind the middle of cylinders of water. ``--coefficients own``
+gives MC-GPU our mean free paths, so that the transport alone differs.
 
 MC-GPU (Badal, Badano, Med. Phys. 36 (2009) 4878; github.com/DIDSR/MCGPU) counts the photons that
 reach the panel, without forcing. A binary for one thread comes from
@@ -25,7 +27,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -47,13 +49,13 @@ SOURCE_MM, PANEL_MM = 600.0, 400.0
 
 KINDS = ("primary", *ORDERS)
 MOST = 0.03
-SEEDS = 5
+SEEDS, SEEDS_OF_SPEED = 5, 40
 RADII_MM = (25, 50, 75, 100)
 TUBES_KV = (60, 90, 120)
 
 Images = NDArray[np.float64]
 Run = Callable[[int], tuple[Images, float]]
-"""Images of a seed, keV a photon, (4, rows, columns); and processor seconds of a photon."""
+"""Images of a seed, keV a photon, (4, rows, columns); and their processor seconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +73,8 @@ class Scene:
     def simulation(self) -> Simulation:
         """Our simulation of it."""
         body = VoxelBody.of_labels(self.grid, self.water, {0: VACUUM, 1: WATER})
-        ends = ([0.0, -SOURCE_MM, 0.0], [0.0, PANEL_MM, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-        geometry = ScanGeometry(*(np.array([end]) for end in ends), self.panel)
+        ends = np.array([[[0, -SOURCE_MM, 0]], [[0, PANEL_MM, 0]], [[1, 0, 0]], [[0, 0, 1]]])
+        geometry = ScanGeometry(ends[0], ends[1], ends[2], ends[3], self.panel)
         beam = Beam.of_view(geometry, 0, self.energies, self.photons)
         return Simulation(body, beam, dose=False, detector=Detector(geometry))
 
@@ -82,10 +84,10 @@ class Scene:
         return self.simulation.primary(round(self.panel.pitch_u / 2))
 
     def run(self, photons: int, seed: int) -> tuple[Images, float]:
-        """Return our images, keV a photon, (4, rows, columns), and processor seconds a photon."""
+        """Return our images, keV a photon, (4, rows, columns), and processor seconds."""
         start = time.process_time()
         scatter = self.simulation.run(photons, 1, seed=seed).scatter()[0]
-        return np.stack([self.primary, *scatter]), (time.process_time() - start) / photons
+        return np.stack([self.primary, *scatter]), time.process_time() - start
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ class McGpu:
         (self.folder / "tube.spc").write_text(bins + end, encoding="ascii")
 
     def run(self, photons: int, seed: int) -> tuple[Images, float]:
-        """Return its images, keV a photon, (4, rows, columns), and processor seconds a photon."""
+        """Return its images, keV a photon, (4, rows, columns), and processor seconds."""
         (self.folder / "case.in").write_text(self._input(photons, seed), encoding="ascii")
         said = subprocess.run(
             [self.binary.resolve(), "case.in"],
@@ -127,7 +129,7 @@ class McGpu:
         table = np.loadtxt(self.folder / "image.dat", comments="#")
         area_cm2 = panel.pitch_u * panel.pitch_v / 100
         images = table.T.reshape(4, panel.rows, panel.columns) * area_cm2 / 1000
-        return images, float(found[1]) / photons
+        return images, float(found[1])
 
     def _input(self, photons: int, seed: int) -> str:
         panel, size = self.scene.panel, self.scene.grid.size_mm / 10
@@ -206,10 +208,18 @@ def cylinders(radii_mm: Sequence[int]) -> Iterator[Scene]:
             yield Scene(f"{radius} mm, {kv} kVp", grid, water, panel, *tube(kv))
 
 
-def repeated(run: Run) -> tuple[Images, float]:
-    """Return the images of all seeds, (seeds, 4, rows, columns), and processor seconds a photon."""
-    images, seconds = zip(*(run(1 + seed) for seed in range(SEEDS)), strict=True)
-    return np.array(images), float(np.mean(seconds))
+def repeated(runs: tuple[Run, Run], seeds: int) -> list[tuple[Images, float]]:
+    """Run both codes in turns, with each seed.
+
+    Returns:
+        Images of all seeds, (seeds, 4, rows, columns), and processor seconds of one, for each code.
+    """
+    found = [[run(1 + seed) for run in runs] for seed in range(seeds)]
+    images, seconds = (
+        [[pair[n] for pair in code] for code in zip(*found, strict=True)] for n in range(2)
+    )
+    means = np.mean(seconds, axis=1).tolist()
+    return list(zip(map(np.array, images), means, strict=True))
 
 
 def _error(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -234,17 +244,17 @@ def compare_radiograph(own: Images, theirs: Images) -> None:
         )
 
 
-def compare_speed(costs: tuple[tuple[Images, float], tuple[Images, float]]) -> None:
+def compare_speed(both: Sequence[tuple[Images, float]]) -> None:
     """Print variance times processor time relative to MC-GPU's, each a mean over the regions.
 
     Args:
-        costs: images of both codes, and the processor seconds that each of these images took.
+        both: images of both codes, and the processor seconds of one of them.
     """
     scores = {kind: [n] for n, kind in enumerate(KINDS)}
     del scores["primary"]  # ours has no variance
     for kind, used in (scores | {"all scatter": [1, 2, 3]}).items():
         found = []
-        for images, seconds in costs:
+        for images, seconds in both:
             score = images[:, used].sum(axis=1)
             relative = score.var(axis=0, ddof=1) / score.mean(axis=0) ** 2
             found.append(float(relative.mean()) * seconds)
@@ -262,7 +272,7 @@ def compare_cylinder(own: Images, theirs: Images) -> None:
     off = means[0] / means[1] - 1
     print(
         f"  scatter to primary {means[0]:.4g} against {means[1]:.4g}: {off:+.2%} (+- "
-        f"{np.hypot(*errors):.2%}){'' if abs(off) <= MOST else '  OUTSIDE'}; primary "
+        f"{np.hypot(errors[0], errors[1]):.2%}){'' if abs(off) <= MOST else '  OUTSIDE'}; primary "
         f"{primary:+.2%}, scatter {scatter:+.2%}",
         flush=True,
     )
@@ -271,7 +281,7 @@ def compare_cylinder(own: Images, theirs: Images) -> None:
 def main() -> None:
     """Run both codes, and compare."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", maxsplit=1)[0])
-    parser.add_argument("what", choices=("radiograph", "cylinders"))
+    parser.add_argument("what", choices=("radiograph", "speed", "cylinders"))
     parser.add_argument("--binary", type=Path, required=True, help="MC-GPU for one thread")
     parser.add_argument("--water", type=Path, required=True, help="its file of water")
     parser.add_argument("--photons", type=float, default=1e7, help="of MC-GPU, for each seed")
@@ -280,24 +290,28 @@ def main() -> None:
     parser.add_argument("--radii", type=int, nargs="+", default=RADII_MM, help="of cylinders, mm")
     given = parser.parse_args()
     limit_threads(1)
-    counts = round(given.own_photons), round(given.photons)
+    counts, seeds = [round(given.own_photons), round(given.photons)], SEEDS
+    if given.what == "speed":
+        counts, seeds = [n // 10 for n in counts], SEEDS_OF_SPEED
     with tempfile.TemporaryDirectory() as name:
         folder, water = Path(name), given.water
         if given.coefficients == "own":
             water = with_our_coefficients(water, folder)
-        for scene in cubes() if given.what == "radiograph" else cylinders(given.radii):
+        for scene in cylinders(given.radii) if given.what == "cylinders" else cubes():
             print(scene.name, flush=True)
             other = McGpu(given.binary, water, folder, scene)
             other.write()
             scene.run(10, 0)
-            own, own_time = repeated(lambda seed, s=scene: s.run(counts[0], seed))
-            theirs, their_time = repeated(lambda seed, o=other: o.run(counts[1], seed))
+            runs = (partial(scene.run, counts[0]), partial(other.run, counts[1]))
+            both = repeated(runs, seeds)
             if given.what == "cylinders":
-                compare_cylinder(own, theirs)
-                continue
-            compare_radiograph(own, theirs)
-            print(f"  microseconds a photon: {1e6 * own_time:.2f}, MC-GPU {1e6 * their_time:.2f}")
-            compare_speed(((own, own_time * counts[0]), (theirs, their_time * counts[1])))
+                compare_cylinder(both[0][0], both[1][0])
+            elif given.what == "radiograph":
+                compare_radiograph(both[0][0], both[1][0])
+            else:
+                times = [1e6 * s / n for (_, s), n in zip(both, counts, strict=True)]
+                print(f"  microseconds a photon: {times[0]:.2f}, MC-GPU {times[1]:.2f}")
+                compare_speed(both)
 
 
 if __name__ == "__main__":

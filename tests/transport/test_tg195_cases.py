@@ -18,6 +18,7 @@ MOST_MEAN = 0.01
 
 pytestmark = [
     pytest.mark.data,
+    pytest.mark.slow,
     pytest.mark.skipif(not DATA.is_dir(), reason="needs the report's results (TG195_DATA)"),
 ]
 
