@@ -195,7 +195,7 @@ def cubes() -> Iterator[Scene]:
         yield Scene(f"cube, {name}", grid, water, Panel(5, 5, 80.0, 80.0), *lines)
 
 
-def cylinders(radii_mm: Sequence[int]) -> Iterator[Scene]:
+def cylinders(radii_mm: Sequence[int], tubes_kv: Sequence[int]) -> Iterator[Scene]:
     """Yield cylinders of water along z, longer than the field, in voxels of 2 x 2 x 10 mm."""
     for radius in radii_mm:
         across = radius + 2
@@ -203,7 +203,7 @@ def cylinders(radii_mm: Sequence[int]) -> Iterator[Scene]:
         x, y, _ = grid.axes()
         disc = np.hypot(x, y[:, None]) < radius
         water = np.broadcast_to(disc, grid.shape)
-        for kv in TUBES_KV:
+        for kv in tubes_kv:
             panel = Panel(9, 9, 40.0, 40.0)
             yield Scene(f"{radius} mm, {kv} kVp", grid, water, panel, *tube(kv))
 
@@ -288,6 +288,7 @@ def main() -> None:
     parser.add_argument("--own-photons", type=float, default=2e6, help="of ours, for each seed")
     parser.add_argument("--coefficients", choices=("theirs", "own"), default="theirs")
     parser.add_argument("--radii", type=int, nargs="+", default=RADII_MM, help="of cylinders, mm")
+    parser.add_argument("--tubes", type=int, nargs="+", default=TUBES_KV, help="voltages, kV")
     given = parser.parse_args()
     limit_threads(1)
     counts, seeds = [round(given.own_photons), round(given.photons)], SEEDS
@@ -297,14 +298,15 @@ def main() -> None:
         folder, water = Path(name), given.water
         if given.coefficients == "own":
             water = with_our_coefficients(water, folder)
-        for scene in cylinders(given.radii) if given.what == "cylinders" else cubes():
+        behind = given.what == "cylinders"
+        for scene in cylinders(given.radii, given.tubes) if behind else cubes():
             print(scene.name, flush=True)
             other = McGpu(given.binary, water, folder, scene)
             other.write()
             scene.run(10, 0)
             runs = (partial(scene.run, counts[0]), partial(other.run, counts[1]))
             both = repeated(runs, seeds)
-            if given.what == "cylinders":
+            if behind:
                 compare_cylinder(both[0][0], both[1][0])
             elif given.what == "radiograph":
                 compare_radiograph(both[0][0], both[1][0])
