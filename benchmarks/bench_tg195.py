@@ -312,18 +312,28 @@ def case_4_2(photons: int, _: Path) -> Iterator[Entries]:
         yield entries
 
 
-def case_5(photons: int, folder: Path) -> Iterator[Entries]:
-    """Yield the energies of 17 organs, from eight angles and on average."""
+def phantom(folder: Path) -> tuple[NDArray[np.uint8], VoxelBody]:
+    """Return the labels of case 5, and its body."""
     grid = VolumeGrid((260, 320, 500), 1.0)
     labels = np.frombuffer(_voxels(folder), np.uint8).reshape(grid.shape)
-    body = VoxelBody.of_labels(grid, labels, dict(enumerate(ORGANS)), AIR)
+    return labels, VoxelBody.of_labels(grid, labels, dict(enumerate(ORGANS)), AIR)
+
+
+def beam_5(name: str, angle: float) -> Beam:
+    """Return a beam of case 5 from an angle in degrees."""
+    s, c = np.sin(np.radians(angle)), np.cos(np.radians(angle))
+    return Beam(
+        (-600 * s, -600 * c, 0), (0, 0, 0), (-250 * c, 250 * s, 0), (0, 0, 5), *lines_of(name)
+    )
+
+
+def case_5(photons: int, folder: Path) -> Iterator[Entries]:
+    """Yield the energies of 17 organs, from eight angles and on average."""
+    labels, body = phantom(folder)
     for name in ("56.4 keV", "120 kVp"):
         runs = []
         for angle in range(0, 360, 45):
-            s, c = np.sin(np.radians(angle)), np.cos(np.radians(angle))
-            across, along = (-250 * c, 250 * s, 0), (0, 0, 5)
-            beam = Beam((-600 * s, -600 * c, 0), (0, 0, 0), across, along, *lines_of(name))
-            simulation = Simulation(body, beam, dose=False, unscattered=False)
+            simulation = Simulation(body, beam_5(name, angle), dose=False, unscattered=False)
             scores = _simulated(simulation, photons)
             means, errors = (1000 * part for part in scores.label_energy())
             free = simulation.primary_energy().ravel()
@@ -385,11 +395,12 @@ def _simulated(simulation: Simulation, photons: int) -> Scores:
 def _run(body: VoxelBody, beam: Beam, regions: Regions, photons: int) -> Named:
     """Return the energies of regions and their standard errors, eV per photon.
 
-    Rays to all voxels give the energy of unscattered photons, without chance.
+    Rays to their voxels give the energy of unscattered photons, without chance.
     """
     simulation = Simulation(body, beam, regions=regions, unscattered=False)
     scores = _simulated(simulation, photons)
-    free = regions.shares @ simulation.primary_energy().ravel()
+    cells = np.unique(regions.shares.indices)
+    free = regions.shares[:, cells] @ simulation.primary_energy(cells)
     pairs = zip(scores.region_energy().items(), free.tolist(), strict=True)
     return {name: ((mean + own) * 1000, error * 1000) for (name, (mean, error)), own in pairs}
 

@@ -3,13 +3,16 @@
 python benchmarks/bench_transport.py screw
 python benchmarks/bench_transport.py bricks
 python benchmarks/bench_transport.py energy
+python benchmarks/bench_transport.py threads
 python benchmarks/bench_transport.py views --views 16 --photons 5e5 --judge 2e6 --pixel 40
 
 ``screw``: processor seconds of a photon in a head of 256^3 voxels with a titanium screw, relative
 to the head alone, in turns. ``bricks``: that time with bricks of other sizes. ``energy``: what the
-photons of a batch bring, against what they deposit and take away. ``views``: scatter of a view
-between simulated ones, against that view with more photons, RMS relative to its mean; the built-in
-head, a circle of 200 views, 80 keV.
+photons of a batch bring, against what they deposit and take away. ``threads``: the time of one
+thread relative to that of two in a block of brain, in turns; the shortest of each, as other work
+disturbs them.
+``views``: scatter of a view between simulated ones, against that view with more photons, RMS
+relative to its mean; the built-in head, a circle of 200 views, 80 keV.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import argparse
 import time
 from unittest import mock
 
+import numba
 import numpy as np
 
 from twinct.core.threads import let_idle_threads_sleep
@@ -32,7 +36,7 @@ from twinct.xray.build import build_beam, build_response
 from twinct.xray.monte_carlo_scatter import scatter_of
 from twinct.xray.sections import MonteCarloScatter
 
-PHOTONS, ROUNDS = 300_000, 3
+PHOTONS, ROUNDS, PAIRS = 300_000, 3, 100
 MATERIALS = {n: material(name) for n, name in enumerate(("air", "brain", "bone", "titanium"))}
 BEAM = Beam(
     (-600, 0, 0),
@@ -96,6 +100,26 @@ def energy() -> None:
     print(f"largest imbalance of a batch: {Simulation(body, BEAM).run(20_000, 10).imbalance:.1e}")
 
 
+def threads() -> None:
+    """Print the shortest times with one and two threads, of many short runs in turns."""
+    grid = VolumeGrid((64, 64, 64), 3.5)
+    body = VoxelBody.of_labels(grid, np.ones(grid.shape, int), MATERIALS)
+    simulation = Simulation(body, BEAM, dose=False)
+    simulation.run(10, 1)
+    walls, busy = np.zeros((2, PAIRS, 2))
+    for pair in range(PAIRS):
+        for n in range(2):
+            numba.set_num_threads(n + 1)
+            wall, processor = time.perf_counter(), time.process_time()
+            simulation.run(PHOTONS // 20, 4)
+            walls[pair, n] = time.perf_counter() - wall
+            busy[pair, n] = time.process_time() - processor
+    for name, (one, two) in (("shortest", walls.min(axis=0)), ("median", np.median(walls, axis=0))):
+        print(f"{name} of {PAIRS}: {one:.3f} and {two:.3f} s, {one / two:.2f} x")
+    one, two = np.median(busy, axis=0)
+    print(f"processor time with two threads: {two / one:.3f} x that with one")
+
+
 def views(simulated: int, photons: int, judge: int, pixel_mm: float) -> None:
     """Print how far interpolated scatter is from that of single views."""
     source = Source.model_validate({"energy_kev": 80.0})
@@ -122,7 +146,7 @@ def views(simulated: int, photons: int, judge: int, pixel_mm: float) -> None:
 def main() -> None:
     """Measure one of them."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", maxsplit=1)[0])
-    parser.add_argument("what", choices=("screw", "bricks", "energy", "views"))
+    parser.add_argument("what", choices=("screw", "bricks", "energy", "threads", "views"))
     parser.add_argument("--views", type=int, default=16)
     parser.add_argument("--photons", type=float, default=5e5)
     parser.add_argument("--judge", type=float, default=2e6)
@@ -132,7 +156,7 @@ def main() -> None:
     if given.what == "views":
         views(given.views, int(given.photons), int(given.judge), given.pixel)
     else:
-        {"screw": screw, "bricks": bricks, "energy": energy}[given.what]()
+        {"screw": screw, "bricks": bricks, "energy": energy, "threads": threads}[given.what]()
 
 
 if __name__ == "__main__":

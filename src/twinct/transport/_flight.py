@@ -196,11 +196,14 @@ def optical_depth(x, y, z, dx, dy, dz, length, index, fraction, voxels, media):
         depth = (length - max(last - t, 0.0)) * voxels.around_density * mu
     shape = voxels.codes.shape
     cell, ends, steps, ways = _walk(x, y, z, dx, dy, dz, t, voxels.edges, shape)
+    known, density, mu = -1, 0.0, 0.0
     while t < last and _within(cell, shape):
         end = max(min(ends[0], ends[1], ends[2], last), t)
         code = voxels.codes[cell]
-        mu = coefficient(media, voxels.media[code], index, fraction, TOTAL)
-        depth += (end - t) * voxels.densities[code] * mu
+        if code != known:  # most neighbours are equal
+            known, density = code, voxels.densities[code]
+            mu = coefficient(media, voxels.media[code], index, fraction, TOTAL)
+        depth += (end - t) * density * mu
         t = end
         cell, ends = _next(cell, ends, steps, ways)
     return depth
