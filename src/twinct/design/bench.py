@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twinct.design.progress_note import ProgressNote
+from twinct.design.shared import SharedBuilder
 from twinct.observers import Observers
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, ScenarioText, load_scenario
@@ -21,12 +22,14 @@ class Bench:
 
     Attributes:
         note: file for the progress of the present question; None: it is not noted.
+        shelf: folder of specimens that several processes share; None: there is none.
     """
 
     note: Path | None = None
+    shelf: Path | None = None
     _text: ScenarioText | None = None
     _scenario: Scenario | None = None
-    _builder: SimulationBuilder | None = None
+    _builder: SharedBuilder | None = None
     _imager: tuple[object, Any] | None = field(default=None, repr=False)
 
     @property
@@ -47,7 +50,7 @@ class Bench:
     def builder(self, scenario: Scenario) -> SimulationBuilder:
         """Return the builder of a scenario, which takes over what the change leaves as it is."""
         if self._builder is None:
-            self._builder = SimulationBuilder(scenario)
+            self._builder = SharedBuilder(scenario, shelf=self.shelf)
         elif self._builder.scenario != scenario:
             self._builder = self._builder.of_changed(scenario)
         return self._builder

@@ -33,7 +33,10 @@ FINEST_DIRECTIONS = 800
 """Directions at which the shading of the sphere ends."""
 
 OF_IMAGES = ("image", "costs", "seen")
-"""Subjects of the desk for images, which never wait for a motion plan."""
+"""Subjects of the desk for images."""
+
+OF_REACH = ("views", "sphere", "reason")
+"""Subjects of the desk for reach, which waits neither for images nor for a motion plan."""
 
 ON_REQUEST = ("volume", "check", "proposal", "upload", "dose")
 """Subjects of the desk for longer work, which neither images nor reach wait for."""
@@ -90,6 +93,7 @@ class Workbench:
         draft: the draft.
         view: index of the view of the image.
         started: the newest run; None before the first one.
+        shelf: folder of specimens, each built once for all processes.
     """
 
     def __init__(
@@ -108,11 +112,11 @@ class Workbench:
         self._told = told
         self._asked: dict[str, object] = {}
         self._at_saved: dict[str, Any] = {}
-        threads = max(available_threads() // 2, 1)
-        self._images = Desk(folder / "images", self._hear, threads=threads)
-        self._motions = Desk(folder / "motions", self._hear, threads=threads)
-        self._longer = Desk(folder / "longer", self._hear, threads=threads)
-        self._runs = Desk(folder / "runs", self._hear, threads=available_threads())
+        self.shelf = folder / "specimens"
+        self._images, self._reach, self._motions, self._longer, self._runs = (
+            Desk(folder / name, self._hear, threads=available_threads(), shelf=self.shelf)
+            for name in ("images", "reach", "motions", "longer", "runs")
+        )
 
     def begin(self) -> None:
         """Ask the first questions."""
@@ -169,9 +173,9 @@ class Workbench:
         self._desk_of(question.subject).ask(question)
 
     def cancel(self) -> None:
-        """Stop the calculations of motions, volumes and proposals; a run goes on."""
-        self._motions.cancel()
-        self._longer.cancel()
+        """Stop the calculations of reach, motions, volumes and proposals; a run goes on."""
+        for desk in (self._reach, self._motions, self._longer):
+            desk.cancel()
 
     def rest(self) -> None:
         """Ask what is only worth its time when nothing has changed for a while."""
@@ -189,7 +193,7 @@ class Workbench:
         known = self.answer("reason")
         if self._why != question or known.state is State.OLD:
             self._why = question
-            self._motions.ask(question)
+            self._reach.ask(question)
 
     def accept(self) -> None:
         """Make the proposal's edit, as one step that can be undone.
@@ -249,11 +253,13 @@ class Workbench:
 
     @property
     def _desks(self) -> tuple[Desk, ...]:
-        return self._images, self._motions, self._longer, self._runs
+        return self._images, self._reach, self._motions, self._longer, self._runs
 
     def _desk_of(self, subject: str) -> Desk:
         if subject in OF_IMAGES:
             return self._images
+        if subject in OF_REACH:
+            return self._reach
         if subject in ON_REQUEST:
             return self._longer
         return self._runs if subject == WholeRun.subject else self._motions
@@ -283,7 +289,7 @@ class Workbench:
             del self._asked[subject]
             self._desk_of(subject).outdate(subject)
         if self._why is not None and self._why.source != source:
-            self._motions.outdate(WhyDead.subject)
+            self._reach.outdate(WhyDead.subject)
 
     def _ask_if_changed(self, question: Question, scenario: Scenario) -> None:
         reads = question.reads(scenario)
@@ -311,4 +317,4 @@ class Workbench:
         if answer.state is not State.FRESH or shading is None or self.draft.problems:
             return
         if len(shading.directions) < FINEST_DIRECTIONS:
-            self._motions.ask(ShadedSphere(self.draft.source, known=shading))
+            self._reach.ask(ShadedSphere(self.draft.source, known=shading))
