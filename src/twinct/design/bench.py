@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from twinct.design.progress_note import ProgressNote
 from twinct.design.shared import SharedBuilder
@@ -14,6 +15,8 @@ from twinct.scenario import Scenario, ScenarioText, load_scenario
 
 if TYPE_CHECKING:
     from twinct.xray import Imager
+
+Made = TypeVar("Made")
 
 
 @dataclass
@@ -31,6 +34,7 @@ class Bench:
     _scenario: Scenario | None = None
     _builder: SharedBuilder | None = None
     _imager: tuple[object, Any] | None = field(default=None, repr=False)
+    _kept: dict[str, tuple[object, Any]] = field(default_factory=dict, repr=False)
 
     @property
     def observers(self) -> Observers:
@@ -62,6 +66,13 @@ class Bench:
             self.close()
             self._imager = reads, builder.imager()
         return self._imager[1]
+
+    def kept(self, kind: str, reads: object, make: Callable[[], Made]) -> Made:
+        """Return the last result of a kind if it read what is given; else ``make`` it."""
+        if kind not in self._kept or self._kept[kind][0] != reads:
+            self._kept.pop(kind, None)  # the memory may not hold two
+            self._kept[kind] = reads, make()
+        return self._kept[kind][1]
 
     def close(self) -> None:
         """Close the imager; a process has at most one."""

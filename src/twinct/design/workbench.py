@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from twinct.design.questions import (
     Shading,
 )
 from twinct.design.reasons import WhyDead
+from twinct.design.scattered import Scatter
 from twinct.design.seen import SeenShare
 from twinct.design.whole_run import WholeRun, folder_of
 from twinct.runs.acquisition import Link
@@ -34,6 +35,9 @@ FINEST_DIRECTIONS = 800
 
 OF_IMAGES = ("image", "costs", "seen")
 """Subjects of the desk for images."""
+
+OF_SCATTER = ("scatter",)
+"""Subject of the desk for the scatter in previews, for which no image waits."""
 
 OF_REACH = ("views", "sphere", "reason")
 """Subjects of the desk for reach, which waits neither for images nor for a motion plan."""
@@ -109,13 +113,14 @@ class Workbench:
         self.draft, self.view = draft, 0
         self.started: WholeRun | None = None
         self._why: WhyDead | None = None
+        self._scattered: Scatter | None = None
         self._told = told
         self._asked: dict[str, object] = {}
         self._at_saved: dict[str, Any] = {}
         self.shelf = folder / "specimens"
-        self._images, self._reach, self._motions, self._longer, self._runs = (
+        self._images, self._scatter, self._reach, self._motions, self._longer, self._runs = (
             Desk(folder / name, self._hear, threads=available_threads(), shelf=self.shelf)
-            for name in ("images", "reach", "motions", "longer", "runs")
+            for name in ("images", "scatter", "reach", "motions", "longer", "runs")
         )
 
     def begin(self) -> None:
@@ -166,6 +171,27 @@ class Workbench:
         if not self.draft.problems:
             self._images.ask(Projection(self.draft.source, view, whole))
 
+    def ask_for_scatter(self) -> None:
+        """Ask for the scatter in the preview that is shown, if the scenario has scatter."""
+        image = self.answer("image")
+        shown, scenario = image.question, self.draft.scenario
+        if scenario is None or scenario.detector.scatter is None or self.draft.problems:
+            return
+        if image.state is State.FRESH and isinstance(shown, Projection) and not shown.whole:
+            question = Scatter(shown.source, shown.view)
+            if self._scattered != question or self.answer("scatter").state is State.OLD:
+                self._scattered = question
+                self._scatter.ask(question)
+
+    def scatter_in(self, shown: Question | None) -> Answer:
+        """Return the scatter in a preview; its value is None unless it is that of this preview."""
+        if not isinstance(shown, Projection) or shown.whole:
+            return Answer()
+        answer, asked = self.answer("scatter"), Scatter(shown.source, shown.view)
+        if self._scattered != asked:
+            return Answer()
+        return answer if answer.question == asked else replace(answer, value=None)
+
     def ask(self, question: Question) -> None:
         """Ask a question that is only asked on request, such as for a small volume."""
         if (scenario := self.draft.scenario) is not None:
@@ -173,8 +199,8 @@ class Workbench:
         self._desk_of(question.subject).ask(question)
 
     def cancel(self) -> None:
-        """Stop the calculations of reach, motions, volumes and proposals; a run goes on."""
-        for desk in (self._reach, self._motions, self._longer):
+        """Stop the calculations of scatter, reach, motions, volumes, proposals; a run goes on."""
+        for desk in (self._scatter, self._reach, self._motions, self._longer):
             desk.cancel()
 
     def rest(self) -> None:
@@ -253,11 +279,14 @@ class Workbench:
 
     @property
     def _desks(self) -> tuple[Desk, ...]:
-        return self._images, self._reach, self._motions, self._longer, self._runs
+        of_scan = self._images, self._scatter, self._reach, self._motions
+        return *of_scan, self._longer, self._runs
 
     def _desk_of(self, subject: str) -> Desk:
         if subject in OF_IMAGES:
             return self._images
+        if subject in OF_SCATTER:
+            return self._scatter
         if subject in OF_REACH:
             return self._reach
         if subject in ON_REQUEST:
