@@ -118,9 +118,14 @@ class Workbench:
         self._asked: dict[str, object] = {}
         self._at_saved: dict[str, Any] = {}
         self.shelf = folder / "specimens"
+        every = available_threads()
+        half = max(every // 2, 1)
         self._images, self._scatter, self._reach, self._motions, self._longer, self._runs = (
-            Desk(folder / name, self._hear, threads=available_threads(), shelf=self.shelf)
-            for name in ("images", "scatter", "reach", "motions", "longer", "runs")
+            Desk(folder / name, self._hear, threads=number, shelf=self.shelf)
+            for name, number in (
+                *(("images", half), ("scatter", half), ("reach", half), ("motions", half)),
+                *(("longer", half), ("runs", every)),
+            )
         )
 
     def begin(self) -> None:
