@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from twinct.design.movable import movables
 from twinct.design.profiles import profile_of
 from twinct.design.seen import SeenShare
 from twinct.geometry import Panel, Pose
+from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell
 
 
@@ -79,6 +81,51 @@ def test_the_table_moves_up_and_down_only(draft: Draft) -> None:
     assert moved == {"cell.table.top_z_mm": -700}
     draft.set(moved)
     assert isinstance(draft.scenario.cell, Cell) and draft.scenario.cell.table.top_z_mm == -700
+
+
+@pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (-2.0, 1.0, 0.5)])
+def test_a_rail_follows_the_gizmo(draft: Draft, axis: tuple[float, float, float]) -> None:
+    def seen() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Middle of the rail, mm, its direction, and the arm's base, mm, in MuJoCo's model."""
+        assert draft.scenario is not None and not draft.problems
+        assert isinstance(draft.scenario.cell, Cell)
+        model = SimulationBuilder(draft.scenario).cell_of(draft.scenario.cell).model
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        track = data.geom("source_track")
+        return 1000 * track.xpos, track.xmat[::3].copy(), 1000 * data.body("source_carriage").xpos
+
+    def move(by: np.ndarray, turn_deg: float = 0.0) -> None:
+        assert draft.scenario is not None
+        rail = next(one for one in movables(draft.scenario) if one.name == "source rail")
+        turned = Pose.from_euler((0, 0, 0), (0, 0, turn_deg)) @ rail.pose
+        draft.set(rail.moved(Pose(rail.pose.position + by, turned.quat), 0.0, 0.0))
+
+    draft.set({"cell.source_arm.rail": {"range_mm": [-300, 500], "axis": list(axis)}})
+    middle, along, base = seen()
+    assert along @ axis > 0.99 * np.linalg.norm(axis)
+    for by, carried in ((-150 * along, 0.0), (20 * np.cross(along, (0, 0, 1)), 1.0)):
+        move(by)
+        now = seen()
+        np.testing.assert_allclose(now[0], middle + by, atol=0.01)
+        np.testing.assert_allclose(now[1], along, atol=1e-6)
+        np.testing.assert_allclose(now[2], base + carried * by, atol=0.01)
+        middle, _, base = now
+    move(np.zeros(3), 10.0)
+    np.testing.assert_allclose(
+        seen()[1], Pose.from_euler((0, 0, 0), (0, 0, 10)).rotation @ along, atol=1e-5
+    )
+
+
+def test_a_rail_moves_by_steps(draft: Draft) -> None:
+    draft.set({"cell.source_arm.rail": {"range_mm": [-300, 500]}})
+    assert draft.scenario is not None
+    rail = next(one for one in movables(draft.scenario) if one.name == "source rail")
+    assert rail.moved(rail.pose, 10.0, 5.0) == {}
+    to = Pose(rail.pose.position + (0, 104.2, 0), rail.pose.quat)
+    assert rail.moved(to, 10.0, 5.0) == {"cell.source_arm.rail.range_mm": [-200, 600]}
+    to = Pose(rail.pose.position + (13.0, 2, 0), rail.pose.quat)
+    assert rail.moved(to, 10.0, 5.0) == {"cell.source_arm.base_position_mm": [860, 0, 0]}
 
 
 def test_a_profile_goes_through_the_nearest_pixels() -> None:

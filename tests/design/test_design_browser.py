@@ -35,6 +35,11 @@ def test_a_scenario_is_designed_by_the_page_alone(
         says("12 of 12 views within reach")
         assert page.settle(HANG_S)
 
+        # Run and cancel are seen without scrolling.
+        for button in ("undo", "run", "cancel the run"):
+            code = "return arguments[0].getBoundingClientRect().bottom <= window.innerHeight"
+            assert browser.script(code, browser.button(button)), f"{button} is below the window"
+
         # Move: by typed numbers, into a place that the arms cannot reach from, and back.
         before = browser.drawn()
         browser.choose("body", "source arm")

@@ -117,6 +117,24 @@ def test_the_gizmo_moves_a_body_by_steps(listener: Listener, page: DesignPage) -
     assert "position_mm: [20, 0, -10]" in page.bench.draft.text
 
 
+def test_the_preview_gets_scatter_after_the_primary_image(
+    server: Server, small_file: Path, tmp_path: Path
+) -> None:
+    text = small_file.read_text(encoding="utf-8")
+    scatter = "pixel_pitch_mm: 6, scatter: {kind: monte_carlo, voxel_mm: 8}"
+    small_file.write_text(text.replace("pixel_pitch_mm: 6", scatter), encoding="utf-8")
+    draft = Draft.open(small_file)
+    with (
+        closing(DesignPage(server, draft, tmp_path / "workers", rest_s=3600.0)),
+        closing(Listener(address(server))) as listener,
+    ):
+        for view in (0, 5):
+            listener.set("view", view)
+            listener.wait(
+                lambda v=view: f"view {v}, 48 x 32 pixels (preview, w" in listener.texts()
+            )
+
+
 def test_a_change_by_another_program_is_said(
     listener: Listener, page: DesignPage, small_file: Path
 ) -> None:

@@ -60,6 +60,15 @@ def test_poses_and_vectors_are_the_same_geometry(random_geometry) -> None:
         assert pose.rotation[:, 0] @ geometry.u[view] > 0.9
 
 
+def test_matrices_are_those_of_the_poses(random_geometry) -> None:
+    geometry = random_geometry(9, PANEL, np.random.default_rng(4))
+    for matrices, poses in (
+        (geometry.source_matrices(), geometry.source_poses()),
+        (geometry.detector_matrices(), geometry.detector_poses()),
+    ):
+        np.testing.assert_allclose(matrices, [pose.matrix for pose in poses], atol=1e-12)
+
+
 def test_repr_evaluates_to_an_equal_geometry(random_geometry) -> None:
     geometry = random_geometry(3, PANEL, np.random.default_rng(5))
     assert eval(repr(geometry)) == geometry

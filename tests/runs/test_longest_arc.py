@@ -31,7 +31,7 @@ def builder(**trajectory: object) -> SimulationBuilder:
 
 def _lost(circle: SimulationBuilder) -> list[int]:
     asked = circle.requested
-    poses = TargetPoses.of(asked.source_poses(), asked.detector_poses())
+    poses = TargetPoses.of(asked)
     held = Holder(circle.cell, circle.scenario.motion, roll_free=circle.roll_free).held(poses)
     return np.flatnonzero(~held).tolist()
 

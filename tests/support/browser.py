@@ -257,7 +257,11 @@ class Browser:
         box.send_keys(str(path))
 
     def press(self, button: str) -> None:
-        self._driver.find_element(By.XPATH, f"//button[normalize-space(.)='{button}']").click()
+        self.button(button).click()
+
+    def button(self, name: str) -> WebElement:
+        """Return a button."""
+        return self._driver.find_element(By.XPATH, f"//button[normalize-space(.)='{name}']")
 
     def turn_to(self, tab: str) -> None:
         path = f"//*[@role='tab'][normalize-space(.)='{tab}']"

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from twinct.design.progress_note import ProgressNote
+from twinct.design.shared import SharedBuilder
 from twinct.observers import Observers
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Scenario, ScenarioText, load_scenario
 
 if TYPE_CHECKING:
     from twinct.xray import Imager
+
+Made = TypeVar("Made")
 
 
 @dataclass
@@ -21,13 +25,16 @@ class Bench:
 
     Attributes:
         note: file for the progress of the present question; None: it is not noted.
+        shelf: folder of specimens that several processes share; None: there is none.
     """
 
     note: Path | None = None
+    shelf: Path | None = None
     _text: ScenarioText | None = None
     _scenario: Scenario | None = None
-    _builder: SimulationBuilder | None = None
+    _builder: SharedBuilder | None = None
     _imager: tuple[object, Any] | None = field(default=None, repr=False)
+    _kept: dict[str, tuple[object, Any]] = field(default_factory=dict, repr=False)
 
     @property
     def observers(self) -> Observers:
@@ -47,7 +54,7 @@ class Bench:
     def builder(self, scenario: Scenario) -> SimulationBuilder:
         """Return the builder of a scenario, which takes over what the change leaves as it is."""
         if self._builder is None:
-            self._builder = SimulationBuilder(scenario)
+            self._builder = SharedBuilder(scenario, shelf=self.shelf)
         elif self._builder.scenario != scenario:
             self._builder = self._builder.of_changed(scenario)
         return self._builder
@@ -59,6 +66,13 @@ class Bench:
             self.close()
             self._imager = reads, builder.imager()
         return self._imager[1]
+
+    def kept(self, kind: str, reads: object, make: Callable[[], Made]) -> Made:
+        """Return the last result of a kind if it read what is given; else ``make`` it."""
+        if kind not in self._kept or self._kept[kind][0] != reads:
+            self._kept.pop(kind, None)  # the memory may not hold two
+            self._kept[kind] = reads, make()
+        return self._kept[kind][1]
 
     def close(self) -> None:
         """Close the imager; a process has at most one."""

@@ -57,10 +57,10 @@ class Answer:
 _bench = Bench()
 
 
-def answer(asked: tuple[Question, Path], place: Place) -> Any:
+def answer(asked: tuple[Question, Path, Path | None], place: Place) -> Any:
     """Answer a question in a worker, which keeps its bench and notes its progress in a file."""
     del place
-    question, _bench.note = asked
+    question, _bench.note, _bench.shelf = asked
     return question.answered(_bench)
 
 
@@ -88,6 +88,7 @@ class Desk:
         told: Callable[[str, Answer], object],
         *,
         threads: int = 1,
+        shelf: Path | None = None,
         patience_s: float = PATIENCE_S,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -97,11 +98,13 @@ class Desk:
             folder: folder for the worker's output.
             told: called with subject and answer after each change, in the desk's thread.
             threads: threads of the worker.
+            shelf: folder of specimens that several desks share.
             patience_s: time for a worthless question to end.
             clock: seconds, increasing.
         """
         self.patience_s = patience_s
         self._folder, self._told, self._threads, self._clock = folder, told, threads, clock
+        self._shelf = shelf
         self._changed = Condition()
         self._waiting: dict[str, Question] = {}
         self._answers: dict[str, Answer] = {}
@@ -197,7 +200,7 @@ class Desk:
             if self._pool is None:
                 self._pool = LocalPool(self._folder, workers=1, threads=self._threads)
             note = self._folder / f"{running.key}.progress"
-            self._pool.submit(Work(running.key, answer, (running.question, note)))
+            self._pool.submit(Work(running.key, answer, (running.question, note, self._shelf)))
             event = None
             while event is None:
                 if self._must_stop(running):

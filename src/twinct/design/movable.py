@@ -10,7 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from twinct.geometry import Floats, Pose
-from twinct.scenario import Cell, Scenario
+from twinct.scenario import Arm, Cell, Rail, Scenario
+
+LEAST = 1e-3
+"""Smallest change of a number that counts, the last digit that a file gets."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +59,70 @@ class Movable:
             (self.position_key, self.position_mm, pose.position, snap_mm),
             (self.rotation_key, self.rotation_deg, angles, snap_deg),
         ):
-            moved = np.abs(np.asarray(new) - now) > 1e-3
+            moved = np.abs(np.asarray(new) - now) > LEAST
             if self.axis is not None:
                 moved &= self.axes
             if key and moved.any():
                 rounded = np.where(moved, rounded_to(np.asarray(new), step), now)
                 numbers = [tidy(number) for number in rounded.tolist()]
                 changes[key] = numbers if self.axis is None else numbers[self.axis]
+        return changes
+
+
+@dataclass(frozen=True)
+class MovableRail(Movable):
+    """A rail, placed at the middle of its travel with x along it.
+
+    The arm's base goes with a move across the rail, and stays in a move along it.
+
+    Attributes:
+        base_mm: position of the arm's base at 0 of the travel.
+        range_mm: limits of the travel.
+    """
+
+    base_mm: tuple[float, ...] = (0.0, 0.0, 0.0)
+    range_mm: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def of(cls, name: str, key: str, arm: Arm, rail: Rail) -> MovableRail:
+        """Return the rail of an arm with a dotted key."""
+        along = np.array(rail.axis) / np.linalg.norm(rail.axis)
+        middle = np.array(arm.base_position_mm) + along * np.mean(rail.range_mm)
+        x, y, z = along.tolist()
+        turned = np.degrees([0.0, -np.arctan2(z, np.hypot(x, y)), np.arctan2(y, x)])
+        return cls(
+            name,
+            f"{key}.base_position_mm",
+            f"{key}.rail.axis",
+            tuple(middle.tolist()),
+            tuple(turned.tolist()),
+            base_mm=tuple(arm.base_position_mm),
+            range_mm=rail.range_mm,
+        )
+
+    def moved(
+        self, pose: Pose, snap_mm: float = 0.0, snap_deg: float = 0.0
+    ) -> Mapping[str, list[float] | float]:
+        """Return the keys of base, direction and travel that a new pose changes."""
+        turned = super().moved(pose, 0.0, snap_deg).get(self.rotation_key, self.rotation_deg)
+        before, along = (
+            Pose.from_euler((0.0, 0.0, 0.0), angles).rotation[:, 0]
+            for angles in (self.rotation_deg, np.array(turned))
+        )
+        low, high = self.range_mm
+        # The point of the new rail nearest to the base carries it.
+        now, centre = np.array(self.base_mm), float((pose.position - self.base_mm) @ along)
+        base, shift = pose.position - centre * along, centre - (low + high) / 2
+        changes: dict[str, list[float] | float] = {}
+        aside = np.abs(base - now) > LEAST
+        if aside.any():
+            base = np.where(aside, rounded_to(base, snap_mm), now)
+            changes[self.position_key] = [tidy(number) for number in base.tolist()]
+        if np.abs(along - before).max() > LEAST:
+            changes[self.rotation_key] = [round(number, 6) for number in along.tolist()]
+        if abs(shift) > LEAST and (shift := float(rounded_to(np.array(shift), snap_mm))):
+            travel = self.rotation_key.replace(".axis", ".range_mm")
+            changes[travel] = [tidy(low + shift), tidy(high + shift)]
         return changes
 
 
@@ -92,6 +152,13 @@ def movables(scenario: Scenario) -> tuple[Movable, ...]:
         (f"object {one.name or k}", f"cell.objects.{k}", one) for k, one in enumerate(cell.objects)
     ]
     bodies = [_movable(name, key, section) for name, key, section in found]
+    if isinstance(cell, Cell):
+        arms = (("source", cell.source_arm), ("detector", cell.detector_arm))
+        bodies[2:2] = [
+            MovableRail.of(f"{side} rail", f"cell.{side}_arm", arm, arm.rail)
+            for side, arm in arms
+            if arm.rail is not None
+        ]
     if isinstance(cell, Cell) and cell.table.present:
         at = (0.0, 0.0, cell.table.top_z_mm)
         table = Movable("table", "cell.table.top_z_mm", "", at, (0.0, 0.0, 0.0), axis=2)

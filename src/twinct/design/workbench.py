@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from twinct.design.questions import (
     Shading,
 )
 from twinct.design.reasons import WhyDead
+from twinct.design.scattered import Scatter
 from twinct.design.seen import SeenShare
 from twinct.design.whole_run import WholeRun, folder_of
 from twinct.runs.acquisition import Link
@@ -33,7 +34,13 @@ FINEST_DIRECTIONS = 800
 """Directions at which the shading of the sphere ends."""
 
 OF_IMAGES = ("image", "costs", "seen")
-"""Subjects of the desk for images, which never wait for a motion plan."""
+"""Subjects of the desk for images."""
+
+OF_SCATTER = ("scatter",)
+"""Subject of the desk for the scatter in previews, for which no image waits."""
+
+OF_REACH = ("views", "sphere", "reason")
+"""Subjects of the desk for reach, which waits neither for images nor for a motion plan."""
 
 ON_REQUEST = ("volume", "check", "proposal", "upload", "dose")
 """Subjects of the desk for longer work, which neither images nor reach wait for."""
@@ -90,6 +97,7 @@ class Workbench:
         draft: the draft.
         view: index of the view of the image.
         started: the newest run; None before the first one.
+        shelf: folder of specimens, each built once for all processes.
     """
 
     def __init__(
@@ -105,14 +113,20 @@ class Workbench:
         self.draft, self.view = draft, 0
         self.started: WholeRun | None = None
         self._why: WhyDead | None = None
+        self._scattered: Scatter | None = None
         self._told = told
         self._asked: dict[str, object] = {}
         self._at_saved: dict[str, Any] = {}
-        threads = max(available_threads() // 2, 1)
-        self._images = Desk(folder / "images", self._hear, threads=threads)
-        self._motions = Desk(folder / "motions", self._hear, threads=threads)
-        self._longer = Desk(folder / "longer", self._hear, threads=threads)
-        self._runs = Desk(folder / "runs", self._hear, threads=available_threads())
+        self.shelf = folder / "specimens"
+        every = available_threads()
+        half = max(every // 2, 1)
+        self._images, self._scatter, self._reach, self._motions, self._longer, self._runs = (
+            Desk(folder / name, self._hear, threads=number, shelf=self.shelf)
+            for name, number in (
+                *(("images", half), ("scatter", half), ("reach", half), ("motions", half)),
+                *(("longer", half), ("runs", every)),
+            )
+        )
 
     def begin(self) -> None:
         """Ask the first questions."""
@@ -162,6 +176,27 @@ class Workbench:
         if not self.draft.problems:
             self._images.ask(Projection(self.draft.source, view, whole))
 
+    def ask_for_scatter(self) -> None:
+        """Ask for the scatter in the preview that is shown, if the scenario has scatter."""
+        image = self.answer("image")
+        shown, scenario = image.question, self.draft.scenario
+        if scenario is None or scenario.detector.scatter is None or self.draft.problems:
+            return
+        if image.state is State.FRESH and isinstance(shown, Projection) and not shown.whole:
+            question = Scatter(shown.source, shown.view)
+            if self._scattered != question or self.answer("scatter").state is State.OLD:
+                self._scattered = question
+                self._scatter.ask(question)
+
+    def scatter_in(self, shown: Question | None) -> Answer:
+        """Return the scatter in a preview; its value is None unless it is that of this preview."""
+        if not isinstance(shown, Projection) or shown.whole:
+            return Answer()
+        answer, asked = self.answer("scatter"), Scatter(shown.source, shown.view)
+        if self._scattered != asked:
+            return Answer()
+        return answer if answer.question == asked else replace(answer, value=None)
+
     def ask(self, question: Question) -> None:
         """Ask a question that is only asked on request, such as for a small volume."""
         if (scenario := self.draft.scenario) is not None:
@@ -169,9 +204,9 @@ class Workbench:
         self._desk_of(question.subject).ask(question)
 
     def cancel(self) -> None:
-        """Stop the calculations of motions, volumes and proposals; a run goes on."""
-        self._motions.cancel()
-        self._longer.cancel()
+        """Stop the calculations of scatter, reach, motions, volumes, proposals; a run goes on."""
+        for desk in (self._scatter, self._reach, self._motions, self._longer):
+            desk.cancel()
 
     def rest(self) -> None:
         """Ask what is only worth its time when nothing has changed for a while."""
@@ -189,7 +224,7 @@ class Workbench:
         known = self.answer("reason")
         if self._why != question or known.state is State.OLD:
             self._why = question
-            self._motions.ask(question)
+            self._reach.ask(question)
 
     def accept(self) -> None:
         """Make the proposal's edit, as one step that can be undone.
@@ -249,11 +284,16 @@ class Workbench:
 
     @property
     def _desks(self) -> tuple[Desk, ...]:
-        return self._images, self._motions, self._longer, self._runs
+        of_scan = self._images, self._scatter, self._reach, self._motions
+        return *of_scan, self._longer, self._runs
 
     def _desk_of(self, subject: str) -> Desk:
         if subject in OF_IMAGES:
             return self._images
+        if subject in OF_SCATTER:
+            return self._scatter
+        if subject in OF_REACH:
+            return self._reach
         if subject in ON_REQUEST:
             return self._longer
         return self._runs if subject == WholeRun.subject else self._motions
@@ -283,7 +323,7 @@ class Workbench:
             del self._asked[subject]
             self._desk_of(subject).outdate(subject)
         if self._why is not None and self._why.source != source:
-            self._motions.outdate(WhyDead.subject)
+            self._reach.outdate(WhyDead.subject)
 
     def _ask_if_changed(self, question: Question, scenario: Scenario) -> None:
         reads = question.reads(scenario)
@@ -311,4 +351,4 @@ class Workbench:
         if answer.state is not State.FRESH or shading is None or self.draft.problems:
             return
         if len(shading.directions) < FINEST_DIRECTIONS:
-            self._motions.ask(ShadedSphere(self.draft.source, known=shading))
+            self._reach.ask(ShadedSphere(self.draft.source, known=shading))

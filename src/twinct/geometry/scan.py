@@ -142,6 +142,19 @@ class ScanGeometry:
             for d, u, v, n in zip(self.detector, self.u, self.v, self.normal, strict=True)
         ]
 
+    def source_matrices(self) -> Floats:
+        """Return the matrices of ``source_poses``, (views, 4, 4), mm."""
+        z = self.detector - self.source
+        z = z / np.linalg.norm(z, axis=1, keepdims=True)
+        x = self.u - _dot(self.u, z)[:, None] * z
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        y: Floats = np.cross(z, x)
+        return _matrices(self.source, x, y, z)
+
+    def detector_matrices(self) -> Floats:
+        """Return the matrices of ``detector_poses``, (views, 4, 4), mm."""
+        return _matrices(self.detector, self.u, self.v, self.normal)
+
     def __len__(self) -> int:
         """Return the number of views."""
         return len(self.source)
@@ -246,6 +259,14 @@ class ScanGeometry:
 def _dot(a: Floats, b: Floats) -> Floats:
     """Return the dot product of each view, (views,)."""
     return np.einsum("vk,vk->v", a, b)
+
+
+def _matrices(position: Floats, *axes: Floats) -> Floats:
+    """Return homogeneous matrices from origins and axes, each (views, 3)."""
+    matrices = np.tile(np.eye(4), (len(position), 1, 1))
+    matrices[:, :3, :3] = np.stack(axes, axis=2)
+    matrices[:, :3, 3] = position
+    return matrices
 
 
 def _source_pose(source: Floats, detector: Floats, u: Floats) -> Pose:

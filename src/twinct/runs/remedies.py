@@ -185,8 +185,7 @@ def requested_poses(
     builder: SimulationBuilder, views: Indices | slice = slice(None)
 ) -> TargetPoses:
     """Return the requested poses of source and panel in some views."""
-    geometry = builder.requested[views]
-    return TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
+    return TargetPoses.of(builder.requested[views])
 
 
 def _holder(builder: SimulationBuilder) -> Holder:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -55,9 +55,17 @@ class SimulationBuilder:
     given_cell: CellModel | None = None
 
     def of_changed(self, scenario: Scenario) -> Self:
-        """Return a builder of a changed scenario, with the cell of this one if it is unchanged."""
+        """Return a builder of a changed scenario, with the parts that the change leaves as is."""
         kept = "cell" in self.__dict__ and _decide_cell(scenario) == _decide_cell(self.scenario)
-        return type(self)(scenario, given_cell=self.cell if kept else None)
+        cell = self.cell if kept else None
+        changed = replace(
+            self, scenario=scenario, given_plan=None, given_specimen=None, given_cell=cell
+        )
+        if scenario.specimen == self.scenario.specimen:
+            for name in ("specimen", "_obstacles"):
+                if name in vars(self):
+                    vars(changed)[name] = vars(self)[name]
+        return changed
 
     @classmethod
     def with_specimen(cls, scenario: Scenario, file: Path | None) -> Self:
@@ -78,10 +86,20 @@ class SimulationBuilder:
 
         whole = self.scenario
         require_known_names(whole.specimen, whole.named_parts(), whole.unknown_parts)
+        built = once("specimen", self._body_digest, self._built)
+        return built.placed(self.scenario.specimen.world_from_specimen)
+
+    @property
+    def _body_digest(self) -> str:
+        """SHA-256 of all that decides the specimen, except for its place."""
         section = self.scenario.specimen
+        still = section.model_copy(update={"position_mm": (0, 0, 0), "rotation_deg": (0, 0, 0)})
         names = [part.label for part in section.parts]
-        digest = json.dumps([specimen_digest(self.scenario), names])
-        return once("specimen", digest, lambda: build_specimen(section))
+        body = specimen_digest(self.scenario.model_copy(update={"specimen": still}))
+        return hashlib.sha256(json.dumps([body, names]).encode()).hexdigest()
+
+    def _built(self) -> BuiltSpecimen:
+        return build_specimen(self.scenario.specimen)
 
     @cached_property
     def requested(self) -> ScanGeometry:
@@ -164,12 +182,15 @@ class SimulationBuilder:
         """
         if self.given_cell is not None:
             return self.given_cell
-        from twinct.robots.cell import apart
+        from twinct.robots.cell import apart, overlaps
 
         # The specimen may lie closer to its table than to an arm.
-        hulls = self.specimen.hulls
-        touching = apart(self._cell_with(hulls))
-        return touching if self._obstacles is hulls else self._cell_with(self._obstacles)
+        cell, hulls = self._cell_with(self._obstacles), self.specimen.hulls
+        if self._obstacles is hulls:
+            return apart(cell)
+        if overlaps(cell):
+            apart(self._cell_with(hulls))
+        return cell
 
     @cached_property
     def hull(self) -> Trimesh:

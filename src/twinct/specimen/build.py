@@ -112,6 +112,13 @@ class BuiltSpecimen:
     reference: str = ""
     motion: BodyMotion | None = None
 
+    def placed(self, world_from_specimen: Pose) -> BuiltSpecimen:
+        """Return the specimen in another place, with the hulls that are known."""
+        moved = replace(self, world_from_specimen=world_from_specimen)
+        known = {name: vars(self)[name] for name in ("hull", "hulls") if name in vars(self)}
+        vars(moved).update(known)
+        return moved
+
     @property
     def bounds(self) -> Floats:
         """Lowest and highest corner (2, 3) in the specimen's frame, mm."""

@@ -107,5 +107,5 @@ def _holding(
 ) -> tuple[Holder, tuple[Configurations, Configurations]]:
     """Return the solver of joint configurations, and the configurations of each arm alone."""
     holder = Holder(builder.cell, builder.scenario.motion, roll_free=builder.roll_free)
-    poses = TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
+    poses = TargetPoses.of(geometry)
     return holder, (holder.alone(poses.source, 0), holder.alone(poses.detector, 1))

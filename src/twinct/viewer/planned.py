@@ -33,7 +33,7 @@ def planned(builder: SimulationBuilder) -> Show:
         plan, problems, refused = builder.plan, (), ()
     except TrajectoryError as error:
         plan, problems = None, error.problems
-        poses = TargetPoses.of(builder.requested.source_poses(), builder.requested.detector_poses())
+        poses = TargetPoses.of(builder.requested)
         holder = Holder(builder.cell, scenario.motion, roll_free=builder.roll_free)
         refused = tuple(view for view, held in enumerate(holder.held(poses)) if not held)
     views = len(builder.requested)

@@ -162,9 +162,18 @@ def scatter_of(
     Raises:
         InputError: a photon energy is outside the tables, or there are too many voxels.
     """
-    body = in_voxels(specimen, grid_of(specimen, settings.voxel_mm, _VOXELS))
+    body = body_of(settings, specimen)
     views = replace(specimen.world_from_specimen.inverse() @ commanded, panel=panel)
     return ScatterNodes(body, views, beam, response, grid, settings)
+
+
+def body_of(settings: MonteCarloScatter, specimen: BuiltSpecimen) -> VoxelBody:
+    """Return the voxels that stand for a specimen.
+
+    Raises:
+        InputError: there are too many voxels.
+    """
+    return in_voxels(specimen, grid_of(specimen, settings.voxel_mm, _VOXELS))
 
 
 def check_scatter(

@@ -62,11 +62,12 @@ class DesignPage:
         tools.refresh = self._refresh
         order = self.page.below_head
         self._draft = DraftFolder(tools, order)
+        runs = RunFolder(tools, order + 0.02)
         self.choose = ChooseFolder(tools, order + 0.05)
         self.move = MoveFolder(tools, order + 0.1)
         self.path = PathFolder(tools, order + 0.2)
         proposals = ProposalFolder(tools, order + 0.25)
-        asks, runs = AskFolder(tools, order + 0.3), RunFolder(tools, order + 0.35)
+        asks = AskFolder(tools, order + 0.3)
         sphere = Sphere(tools, order + 0.4)
         image, prices = ImageTab(tools), PricesTab(tools)
         self._changes = ChangesTab(tools)

@@ -66,6 +66,9 @@ class ImageTab(Tool):
                 self._paint_image()
             elif answer.problems:
                 self._of_image.content = f"**{plain('; '.join(answer.problems))}**"
+            self.bench.ask_for_scatter()
+        if subject == "scatter":
+            self._paint_image()
         if subject in ("image", "seen"):
             self._paint_seen()
 
@@ -74,6 +77,9 @@ class ImageTab(Tool):
         if self._last is None or scenario is None:
             return
         question, image, state = self._last
+        scatter = self.bench.scatter_in(question)
+        if scatter.value is not None:
+            image = image + scatter.value
         if not self._window or question.whole:
             self._window = window_of(image)
         rows, columns = image.shape
@@ -89,8 +95,11 @@ class ImageTab(Tool):
         self._plot.data = profile.place_mm, profile.values
         kind = "preview"
         if question.whole:
-            scatter = scenario.detector.scatter is not None
-            kind = "all pixels" + (", with scatter" if scatter else "")
+            kind = "all pixels" + (", with scatter" if scenario.detector.scatter else "")
+        elif scatter.value is not None:
+            kind += ", with scatter"
+        elif scatter.state is not State.UNASKED:
+            kind += f"; scatter: {plain('; '.join(scatter.problems)) or scatter.state}"
         self._of_image.content = (
             f"view {question.view}, {columns} x {rows} pixels ({kind}), line integrals from 0 "
             f"to {self._window:.2f}{state}"

@@ -12,6 +12,7 @@ from twinct.design import words
 from twinct.design.desk import Answer, State
 from twinct.design.hand import Hand
 from twinct.design.page.tools import Tool, Tools
+from twinct.design.shared import SharedBuilder
 from twinct.geometry.wire import PosePairs
 from twinct.scan import SimulationBuilder
 from twinct.scenario import Cell, Scenario
@@ -116,7 +117,7 @@ class Scene(Tool):
         page = self.tools.page
 
         def build() -> None:
-            builder = SimulationBuilder(scenario)
+            builder = SharedBuilder(scenario, shelf=self.bench.shelf)
             show = self.show_of(scenario)
             if reads != known[0] or not isinstance(scenario.cell, Cell):
                 if (room := whole_room(show, builder)) is not None:

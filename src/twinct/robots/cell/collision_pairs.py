@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from itertools import combinations, product
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -47,15 +47,14 @@ def _link_of(body: Any) -> Any:
 
 def non_adjacent_pairs(model: mujoco.MjModel) -> np.ndarray:
     """Return the pairs of solid geoms of bodies that can move against each other, not excluded."""
-    excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
-    solid = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
-    pairs = []
-    for a, b in combinations(solid, 2):
-        first, second = int(model.geom_bodyid[a]), int(model.geom_bodyid[b])
-        same_piece = model.body_weldid[first] == model.body_weldid[second]
-        if not same_piece and not excluded & {(first, second), (second, first)}:
-            pairs.append((a, b))
-    return np.array(pairs, dtype=np.int32).reshape(-1, 2)
+    excluded = np.zeros((model.nbody, model.nbody), bool)
+    excluded[model.exclude_signature >> 16, model.exclude_signature & 0xFFFF] = True
+    excluded |= excluded.T
+    solid = np.flatnonzero((model.geom_contype | model.geom_conaffinity) != 0)
+    pairs = solid[np.transpose(np.triu_indices(len(solid), 1))]
+    first, second = model.geom_bodyid[pairs].T
+    moves = model.body_weldid[first] != model.body_weldid[second]
+    return pairs[moves & ~excluded[first, second]].astype(np.int32)
 
 
 def near_pairs(
@@ -74,28 +73,26 @@ def near_pairs(
         prefix: beginning of the names of bodies that may be left out.
     """
     mujoco = mujoco_module()
-    may_go = {b for b in range(model.nbody) if model.body(b).name.startswith(prefix)}
-    if not may_go:
-        return pairs
+    may_go = np.array([model.body(b).name.startswith(prefix) for b in range(model.nbody)], bool)
     data, keep = mujoco.MjData(model), np.ones(len(pairs), bool)
     rail = model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE
     mujoco.mj_kinematics(model, data)
-    for index, pair in enumerate(pairs.tolist()):
-        bodies = [int(model.geom_bodyid[geom]) for geom in pair]
-        of = next((k for k in (0, 1) if bodies[k] in may_go), None)
-        if of is None:
-            continue
-        standing, joints = pair[of], np.flatnonzero(lever[bodies[1 - of]])
-        hinges = joints[~rail[joints]]
-        if not len(hinges):  # a carriage
-            continue
-        turn = data.geom_xmat[standing].reshape(3, 3)
-        centre, half = np.split(model.geom_aabb[standing], 2)
-        local = (data.xanchor[hinges[0]] - data.geom_xpos[standing]) @ turn - centre
-        away = float(np.linalg.norm(np.maximum(np.abs(local) - half, 0)))
-        travel = float(np.abs(model.jnt_range[joints[rail[joints]]]).max(axis=1).sum())
-        reach = lever[bodies[1 - of], hinges[0]] + travel
-        keep[index] = away < reach + margins[standing] + FAR_M
+    of = may_go[model.geom_bodyid[pairs]]
+    rows = np.flatnonzero(of.any(axis=1))
+    standing = np.where(of[rows, 0], pairs[rows, 0], pairs[rows, 1])
+    moving = model.geom_bodyid[np.where(of[rows, 0], pairs[rows, 1], pairs[rows, 0])]
+    levers_of = lever[moving]
+    hinges = (levers_of > 0) & ~rail
+    first = hinges.argmax(axis=1)
+    turn = data.geom_xmat[standing].reshape(-1, 3, 3)
+    centre, half = np.split(model.geom_aabb[standing], 2, axis=1)
+    apart = data.xanchor[first] - data.geom_xpos[standing]
+    local = (apart[:, None] @ turn)[:, 0] - centre
+    away = np.linalg.norm(np.maximum(np.abs(local) - half, 0), axis=1)
+    travel = np.where((levers_of > 0) & rail, np.abs(model.jnt_range).max(axis=1), 0).sum(axis=1)
+    reach = levers_of[np.arange(len(rows)), first] + travel
+    near = away < reach + margins[standing] + FAR_M
+    keep[rows] = near | ~hinges.any(axis=1)  # a carriage has no hinge
     return pairs[keep]
 
 

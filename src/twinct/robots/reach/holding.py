@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twinct.geometry import Floats, Pose
+from twinct.geometry import Floats, ScanGeometry
 from twinct.robots.cell import CellModel
-from twinct.robots.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations, matrices
-from twinct.robots.motion.feasible import Feasible
+from twinct.robots.motion.branches import SEARCH_STARTS, SIDES, Branches, Configurations
+from twinct.robots.motion.feasible import AT_ONCE, Feasible
 from twinct.robots.motion.path_search import required_gap_mm
 from twinct.robots.motion.strength import TORQUE_SHARE, Strength
 from twinct.robots.sections import Motion
@@ -41,9 +41,9 @@ class TargetPoses:
     detector: Floats
 
     @classmethod
-    def of(cls, sources: Sequence[Pose], detectors: Sequence[Pose]) -> TargetPoses:
-        """Build from the poses of sources and detectors."""
-        return cls(matrices(list(sources)), matrices(list(detectors)))
+    def of(cls, geometry: ScanGeometry) -> TargetPoses:
+        """Return the poses of source and panel in the views of a geometry."""
+        return cls(geometry.source_matrices(), geometry.detector_matrices())
 
     def __len__(self) -> int:
         """Return the number of views."""
@@ -142,8 +142,19 @@ class Holder:
         held, alone = np.zeros(len(poses), bool), np.zeros((2, len(poses)), bool)
         for flags, of in zip(alone, of_arms, strict=True):
             flags[of.pose] = True
-        for view in np.flatnonzero(alone.all(axis=0)).tolist():
-            held[view] = len(self.pairs(of_arms[0], of_arms[1], view)) > 0
+        views = np.flatnonzero(alone.all(axis=0)).tolist()
+        left = {view: pairs for view in views if len(pairs := self._pairs(*of_arms, view))}
+        while left:  # the next pairs of all views, as many as fill one pass
+            share = max(AT_ONCE // len(left), 1)
+            parts = {view: pairs[:share] for view, pairs in left.items()}
+            whose = np.repeat(list(parts), list(map(len, parts.values())))
+            clear = self._cross.clear(np.vstack(list(parts.values())), self.least_mm)
+            held[whose[clear]] = True
+            left = {
+                view: pairs[share:]
+                for view, pairs in left.items()
+                if not held[view] and len(pairs) > share
+            }
         return held, alone
 
     def _rolled(
@@ -189,6 +200,16 @@ class Holder:
             view: index of the view's pose for both arms.
             enough: number of results at which the search ends; it may return more.
         """
+        joints, pairs_found = self._pairs(source, detector, view), []
+        for start in range(0, len(joints), PAIRS_AT_ONCE):
+            part = joints[start : start + PAIRS_AT_ONCE]
+            pairs_found.append(part[self._cross.clear(part, self.least_mm)])
+            if sum(map(len, pairs_found)) >= enough:
+                break
+        return np.vstack([joints[:0], *pairs_found])
+
+    def _pairs(self, source: Configurations, detector: Configurations, view: int) -> Floats:
+        """Return all pairs of configurations of a view that the arms can bear, (m, n)."""
         a, b = (
             self._borne(c.joints[slice(*np.searchsorted(c.pose, (view, view + 1)))], arm)
             for arm, c in enumerate((source, detector))
@@ -196,10 +217,4 @@ class Holder:
         # Diagonal order, so that no configuration has to wait for all pairs of another.
         i, j = np.indices((len(a), len(b))).reshape(2, -1)
         order = np.argsort(i + j, kind="stable")
-        joints, pairs_found = np.hstack([a[i[order]], b[j[order]]]), []
-        for start in range(0, len(joints), PAIRS_AT_ONCE):
-            part = joints[start : start + PAIRS_AT_ONCE]
-            pairs_found.append(part[self._cross.clear(part, self.least_mm)])
-            if sum(map(len, pairs_found)) >= enough:
-                break
-        return np.vstack([joints[:0], *pairs_found])
+        return np.hstack([a[i[order]], b[j[order]]])

@@ -74,7 +74,7 @@ def poses_of(
     u, v = panel_axes(directions)
     sources, panels = isocentre_mm + sod_mm * directions, isocentre_mm - odd_mm * directions
     geometry = ScanGeometry(sources, panels, u, v, panel)
-    return TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
+    return TargetPoses.of(geometry)
 
 
 def check_reach_request(directions: int, sod_mm: Sequence[float], odd_mm: float) -> None:
