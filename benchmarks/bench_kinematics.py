@@ -69,7 +69,7 @@ def drawn_joints(builder, count, rng):
             middle - rng.uniform(*RADII_MM, size) * directions,
             *(u, v, builder.scenario.detector.panel),
         )
-        poses = TargetPoses.of(geometry.source_poses(), geometry.detector_poses())
+        poses = TargetPoses.of(geometry)
         of_arms = holder.alone(poses.source, 0), holder.alone(poses.detector, 1)
         for view in range(len(poses)):
             pairs = holder.pairs(*of_arms, view, 16)

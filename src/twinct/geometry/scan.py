@@ -148,7 +148,7 @@ class ScanGeometry:
         z = z / np.linalg.norm(z, axis=1, keepdims=True)
         x = self.u - _dot(self.u, z)[:, None] * z
         x /= np.linalg.norm(x, axis=1, keepdims=True)
-        y: Floats = np.cross(z, x)
+        y = np.asarray(np.cross(z, x), np.float64)
         return _matrices(self.source, x, y, z)
 
     def detector_matrices(self) -> Floats:
