@@ -144,9 +144,9 @@ class ScanGeometry:
 
     def source_matrices(self) -> Floats:
         """Return the matrices of ``source_poses``, (views, 4, 4), mm."""
-        z = self.detector - self.source
-        z = z / np.linalg.norm(z, axis=1, keepdims=True)
-        x = self.u - _dot(self.u, z)[:, None] * z
+        z: Floats = self.detector - self.source
+        z /= np.linalg.norm(z, axis=1, keepdims=True)
+        x: Floats = self.u - _dot(self.u, z)[:, None] * z
         x /= np.linalg.norm(x, axis=1, keepdims=True)
         y = np.asarray(np.cross(z, x), np.float64)
         return _matrices(self.source, x, y, z)
