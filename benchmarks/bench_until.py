@@ -23,7 +23,7 @@ from random_scans import SPAN_MM, RandomScan, _measured
 from twinct.evaluation.region_voxels import whole
 from twinct.geometry import Panel, ScanGeometry, VolumeGrid, fibonacci_directions
 from twinct.recon import Projector, fast
-from twinct.runs.sweep_test import relative_change
+from twinct.runs.early_end import relative_change
 from twinct.trajectory import ends_of_sweeps, in_sweeps
 
 VIEWS, FIRST, SIZE = 384, 24, 48

@@ -16,8 +16,9 @@ from twinct import needs, run, simulate, verify
 from twinct.core.errors import DamagedError, InputError, ScenarioError
 from twinct.evaluation.region_voxels import whole
 from twinct.observers.events import Said
-from twinct.runs.sweep_test import relative_change
+from twinct.runs.early_end import relative_change
 from twinct.scan import ScanStore, SimulationBuilder
+from twinct.scan.status import status_file
 from twinct.scan.sweeps import SWEEPS
 from twinct.scenario import Scenario
 from twinct.trajectory import ends_of_sweeps, farthest_first, in_sweeps
@@ -157,6 +158,16 @@ def test_a_changed_end_is_damage_and_a_resumed_scan_finds_it_again(
     assert any("sweeps.json" in problem for problem in verify(tmp_path / "out").problems)
     run(scenario, tmp_path / "out", link="local", resume=True)
     assert record.read_bytes() == intact
+
+
+def test_a_view_lost_at_the_end_of_a_sweep_is_taken_again(tiny: Tiny, tmp_path: Path) -> None:
+    """Its sweep is not compared anew, as the scan has a gap there."""
+    scenario = tiny(*KEYS, NEVER)
+    made = run(scenario, tmp_path / "out", link="local")
+    (made.paths.scan / SWEEPS).unlink()
+    (made.paths.scan / status_file(16)).unlink()
+    again = run(scenario, tmp_path / "out", link="local", resume=True)
+    np.testing.assert_array_equal(again.scan.transmission, made.scan.transmission)
 
 
 def test_other_criteria_are_other_scans(tiny: Tiny, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from twinct.core.extras import require
 from twinct.geometry.wire import Reached
 from twinct.observers import Audience, JointSample, Observers, PlanMade, ViewStored, audience_of
 from twinct.runs.checks import check_physics
-from twinct.runs.sweep_test import SweepTest
+from twinct.runs.early_end import EarlyEnd
 from twinct.scan import (
     LocalRig,
     Rig,
@@ -32,6 +32,7 @@ from twinct.scan import (
     acquire,
     image_digests,
     local_rig,
+    never,
 )
 from twinct.scenario import Scenario, as_scenario
 from twinct.xray import prepare_engine
@@ -147,8 +148,8 @@ def simulate(
             step()
 
         taken = _HeldScan(builder, images, states)
-        test = SweepTest(scenario, views_to_take, taken, audience)
-        acquire(rig, builder.targets, keep, enough=test.enough)
+        end = EarlyEnd(scenario, views_to_take, taken, audience)
+        acquire(rig, builder.targets, keep, enough=end.enough)
     return taken.read()
 
 
@@ -207,7 +208,7 @@ def acquire_to_store(
         step()
 
     with audience_of(observers) as audience:
-        test = SweepTest(scenario, len(targets), stored, audience)
+        end = EarlyEnd(scenario, len(targets), stored, audience)
         for views in missing:  # several ranges only if views were damaged
             state = stored.state_before(views.start)
             with ExitStack() as stack:
@@ -219,8 +220,10 @@ def acquire_to_store(
                     rig.listen(audience.tell)
                 if views is missing[0]:
                     audience.tell(PlanMade(scenario, builder.commanded_poses, builder.followed))
+                # Among views that are taken again, none ends the scan.
+                enough = end.enough if views.stop == len(targets) else never
                 wanted = targets[: views.stop]
-                acquire(rig, wanted, keep, first=views.start, watch=watch, enough=test.enough)
+                acquire(rig, wanted, keep, first=views.start, watch=watch, enough=enough)
     return stored.complete()
 
 

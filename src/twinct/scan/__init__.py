@@ -1,6 +1,6 @@
 """Acquisition: the rig protocol, the rig in one process, the scan and its store."""
 
-from twinct.scan.acquire import Stopwatch, acquire
+from twinct.scan.acquire import Stopwatch, acquire, never
 from twinct.scan.builder import SimulationBuilder
 from twinct.scan.damage import frame_damage, unknown_files, view_damage
 from twinct.scan.data import Scan, View
@@ -47,6 +47,7 @@ __all__ = [
     "free_geometry_name",
     "line_integrals",
     "local_rig",
+    "never",
     "named_geometries",
     "save_scan",
     "scenario_in",

@@ -26,6 +26,12 @@ class Stopwatch:
     simulated_s: float = 0.0
 
 
+def never(taken: int) -> bool:
+    """Return False: a scan ends with its last view."""
+    del taken
+    return False
+
+
 def acquire(
     rig: Rig,
     targets: Sequence[PosePairs],
@@ -33,7 +39,7 @@ def acquire(
     *,
     first: int = 0,
     watch: Stopwatch | None = None,
-    enough: Callable[[int], bool] = lambda _: False,
+    enough: Callable[[int], bool] = never,
 ) -> None:
     """Move to each view, expose it, and wait for ``keep`` before requesting the next view.
 

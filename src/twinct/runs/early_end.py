@@ -35,7 +35,7 @@ class GrowingScan(Protocol):
 
 
 @dataclass
-class SweepTest:
+class EarlyEnd:
     """Comparison of the volume after each sweep with that of half the views.
 
     Attributes:
