@@ -1,5 +1,6 @@
 """View planning: objectives over a region, and the choice of views among candidates."""
 
+from twinct.view_planning.exact_choice import Choice, covered_share, exact_choice
 from twinct.view_planning.exposure import best_exposures
 from twinct.view_planning.family import Tuned, best_parameters
 from twinct.view_planning.goals import Goal, worth_of
@@ -15,13 +16,6 @@ from twinct.view_planning.objectives.motion_time import PathTime, TourTime
 from twinct.view_planning.objectives.variance import KnownShare, prior_covariance
 from twinct.view_planning.prices import has_limit
 from twinct.view_planning.search import Searched, search_views
-from twinct.view_planning.selection import (
-    Choice,
-    covered_share,
-    exact_choice,
-    exchanged,
-    greedy_choice,
-)
 
 __all__ = [
     "Choice",
@@ -42,8 +36,6 @@ __all__ = [
     "crossed_planes",
     "detectability_of",
     "exact_choice",
-    "exchanged",
-    "greedy_choice",
     "has_limit",
     "local_completeness",
     "metal_paths",

@@ -88,6 +88,7 @@ def best_added(
     number: int,
     chosen: Sequence[int],
     instead_of: Sequence[int] | None = None,
+    without: Sequence[int] = (),
 ) -> tuple[int | None, float]:
     """Return the best view to add to a choice, and the sum of the goals with it.
 
@@ -98,6 +99,7 @@ def best_added(
         chosen: views chosen so far.
         instead_of: choice that the new one replaces. The new choice must reach every lower limit,
             or else at least the value of the old choice.
+        without: candidates that may not be added.
 
     Returns:
         None and -inf if no view keeps the limits.
@@ -108,6 +110,7 @@ def best_added(
     for goal in goals:
         if goal.at_most is not None:
             may &= goal.room(number, chosen, free)
+    may[list(without)] = False
     views = np.flatnonzero(may).tolist()
     if not views:
         return None, -np.inf

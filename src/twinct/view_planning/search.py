@@ -1,10 +1,12 @@
-"""Choice of views among many candidates for several goals: greedy, then by exchange.
+"""Choice of views among many candidates for several goals: greedy, then by iterated exchange.
 
 The greedy phase adds one view after the other, each time the view with the largest gain. The
-exchange phase replaces each view in turn by the best of all candidates, until a round changes
-nothing. Goals with limits also get prices; otherwise cheap views would be left for the end, which
-no exchange of a single view could change. Every step depends only on the step before, so that a
-search can be resumed.
+exchange phase replaces each view in turn by the best of all candidates. When no exchange helps,
+some random views of the best choice so far give way to others, and the exchange starts again
+(iterated local search: Lourenço, Martin, Stützle, in Handbook of Metaheuristics, 2003). Goals with
+limits also get prices; otherwise cheap views would be left for the end, which no exchange of a
+single view could change. Every step depends only on the step before, so that a search can be
+resumed.
 """
 
 from __future__ import annotations
@@ -21,6 +23,10 @@ from twinct.view_planning.prices import priced
 BETTER = 1e-9
 """Least relative gain of a better choice, so that rounding cannot cause cycles."""
 
+REPLACED = 3
+"""Views that give way when no exchange helps. With 2, 3, 4 and 6 of 12 views, the median of 24
+choices is the optimum (``benchmarks/bench_planning.py --seeds 0 24``)."""
+
 
 @dataclass(frozen=True)
 class Searched:
@@ -28,10 +34,11 @@ class Searched:
 
     Attributes:
         chosen: candidates in the order of their selection.
-        worth: figure of merit after each step, without the prices of limits.
+        worth: figure of merit of the best choice after each step, without the prices of limits.
         place: position of the view to exchange next.
         unchanged: number of successive views without a better exchange.
         priced: whether limits still have their prices.
+        best: best choice that no exchange improved; empty before the first one.
     """
 
     chosen: tuple[int, ...] = ()
@@ -39,6 +46,7 @@ class Searched:
     place: int = 0
     unchanged: int = 0
     priced: bool = True
+    best: tuple[int, ...] = ()
 
 
 Heard = Callable[[Searched], None]
@@ -50,17 +58,17 @@ def search_views(
     number: int,
     *,
     start: Searched | None = None,
-    rounds: int = 3,
+    rounds: int = 5,
     heard: Heard = lambda _: None,
 ) -> Searched:
-    """Choose views by greedy selection and exchange.
+    """Choose views by greedy selection and iterated exchange.
 
     Args:
         goals: goals, whose weighted measures add up.
         candidates: number of candidates, the first ones of the goals' measures.
         number: number of views to choose.
         start: state of an earlier search.
-        rounds: largest number of exchange rounds; limits add a last round without prices.
+        rounds: number of exchange rounds; limits add at most one round without prices.
         heard: callback that receives the state after every step.
 
     Raises:
@@ -81,14 +89,19 @@ def search_views(
         chosen = (*state.chosen, best)
         state = replace(state, chosen=chosen, worth=(*state.worth, worth_of(goals, chosen)))
         heard(state)
-    phases: list[tuple[bool, Sequence[Goal], int]] = [(True, by, number * (1 + rounds))]
-    if rounds and any(one is not goal for one, goal in zip(by, goals, strict=True)):
-        phases.append((False, goals, number * (2 + rounds)))  # uses the slack that prices left
-    for prices, by, most in phases:
-        if state.priced and not prices:
-            state = replace(state, place=0, unchanged=0, priced=False)
-        while state.priced == prices and state.unchanged < number and len(state.worth) < most:
+    while state.priced and len(state.worth) < number * (1 + rounds):
+        if state.unchanged < number:
             state = _exchanged(state, goals, by, candidates, number)
+        else:
+            state = _shaken(state, goals, by, candidates, number)
+        heard(state)
+    if state.priced:
+        best = _better(by, state.chosen, state.best)
+        state = replace(state, chosen=best, place=0, unchanged=0, priced=False, best=())
+    if rounds and any(one is not goal for one, goal in zip(by, goals, strict=True)):
+        # Without prices, exchanges use the slack that these left.
+        while state.unchanged < number and len(state.worth) < number * (2 + rounds):
+            state = _exchanged(state, goals, goals, candidates, number)
             heard(state)
     if problems := [words for goal in goals if (words := _lacking(goal, state.chosen))]:
         raise InputError(problems)
@@ -118,10 +131,39 @@ def _exchanged(
     return replace(
         state,
         chosen=chosen,
-        worth=(*state.worth, worth_of(goals, chosen)),
+        worth=(*state.worth, worth_of(goals, _better(by, chosen, state.best))),
         place=(state.place + 1) % number,
         unchanged=unchanged,
     )
+
+
+def _shaken(
+    state: Searched, goals: Sequence[Goal], by: Sequence[Goal], candidates: int, number: int
+) -> Searched:
+    """Replace random views of the best choice by others, each time the best of the rest."""
+    best = _better(by, state.chosen, state.best)
+    places = np.random.default_rng(len(state.worth)).permutation(number)
+    gone = [best[k] for k in places[:REPLACED]]
+    chosen = tuple(best[k] for k in sorted(places[REPLACED:]))
+    while len(chosen) < number:
+        other, _ = best_added(by, candidates, number, chosen, without=gone)
+        if other is None:  # the limits leave no others
+            chosen = best
+            break
+        chosen = (*chosen, other)
+    worth = (*state.worth, worth_of(goals, best))
+    return replace(state, chosen=chosen, worth=worth, place=0, unchanged=0, best=best)
+
+
+def _better(goals: Sequence[Goal], one: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the better of two choices: that within the lower limits, or with the larger worth."""
+    if not other:
+        return one
+
+    def merit(choice: tuple[int, ...]) -> tuple[bool, float]:
+        return not any(_lacking(goal, choice) for goal in goals), worth_of(goals, choice)
+
+    return one if merit(one) > merit(other) else other
 
 
 def _limits(goals: Sequence[Goal], candidates: int, number: int) -> None:

@@ -75,7 +75,7 @@ class ViewTask(Extensible):
         ge=2,
         le=20_000,
     )
-    rounds: int = setting(2, "Rounds in which each view may be exchanged.", ge=0, le=20)
+    rounds: int = setting(5, "Rounds in which each view may be exchanged.", ge=0, le=100)
     trying: TryingGoal | None = setting(
         None,
         "Favour a small error in the region. Each path of a family is tried: its images, simulated "

@@ -53,6 +53,7 @@ class SearchJournal:
             state["place"],
             state["unchanged"],
             state["priced"],
+            tuple(state.get("best", ())),
         )
         self.generations = data["generations"]
 

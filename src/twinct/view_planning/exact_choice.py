@@ -1,4 +1,4 @@
-"""Choice of views for maximum coverage: greedy with exchange, and exact as a reference.
+"""Exact choice of views for maximum coverage, by integer programming: a reference for searches.
 
 Each candidate covers some elements, such as the planes that it crosses. A choice covers the union
 of the elements of its views. Maximising it for a given number of views is the maximum coverage
@@ -41,52 +41,6 @@ def covered_share(
     return float(weight[covers[list(views)].any(axis=0)].sum() / weight.sum())
 
 
-def greedy_choice(
-    covers: NDArray[np.bool_], number: int, weights: ArrayLike | None = None
-) -> Choice:
-    """Choose one view after the other, each time the first view with the largest gain.
-
-    Args:
-        covers: (candidates, elements).
-        number: number of views, at most the number of candidates.
-        weights: weights of the elements, 0 or more.
-
-    Raises:
-        InputError: fewer candidates than views.
-    """
-    _enough(covers, number)
-    left = _weights(covers, weights).copy()
-    total, chosen = left.sum(), []
-    free = np.ones(len(covers), np.bool_)
-    for _ in range(number):
-        gains = np.where(free, covers @ left, -1.0)
-        best = int(gains.argmax())
-        chosen.append(best)
-        free[best] = False
-        left[covers[best]] = 0.0
-    return Choice(tuple(sorted(chosen)), float(1 - left.sum() / total))
-
-
-def exchanged(covers: NDArray[np.bool_], start: Choice, weights: ArrayLike | None = None) -> Choice:
-    """Exchange single views of a choice, best exchange first, until no exchange covers more."""
-    weight = _weights(covers, weights)
-    total, chosen = weight.sum(), list(start.views)
-    while True:
-        times = covers[chosen].sum(axis=0)
-        covered = weight[times > 0].sum()
-        best, swap = covered * (1 + 1e-12), None
-        for place, view in enumerate(chosen):
-            without = times - covers[view] > 0
-            gains = covers @ np.where(without, 0.0, weight)
-            gains[chosen] = -1.0
-            other = int(gains.argmax())
-            if (gain := weight[without].sum() + gains[other]) > best:
-                best, swap = gain, (place, other)
-        if swap is None:
-            return Choice(tuple(sorted(chosen)), float(covered / total), start.bound)
-        chosen[swap[0]] = swap[1]
-
-
 def exact_choice(
     covers: NDArray[np.bool_],
     number: int,
@@ -107,7 +61,10 @@ def exact_choice(
     Raises:
         InputError: fewer candidates than views, or no choice within the time limit.
     """
-    _enough(covers, number)
+    if not 1 <= number <= len(covers):
+        raise InputError(
+            f"cannot choose {number} of {len(covers)} candidates; choose at least 1 and at most all"
+        )
     weight = _weights(covers, weights)
     kinds, kind = np.unique(covers, axis=1, return_inverse=True)
     worth = np.bincount(kind.ravel(), weight, kinds.shape[1])
@@ -138,10 +95,3 @@ def _weights(covers: NDArray[np.bool_], weights: ArrayLike | None) -> NDArray[np
     if weights is None:
         return np.ones(covers.shape[1])
     return np.asarray(weights, dtype=np.float64)
-
-
-def _enough(covers: NDArray[np.bool_], number: int) -> None:
-    if not 1 <= number <= len(covers):
-        raise InputError(
-            f"cannot choose {number} of {len(covers)} candidates; choose at least 1 and at most all"
-        )
