@@ -107,6 +107,33 @@ def test_arms_find_their_plan_in_a_folder_of_any_name_that_was_moved(tmp_path: P
     assert commanded_views(written.trajectory, written.detector.panel) == found.views
 
 
+def test_a_plan_is_explained_when_it_is_finished(file: Path, tmp_path: Path) -> None:
+    metal = "task.metal={parts: [pin], weight: 1}"
+    plain = plan_views(file, tmp_path / "plan", [metal])
+    found = plan_views(file, tmp_path / "plan", [metal], resume=True, explain=True)
+    assert plain.explained is None and found.explained is not None
+    assert (found.views.source == plain.views.source).all()
+    rows = (tmp_path / "plan" / "explained.csv").read_text().splitlines()
+    assert rows[0].startswith("view,longitude_deg,latitude_deg,completeness added_rel,metal added")
+    assert len(rows) == 1 + len(plain.views)
+    x, y, z = plain.views.source[2]
+    stated = [float(cell) for cell in rows[3].split(",")[1:3]]
+    assert stated == pytest.approx(
+        [np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))], abs=1e-3
+    )
+    assert found.explained.alone["metal"] <= (plain.figures["metal"]["planned"] or 0.0) + 1e-12
+    written = json.loads((tmp_path / "plan" / "plan.json").read_text())
+    assert written["best_alone"] == dict(found.explained.alone)
+    assert (tmp_path / "plan" / "explained.png").stat().st_size > 10_000
+    assert (tmp_path / "plan" / "path.png").stat().st_size > 10_000
+
+
+def test_views_of_a_family_have_no_reasons_of_their_own(file: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--explain: a path of task\.family is chosen as a whole"):
+        plan_views(file, tmp_path / "plan", FAMILY, explain=True)
+    assert not (tmp_path / "plan").exists()
+
+
 def test_detectability_takes_views_across_the_thin_side(file: Path, tmp_path: Path) -> None:
     """The block is 40 mm along x and 120 along y: beams along x have e^1.5 times the photons."""
     found = plan_views(file, tmp_path / "out", [DETECT, "task.completeness.weight=0.05"])

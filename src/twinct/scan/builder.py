@@ -29,7 +29,7 @@ from twinct.uncertainty import TrueCell
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-    from twinct.robots.cell import CellModel, Gap
+    from twinct.robots.cell import CellModel, Gap, Marks
     from twinct.robots.motion import MotionPlan, PursuingSimulation, Shutter
     from twinct.xray import Imager
 
@@ -381,8 +381,22 @@ class SimulationBuilder:
         """Motion plan that the arms follow; None if they solve each target as it comes."""
         return None if self.scenario.motion.scheme == "reactive" else self.plan
 
-    def draw(self, path: str | Path, view: int, width: int = 1600, height: int = 1000) -> None:
-        """Write a picture (PNG) of the room at one view; width and height in pixels.
+    def draw(
+        self,
+        path: str | Path,
+        view: int,
+        width: int = 1600,
+        height: int = 1000,
+        marks: Marks | None = None,
+    ) -> None:
+        """Write a picture (PNG) of the room at one view.
+
+        Args:
+            path: file to write.
+            view: the view.
+            width: pixels.
+            height: pixels.
+            marks: marks in addition to the cell.
 
         Raises:
             MissingExtraError: MuJoCo is not installed.
@@ -397,10 +411,11 @@ class SimulationBuilder:
             place, poses = specimen.world_from_specimen, self.commanded_poses[view]
             room = build_gantry(cell, specimen.surface(), place, panel, *poses)
             paint_specimen(room, specimen.colour)
-            render_cell(room, Path(path), None, width, height)
+            render_cell(room, Path(path), None, width, height, marks)
         else:
             assert self.plan is not None
-            render_cell(self.room, Path(path), self.plan.joints[view], width, height)
+            joints = self.plan.joints[view]
+            render_cell(self.room, Path(path), joints, width, height, marks)
 
     @cached_property
     def true_cell(self) -> TrueCell | None:

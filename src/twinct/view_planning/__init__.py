@@ -15,6 +15,7 @@ from twinct.view_planning.objectives.metal_paths import metal_paths, spectral_sh
 from twinct.view_planning.objectives.motion_time import PathTime, TourTime
 from twinct.view_planning.objectives.variance import KnownShare, prior_covariance
 from twinct.view_planning.prices import has_limit
+from twinct.view_planning.reasons import Reason, best_alone, reasons_of
 from twinct.view_planning.search import Searched, search_views
 
 __all__ = [
@@ -25,10 +26,12 @@ __all__ = [
     "Mean",
     "Measure",
     "PathTime",
+    "Reason",
     "Searched",
     "Task",
     "TourTime",
     "Tuned",
+    "best_alone",
     "best_exposures",
     "best_parameters",
     "KnownShare",
@@ -40,6 +43,7 @@ __all__ = [
     "local_completeness",
     "metal_paths",
     "plane_normals",
+    "reasons_of",
     "search_views",
     "spectral_shift",
     "starved_share",

@@ -22,6 +22,7 @@ from twinct.core.progress import SILENT, Progress
 from twinct.core.threads import limit_threads
 from twinct.geometry import Floats, ScanGeometry
 from twinct.observers import Observers, audience_of
+from twinct.robots.cell import path_marks, tell_if_undrawable
 from twinct.robots.motion import save_plan
 from twinct.scan import SimulationBuilder
 from twinct.scenario import (
@@ -34,7 +35,7 @@ from twinct.scenario import (
 )
 from twinct.trajectory import OrbitSettings, farthest_first, write_views
 from twinct.view_planning import Goal, Searched, has_limit, search_views
-from twinct.view_plans import trial
+from twinct.view_plans import explained, trial
 from twinct.view_plans.candidates import (
     candidates_of,
     orbit_of,
@@ -54,6 +55,7 @@ from twinct.workers.cluster import RayPool
 SEARCH, VIEWS, SCENARIO, JOINTS = "search.json", "views.csv", "planned.yaml", "plan.npz"
 RESULT, PICTURE, LOCK = "plan.json", "plan.png", "plan.lock"
 TRIED = (trial.FOLDER, trial.PICTURE)
+EXPLAINED = (explained.TABLE, explained.PICTURE, explained.ROOM)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +73,7 @@ class ViewPlan:
         scouted: pose of the patient from scout views; None: the scenario's pose.
         tried: error of the volume in the region for each set of views, relative to the reference's
             attenuation; None: no images were made.
+        explained: reasons for each view; None: not requested.
     """
 
     views: ScanGeometry
@@ -81,6 +84,7 @@ class ViewPlan:
     clearance_mm: float | None
     scouted: Scouted | None = None
     tried: Mapping[str, float] | None = None
+    explained: explained.Explanation | None = None
 
 
 @kinds_checked
@@ -91,6 +95,7 @@ def plan(
     *,
     scout: str | Path | None = None,
     try_views: bool = False,
+    explain: bool = False,
     resume: bool = False,
     address: str | None = None,
     jobs: int | None = None,
@@ -105,6 +110,7 @@ def plan(
         overrides: changes ``KEY=VALUE`` to the scenario.
         scout: run of a few views to which the specimen is registered first.
         try_views: simulate images of the planned views and of the scenario's path.
+        explain: write why each view was chosen and what was given up.
         resume: continue an interrupted search.
         address: address of Ray; ``local`` starts Ray on this machine; None: local processes.
         jobs: number of processes; None: as many as there are threads.
@@ -126,6 +132,7 @@ def plan(
             overrides,
             scout=None if scout is None else Path(scout),
             try_views=try_views,
+            explain=explain,
             resume=resume,
             pool=pool,
             progress=audience,
@@ -158,6 +165,7 @@ def plan_views(
     *,
     scout: Path | None = None,
     try_views: bool = False,
+    explain: bool = False,
     resume: bool = False,
     pool: Pool | None = None,
     progress: Progress = SILENT,
@@ -174,6 +182,8 @@ def plan_views(
             contains the resulting pose.
         try_views: simulate images of the planned views and of the scenario's path, as by a gantry,
             reconstruct both, and report the errors.
+        explain: write why each view was chosen and what was given up (explained.csv and .png), and
+            a picture of the path in the room (path.png).
         resume: continue an interrupted search.
         pool: processes that check reach and judge paths of a family, with the same results; None:
             this process.
@@ -192,7 +202,12 @@ def plan_views(
         raise InputError(
             f"{_file_of(source)}: the section task is missing; it sets the goals of the views"
         )
-    check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK, *TRIED})
+    if explain and task.family is not None:
+        raise InputError(
+            "--explain: a path of task.family is chosen as a whole, so that its views have no "
+            "reasons of their own; plan without task.family, or without --explain"
+        )
+    check_folder(out, {SEARCH, VIEWS, SCENARIO, JOINTS, RESULT, PICTURE, LOCK, *TRIED, *EXPLAINED})
     with storage_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with sole_owner(out / LOCK), ExitStack() as stack:
@@ -233,11 +248,20 @@ def plan_views(
                 "planned": (chosen, choice.mas),
             }
             errors = tried(builder, every, out, progress)
+        centre = np.asarray(orbit.isocentre_mm)
+        reasons = None
+        if explain:
+            reasons = explained.explained(choice.goals, within.source - centre, choice.chosen)
+            explained.write_explanation(out, reasons)
+            labels = {goal.name: task.label(goal.name) for goal in choice.goals}
+            explained.draw_explanation(
+                out / explained.PICTURE, scenario.name, reasons, choice.goals, figures, labels
+            )
+            _draw_path(out, progress)
         plan = ViewPlan(
-            chosen, figures, len(all_views), len(within), scan_s, clearance, seen, errors
+            chosen, figures, len(all_views), len(within), scan_s, clearance, seen, errors, reasons
         )
         write_json(out / RESULT, _plan_data(plan, choice))
-        centre = np.asarray(orbit.isocentre_mm)
         draw_view_plan(
             out / PICTURE,
             scenario.name,
@@ -269,6 +293,7 @@ class _Choice:
         extras: further entries of plan.json.
         section: the trajectory of the views; None: they are written to a file.
         mas: mAs of each view, (views,); None: the source's.
+        chosen: the chosen candidates within reach, in the order of ``views``; empty for a family.
     """
 
     views: ScanGeometry
@@ -278,6 +303,7 @@ class _Choice:
     extras: Mapping[str, Any]
     section: OrbitSettings | None = None
     mas: Floats | None = None
+    chosen: Sequence[int] = ()
 
 
 def _chosen(
@@ -313,7 +339,7 @@ def _chosen(
         data["exposure"] = {"mas": mas.tolist(), "at_equal_mas": shared.equal}
         for name, value in shared.figures.items():
             figures[name]["planned"] = value
-    return _Choice(within[chosen], goals, figures, choice.worth, data, mas=mas)
+    return _Choice(within[chosen], goals, figures, choice.worth, data, mas=mas, chosen=chosen)
 
 
 def _tuned(
@@ -386,6 +412,19 @@ def _driven(
     return plan.duration_s, float(plan.clearance_mm.min())
 
 
+def _draw_path(out: Path, progress: Progress) -> None:
+    """Draw the room with the planned path of the source, in the order in which it is driven."""
+    if tell_if_undrawable(progress):
+        return
+    builder = SimulationBuilder(load_scenario(out / SCENARIO))
+    sources = builder.commanded.source
+    order = np.arange(len(sources))
+    if builder.plan is not None:
+        order = np.argsort(builder.plan.exposures_s)
+    middle = int(order[len(order) // 2])
+    builder.draw(out / explained.ROOM, middle, marks=path_marks(sources[order]))
+
+
 def _plan_data(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
     """Return the content of plan.json."""
     seen = plan.scouted
@@ -415,4 +454,5 @@ def _plan_data(plan: ViewPlan, choice: _Choice) -> dict[str, Any]:
         "scan_s": plan.scan_s,
         "clearance_mm": plan.clearance_mm,
         "region_rmse_rel": plan.tried and dict(plan.tried),
+        "best_alone": plan.explained and dict(plan.explained.alone),
     }

@@ -13,6 +13,7 @@ from twinct.cli.arguments import Flag, Overrides, ScenarioFile, Threads
 from twinct.cli.progress import on_terminal
 from twinct.cli.scenario_at import scenario_at
 from twinct.core.foreign_text import counted
+from twinct.scenario import ViewTask
 from twinct.view_plans import planner
 
 
@@ -22,6 +23,7 @@ def plan(
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")],
     scout: Annotated[Path | None, tyro.conf.arg(metavar="RUN")] = None,
     try_views: Annotated[Flag, tyro.conf.arg(name="try")] = False,
+    explain: Flag = False,
     address: Annotated[str | None, tyro.conf.arg(metavar="auto|local|HOST:PORT")] = None,
     jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None,
     resume: Flag = False,
@@ -37,6 +39,9 @@ def plan(
         scout: Run of a few views, used to locate the specimen before planning.
         try_views: Simulate images of the planned views and of the scenario's path, and compare
             the volumes in tried.png.
+        explain: Write why each view was chosen and what was given up (explained.csv and
+            explained.png), and draw the path in the room (path.png). With --resume, for a finished
+            plan, too.
         address: Address of Ray; local starts Ray on this machine. Default: local processes.
         jobs: Processes that search for reachable views and evaluate paths of a family (default: as
             many as there are threads).
@@ -49,6 +54,7 @@ def plan(
             set_,
             scout=scout,
             try_views=try_views,
+            explain=explain,
             resume=resume,
             address=address,
             jobs=jobs,
@@ -74,6 +80,8 @@ def plan(
         console.print(
             f"registering {seen.views} scout views moved the specimen by {moved}", highlight=False
         )
+    if plan.explained is not None:
+        _explain(console, plan, loaded.task)
     if plan.tried is not None:
         names = {
             "planned": "planned",
@@ -88,3 +96,23 @@ def plan(
         console.print(motion, highlight=False)
     written = out / planner.SCENARIO
     console.print(f"wrote {out}; twinct run {written} takes these views", highlight=False)
+
+
+def _explain(console: Console, plan: planner.ViewPlan, task: ViewTask) -> None:
+    """Print what was given up, and the views that matter most and least."""
+    found = plan.explained
+    assert found is not None
+    for name, best in found.alone.items():
+        label, planned = task.label(name), plan.figures[name]["planned"]
+        said = f"{label}: {planned:.4g} planned, {best:.4g} if this goal alone counted"
+        console.print(said, highlight=False)
+    ranked = sorted(range(len(found.reasons)), key=lambda view: -found.reasons[view].worth)
+    for words, view in (("most", ranked[0]), ("least", ranked[-1])):
+        reason, (longitude, latitude) = found.reasons[view], found.directions_deg[view].tolist()
+        adds = reason.adds.items()
+        changes = ", ".join(f"{name} {100 * by:+.2f} %" for name, by in adds)
+        console.print(
+            f"view {view} (longitude {longitude:.0f}, latitude {latitude:.0f} deg) adds {words}: "
+            f"{changes} (of the figure of evenly spread views)",
+            highlight=False,
+        )

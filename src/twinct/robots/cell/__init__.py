@@ -16,6 +16,7 @@ from twinct.robots.cell.render import (
     check_drawing,
     check_picture_size,
     paint_specimen,
+    path_marks,
     render_cell,
     room_pictures,
     tell_if_undrawable,
@@ -57,6 +58,7 @@ __all__ = [
     "render_cell",
     "require_free_way",
     "room_pictures",
+    "path_marks",
     "tell_if_undrawable",
     "whole_camera",
 ]

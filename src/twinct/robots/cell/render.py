@@ -75,6 +75,19 @@ class Marks:
     line_rgba: tuple[float, float, float, float] = BEAM_RGBA
 
 
+def path_marks(sources: Floats) -> Marks:
+    """Return marks of a path: its source positions, from dark to light, and the lines between them.
+
+    Args:
+        sources: positions of the source in their order, (views, 3), mm.
+    """
+    from matplotlib import colormaps
+
+    colours = colormaps["viridis"](np.linspace(0, 1, len(sources)))
+    lines = np.stack([sources[:-1], sources[1:]], axis=1)
+    return Marks(points=sources, colours=colours, radius_mm=7, lines=lines)
+
+
 @dataclass(frozen=True, eq=False)
 class PictureContent:
     """Content of one picture in a series.
