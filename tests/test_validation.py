@@ -138,7 +138,9 @@ def _twinct(arguments: list[str]) -> None:
         assert re.fullmatch(r"out/\w+", scenario) and not rest
         assert any(f"--out {scenario}" in command for command in COMMANDS)
         return
-    assert command in ("run", "check", "reach", "uncertainty")
+    if command == "plan":
+        assert rest.pop(-2) == "--out" and rest.pop().startswith("out/")
+    assert command in ("run", "check", "reach", "uncertainty", "plan")
     flags = {("reach", "--connected"), ("run", "--link=ros2"), ("check", "--time")}
     rest = [word for word in rest if (command, word) not in flags]
     load_scenario(_file(scenario), rest[1::2])
