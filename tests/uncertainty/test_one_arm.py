@@ -29,7 +29,9 @@ def test_each_arm_sags_by_its_own_compliance(cell: CellModel) -> None:
     scan = NominalScan.of_arms(chains, STRETCHED, 0 * STRETCHED, np.zeros(1))
     poses = [Pose.from_matrix(m[0, :3, 3], m[0, :3, :3]) for m in scan.poses]
     true = TrueCell(asked, 1, 2, chains)
-    real = true.at(PosePairs.at(*poses, Pose.identity()), 0, 0.0, STRETCHED[0], 0 * STRETCHED[0])
+    real = true.at(
+        PosePairs.at(poses[0], poses[1], Pose.identity()), 0, 0.0, STRETCHED[0], 0 * STRETCHED[0]
+    )
     for chain, own, windup_deg in zip(chains, real[0], (0.2, 0.05), strict=True):
         joints = STRETCHED[0, : len(chain)]
         turn = np.radians(windup_deg) * chain.gravity_torques(joints) / chain.torque_limits
