@@ -1,4 +1,4 @@
-"""Cost of servos in the image: clocks apart, and joints that vibrate, beside exact arms.
+"""Cost of servos in the image: clocks apart, and joints that vibrate or sag, beside exact arms.
 
     python benchmarks/bench_servo.py [--scenario demo]
 
@@ -24,6 +24,8 @@ CASES: dict[str, list[str]] = {
     "clock 1 ms": ["uncertainty.servos.source.clock_ms=1"],
     "clock 5 ms": ["uncertainty.servos.source.clock_ms=5"],
     "clock 20 ms": ["uncertainty.servos.source.clock_ms=20"],
+    "sag": ["uncertainty.arms.windup_deg=0.1"],
+    "sag of the source arm": ["uncertainty.arms.source.windup_deg=0.1"],
     "9 Hz, moving": VIBRATES,
     "9 Hz, settled": [*VIBRATES, "motion.trigger=settled"],
     "9 Hz, settled, 1 s": [*VIBRATES, "motion.trigger=settled", "motion.settle_s=1.0"],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import re
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from dataclasses import replace
@@ -24,11 +23,12 @@ from waiting import HANG_S, until
 from twinct.cli import run_command
 from twinct.cli.commands.drive import drive
 from twinct.core.errors import InputError, StorageError
-from twinct.link.driving import Drive, DriveSettings, names_of
+from twinct.link.driving import QUIET_S, Drive, DriveSettings, names_of
 from twinct.link.follow import ControllerError, courses
 from twinct.link.participant import Station
 from twinct.link.recording.bag import Bag
 from twinct.link.recording.drive_file import DriveFile
+from twinct.link.stamps import Stamp
 from twinct.robots.motion import Gate, MotionPlan, gate_of
 from twinct.robots.programs import Program, program_of
 from twinct.scan import SimulationBuilder
@@ -89,19 +89,26 @@ class Run:
         self._scenario, self._program = scenario, program
         self.gate = gate_of(SimulationBuilder(scenario).cell, scenario.motion)
 
-    def __call__(self, *, speed: float = 1.0, clock: Any = None, **choices: Any) -> Drive:
+    def drive_of(
+        self, *, speed: float = 1.0, clock: Any = None, now_ns: Any = None, **choices: Any
+    ) -> Drive:
         parts = courses(self._program, ACTIONS, speed)
         names = names_of(parts, self._program.plan.joint_names)
         file = DriveFile(self.path, self._scenario, self._program.plan, names)
-        further = {} if clock is None else {"clock": clock}
+        given = {"clock": clock, "now_ns": now_ns}
+        further = {name: of for name, of in given.items() if of is not None}
         choices = {"patience_s": HANG_S, "delay_s": HANG_S} | choices
-        drive = self.drive = Drive(
+        self.drive = Drive(
             self.station, parts, DriveSettings(**choices), file, self.gate, **further
         )
+        return self.drive
+
+    def __call__(self, **choices: Any) -> Drive:
+        drive = self.drive_of(**choices)
         try:
             drive.run()
         finally:
-            file.close()
+            drive._file.close()
         return drive
 
     def recorded(self) -> tuple[dict[str, int], dict[str, str]]:
@@ -171,10 +178,79 @@ def test_a_controller_that_goes_on_is_named(arms, run) -> None:
     assert f"{ACTIONS[0]} did not confirm the stop: stop this arm by hand" in run.drive.notes
 
 
-def test_stamps_that_run_backwards_are_named(arms, run) -> None:
-    arms(0, stamps=-1), arms(1)
+class SetBack:
+    """Clock that is set back while an arm moves, or while it rests."""
+
+    def __init__(self, by_s: float, *, moving: bool) -> None:
+        self._by_s, self._moving, self._told = by_s, moving, 0
+
+    def __call__(self, true_s: float) -> float:
+        moves = true_s > 1e6  # a goal's start is a date
+        self._told += moves == self._moving
+        return true_s - (self._by_s if self._told > 5 and moves == self._moving else 0)
+
+
+def test_a_stamp_that_comes_a_little_late_is_named(arms, run) -> None:
+    arms(0, clock=SetBack(0.004, moving=True)), arms(1)
     drive = run()
-    assert re.match(r"\d{3,} messages on /joint_states have stamps that do not", drive.notes[-1])
+    assert drive.notes[-1].startswith("2 messages on /joint_states have stamps that do not")
+
+
+def test_a_clock_that_is_set_back_stops_both_arms(arms, run) -> None:
+    both = arms(0, does="silent", clock=SetBack(3.0, moving=True)), arms(1, does="silent")
+    with pytest.raises(ControllerError, match=r"left_shoulder_pan_joint .* back by 2.99. s: the"):
+        run()
+    for arm in both:
+        until(arm.cancelled.is_set, "the cancelling of both arms")
+    counts, end = run.recorded()
+    assert counts["/joint_states"] > 200  # nothing that came is lost
+    assert "was set back" in end["ended"]
+
+
+def test_a_clock_that_is_set_back_at_rest_sends_nothing(arms, run) -> None:
+    both = arms(0, clock=SetBack(3600.0, moving=False)), arms(1)
+    with pytest.raises(InputError, match=r"went back by .* nothing was sent"):
+        run()
+    assert not any(arm.goals for arm in both)
+
+
+@pytest.mark.parametrize("by_s", [-3600, 3600])
+def test_the_patience_of_a_drive_is_no_date(arms, run, by_s: int) -> None:
+    """The clock of this machine is set back or forward once the goals are sent."""
+    left, _ = arms(0, does="silent"), arms(1)
+    now, date_ns = [0.0], [0]
+
+    def clock() -> float:
+        # Time passes only once both have accepted the plan, a second at a look.
+        now[0] += 1.0 if all(part.result for part in run.drive._parts) else 0.0
+        return now[0]
+
+    def now_ns() -> int:
+        date_ns[0] += 2_000_000_000 * 1_000_000_000 if not date_ns[0] else by_s * 1_000_000_000
+        return date_ns[0]
+
+    with pytest.raises(ControllerError, match=rf"{ACTIONS[0]} stopped half-way: it has no result"):
+        run(clock=clock, now_ns=now_ns)
+    until(left.cancelled.is_set, "the cancelling of the other arm")
+    longest_s = max(part.course.duration_s for part in run.drive._parts)
+    # Until the start, the motion, and three times the patience: result, cancelling, last words.
+    assert HANG_S + longest_s < now[0] < 5 * HANG_S + longest_s
+
+
+def test_who_records_images_hears_them_out_by_a_clock_of_its_own(run) -> None:
+    """A detector whose clock is ahead seems to have sent everything."""
+    now = [0.0]
+
+    def clock() -> float:
+        now[0] += 0.25
+        return now[0]
+
+    drive = run.drive_of(clock=clock, record=("/detector/image",))
+    drive._start = Stamp(1, 0)
+    drive._sent_ns["/detector/image"] = 2**62
+    drive._heard_at["/detector/image"] = np.inf  # and it goes on
+    drive._hear_out()
+    assert now[0] > QUIET_S
 
 
 def test_an_abort_is_named_and_stops_the_other_arm(arms, run) -> None:

@@ -6,8 +6,10 @@ from contextlib import closing
 from types import SimpleNamespace
 
 import pytest
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, JointState, TimeReference
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
@@ -212,6 +214,24 @@ def test_strangers_do_not_disturb_a_scan_and_can_follow_it(disturbed, targets):
         assert [Stamp.of(message.header.stamp) for message in messages] == expected
     assert executed_of(told(disturbed.reached)[0]) == first.executed
     assert disturbed.worked_once
+
+
+def test_no_clock_but_its_own_counts_in_a_scan(disturbed):
+    """Another one jumps; no node of the scan hears it."""
+    stranger = disturbed.stranger
+    clock = stranger.publisher("/clock", Clock)
+    heard = stranger.listen("/clock", Clock, latched=False)
+    for sec in (10**9, 0, 2 * 10**9):
+        clock.publish(Clock(clock=Time(sec=sec)))
+    stranger.until(lambda: any(m.clock.sec == 2 * 10**9 for m in heard))
+    disturbed.take()
+    (mine,) = stranger.node.get_subscriptions_info_by_topic("/clock")
+    assert mine.node_name == "somebody_else"
+    each = disturbed.images, disturbed.reached
+    last = taken(disturbed.next)
+    stranger.until(lambda: all(Stamp.of(m[-1].header.stamp) == last for m in each))
+    assert disturbed.worked_once
+    stranger.node.destroy_publisher(clock)
 
 
 def test_a_repeated_target_is_answered_from_memory(disturbed, targets):

@@ -55,6 +55,26 @@ def test_stamps_that_run_backwards_are_named_and_left_out() -> None:
     assert left.position[:, 1].tolist() == [1, 2, 3, 4]
     (sentence,) = sentences
     assert "1 of 5 readings are left out, the first is 1.500 ms before" in sentence
+    assert track.one_time
+
+
+@pytest.mark.parametrize("back_s", [0.02, 0.5])
+def test_no_image_is_taken_between_two_times_of_one_stamp(back_s: float) -> None:
+    """Wherever an image has a pose, it is the true one; only those about the jump have none."""
+    true_s = np.arange(0, 3, 0.002)
+    set_back = 1.0
+    stamps = np.where(true_s < set_back, true_s, true_s - back_s)
+    rows = path(true_s).tolist()
+    heard = {("left_a", "left_b"): ([round(t * 1e9) for t in stamps], rows)}
+    names = {"left_a": "a", "left_b": "b"}
+    track, _ = track_of(heard, names, ("a", "b"), 0)
+    assert not track.one_time
+    images = np.arange(0.1, 2.9 - back_s, 0.0013)
+    found, _, there = track.at(images)
+    true = path(np.where(images < set_back, images, images + back_s))
+    np.testing.assert_allclose(found[there], true[there], atol=1e-6)
+    lost = images[~there]
+    assert set_back - 0.003 < lost.min() and lost.max() < set_back + 0.003
 
 
 def test_joints_that_nobody_told_of_are_named() -> None:

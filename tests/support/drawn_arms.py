@@ -34,7 +34,7 @@ def deviations(
     section: Uncertainty, chain: Chain, seed: int, side: str, draws: int = 1
 ) -> Deviations:
     """Draw the arms of scans with a seed."""
-    tool = DrawnTool(terms_of(section), side, chain, seed, draws)
+    tool = DrawnTool(terms_of(section, side), side, chain, seed, draws)
     rest = still(chain, side, np.zeros((1, len(chain))))
     shifts, _ = tool.deviations(rest, lambda *_: None)
     links = [shift.links[:, 0] for shift in shifts if shift.links is not None]
@@ -51,7 +51,7 @@ def deviations(
 
 def true_tools(section: Uncertainty, chain: Chain, seed: int, side: str, joints: Floats) -> Floats:
     """Tools of the first of these arms, at rest, without repeatability, (views, 4, 4)."""
-    tool = DrawnTool(terms_of(section), side, chain, seed)
+    tool = DrawnTool(terms_of(section, side), side, chain, seed)
     moved, _ = tool.executed(still(chain, side, joints), lambda *_: None)
     assert moved is not None
     return moved[0]

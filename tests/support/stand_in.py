@@ -51,11 +51,11 @@ class StandIn:
         topic: str = "/joint_states",
         images: tuple[str, Callable[[], list[tuple[float, np.ndarray]]]] | None = None,
         description: str | None = None,
-        stamps: int = 1,
+        clock: Callable[[float], float] = float,
         seed: int = 1,
     ) -> None:
         self.joints, self.home, self.does = list(joints), list(home), does
-        self._stamps = stamps  # -1: they run backwards
+        self._clock = clock  # of the stamps, by the true time
         self.lag_s, self.noise = lag_s, np.radians(noise_deg)
         self.goals: list[Any] = []
         self.cancelled = Event()
@@ -99,8 +99,7 @@ class StandIn:
 
     def _say(self, time_s: float, position: Sequence[float]) -> None:
         message = JointState(name=self.joints, position=list(map(float, position)))
-        time_s = time_s if self._stamps > 0 else 2e9 - time_s % 1e9
-        sec, nanosec = divmod(round(time_s * NANO), NANO)
+        sec, nanosec = divmod(round(self._clock(time_s) * NANO), NANO)
         message.header.stamp.sec, message.header.stamp.nanosec = sec, nanosec
         self._told.publish(message)
 

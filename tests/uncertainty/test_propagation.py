@@ -47,11 +47,11 @@ def told(scan: NominalScan, draws: int, **keys: Any) -> Propagation:
 
 
 TERMS = {
-    "joint offset": {"arms": {"joint_offset_deg": 0.03}},
+    "joint offset": {"arms": {"source": {"joint_offset_deg": 0.03}}},
     "link": {"arms": {"link_mm": 0.2, "link_deg": 0.02}},
     "base": {"arms": {"base_mm": 0.2, "base_deg": 0.02}},
     "tool": {"arms": {"tool_mm": 0.2, "tool_deg": 0.02}},
-    "windup": {"arms": {"windup_deg": 0.2, "windup_spread": 0.2}},
+    "windup": {"arms": {"windup_deg": 0.2, "windup_spread": 0.2, "detector": {"windup_deg": 0.5}}},
     "gear": {"arms": {"gear_deg": 0.02, "gear_periods": 2}},
     "drift": {"arms": {"drift_mm": 0.2, "warm_up_min": 1.0}},
     "ageing": {"arms": {"ageing_mm": 0.1, "ageing_deg": 0.01, "age_months": 6}},

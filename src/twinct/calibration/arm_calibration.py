@@ -49,11 +49,11 @@ def arm_prior(uncertainty: Uncertainty, motion: ToolMotion) -> ArmPrior:
     Raises:
         InputError: the scenario states no errors of links or tools.
     """
-    section, chain = uncertainty.arms, motion.chain
+    section, chain = uncertainty.arms.of(motion.side), motion.chain
     assert chain is not None  # a gantry has no arms to calibrate
     squares = {"base": np.array([PLACED_MM**2] * 3 + [np.radians(PLACED_DEG) ** 2] * 3)}
     squares |= {"links": np.zeros(6), "tool": np.zeros(6)}
-    for term, settings in terms_of(uncertainty):
+    for term, settings in terms_of(uncertainty, motion.side):
         if term.prior is not None:
             for place, sigma in term.prior(settings).items():
                 squares[place] += sigma**2
@@ -90,8 +90,8 @@ def _add_square(squares: dict[str, Floats], spread: Spread) -> None:
 def view_covariance(uncertainty: Uncertainty, motions: Sequence[ToolMotion]) -> Floats:
     """Return the covariance of each view's own errors, by ``resection.PARAMETERS``, (9, 9)."""
     squares = np.zeros((2, 6))
-    for term, settings in terms_of(uncertainty):
-        for own, motion in zip(squares, motions, strict=True):
+    for own, motion in zip(squares, motions, strict=True):
+        for term, settings in terms_of(uncertainty, motion.side):
             for spread in term.spreads(settings, motion):
                 if spread.place == "pose" and spread.length != CONSTANT:
                     own += (by_view(spread) ** 2).mean(axis=0)

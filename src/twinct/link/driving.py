@@ -29,7 +29,7 @@ from twinct.link.messages import ros_message
 from twinct.link.participant import Station
 from twinct.link.recording.drive_file import DriveFile
 from twinct.link.senders import Raw, Sender
-from twinct.link.stamps import Stamp
+from twinct.link.stamps import NANO, Stamp
 from twinct.link.topics import DESCRIPTION, JOINTS, Topic
 from twinct.robots.motion import Gate
 
@@ -137,6 +137,11 @@ class Drive:
         self._heard_at: dict[str, float] = {}
         self._newest: dict[tuple[str, ...], Stamp] = {}
         self._backwards: dict[str, int] = {}
+        self._set_back: str | None = None
+        # A clock that is wrong by more moves a joint of the plan by more than the start may be off.
+        fastest = max(float(np.abs(part.course.state[:, 1]).max()) for part in self._parts)
+        tolerance = float(np.radians(settings.start_tolerance_deg))
+        self._most_back_s = tolerance / fastest if fastest else np.inf
         self._start: Stamp | None = None
         self.notes: list[str] = []
 
@@ -145,14 +150,13 @@ class Drive:
 
         Raises:
             InputError: names, limits or the start do not fit; nothing moved.
-            ControllerError: a controller rejected, aborted, was cancelled or fell silent; the
-                others were cancelled. What was heard is in the file.
+            ControllerError: a controller rejected, aborted, was cancelled or fell silent, or its
+                clock was set back; the others were cancelled. What was heard is in the file.
         """
         try:
             self._find()
             self._check()
-            start = self._send()
-            self._watch(start)
+            self._watch(self._send())
         except BaseException as error:
             self._cancel()
             self._finish(str(error) or type(error).__name__)
@@ -191,7 +195,9 @@ class Drive:
         def over(topic: str) -> bool:
             late_s = 0.0 if topic in self._settings.joint_states else QUIET_S
             quiet_s = self._clock() - max(now, self._heard_at.get(topic, now))
-            return quiet_s > QUIET_S or self._sent_ns.get(topic, 0) > now_ns + late_s * 1e9
+            # A sender's clock may be ahead, so time has to pass here, too.
+            later = self._sent_ns.get(topic, 0) > now_ns + late_s * 1e9
+            return quiet_s > QUIET_S or later and self._clock() - now > late_s
 
         with suppress(KeyboardInterrupt):
             topics = {*self._sent_ns, *(self._settings.record if self.sent else ())}
@@ -247,16 +253,27 @@ class Drive:
             for name, at in {} if self.sent else here.items():
                 self._before.setdefault(name, []).append(float(at))
             names, stamp = tuple(message.name), Stamp.of(message.header.stamp)
-            if stamp <= self._newest.get(names, Stamp(-1, 0)):
+            if stamp <= (newest := self._newest.get(names, Stamp(-1, 0))):
                 self._backwards[topic.name] = self._backwards.get(topic.name, 0) + 1
+                self._check_clock(names, (newest.ns - stamp.ns) / NANO)
             else:
                 self._newest[names] = stamp
+
+    def _check_clock(self, names: tuple[str, ...], back_s: float) -> None:
+        """Note that the stamps of some joints went back so far that their arm loses its time."""
+        ours = [name for part in self._parts for name in part.course.joints if name in names]
+        if ours and back_s > self._most_back_s and self._set_back is None:
+            self._set_back = (
+                f"the stamps of {ours[0]} and others went back by {back_s:.3f} s: the clock of "
+                "their driver was set back, or two drivers state them"
+            )
 
     def _check(self) -> None:
         """Let the motion pass the gate, and check that the arms stand at the start.
 
         Raises:
-            InputError: a joint is unknown or elsewhere, or the gate refuses the motion.
+            InputError: a joint is unknown or elsewhere, a clock was set back, or the gate refuses
+                the motion.
         """
         names = {name for part in self._parts for name in part.course.joints}
         described = [n for n in self._settings.descriptions if self._station.kind_of(n)]
@@ -283,19 +300,22 @@ class Drive:
             tolerance = float(np.radians(self._settings.start_tolerance_deg))
             check_rest(part.course, self._before, tolerance)
             check_start(part.course, self._at, tolerance)
+        if self._set_back is not None:
+            raise InputError(f"{self._set_back}; nothing was sent")
 
-    def _send(self) -> Stamp:
+    def _send(self) -> float:
         """Send all goals, and wait until all are accepted.
 
         Returns:
-            Time at which the motion starts.
+            Time of the clock at which the motion starts.
 
         Raises:
             ControllerError: a controller rejected its goal, or did not answer: one of two, in time
                 for the other to be stopped before it starts.
         """
         alone = len(self._parts) == 1
-        start = stamp_after(self._now_ns(), 0 if alone else self._settings.delay_s)
+        delay_s = 0.0 if alone else self._settings.delay_s
+        start, starts_at = stamp_after(self._now_ns(), delay_s), self._clock() + delay_s
         for part in self._parts:
             fields = part.course.goal(Stamp(0, 0) if alone else start)
             goal = ros_message(self._action.Goal, fields)
@@ -303,7 +323,7 @@ class Drive:
         self._start = start
         patience_s = self._settings.patience_s
         if not alone:
-            patience_s = min(patience_s, (start.ns - self._now_ns()) / 1e9 - NOTICE_S)
+            patience_s = min(patience_s, starts_at - self._clock() - NOTICE_S)
         if not self._wait(lambda: all(part.answer.done() for part in self._parts), patience_s):
             silent = [p.course.action for p in self._parts if not p.answer.done()]
             when = (
@@ -317,19 +337,23 @@ class Drive:
             )
         for part in self._parts:
             part.result = part.answer.result().get_result_async()
-        return start
+        return starts_at
 
-    def _watch(self, start: Stamp) -> None:
+    def _watch(self, starts_at: float) -> None:
         """Wait for all results.
 
+        Args:
+            starts_at: time of the clock at which the motion starts.
+
         Raises:
-            ControllerError: a goal failed, or there is no result in time.
+            ControllerError: a goal failed, there is no result in time, or a clock was set back.
         """
         longest = max(part.course.duration_s for part in self._parts)
-        left = (start.ns - self._now_ns()) / 1e9
+        left = starts_at - self._clock()
         self._wait(
             lambda: (
-                all(p.result.done() for p in self._parts)
+                self._set_back is not None
+                or all(p.result.done() for p in self._parts)
                 or any(p.failed or not p.client.server_is_ready() for p in self._parts)
             ),
             max(left, 0) + longest + self._settings.patience_s,
@@ -337,6 +361,8 @@ class Drive:
         for part in self._parts:
             if why := part.failed:
                 raise ControllerError(f"{part.course.action} {why}")
+        if self._set_back is not None and not all(p.result.done() for p in self._parts):
+            raise ControllerError(f"{self._set_back}; the arms were asked to stop")
         for part in self._parts:
             name = part.course.action
             if not part.result.done():

@@ -28,7 +28,7 @@ from twinct.geometry import Pose
 from twinct.geometry.wire import PosePairs, Reached
 from twinct.link.recording.arms_recording import ArmsRecording
 from twinct.measured.joint_track import JointTrack, track_of
-from twinct.measured.sent_plan import UNFIT, SentPlan
+from twinct.measured.sent_plan import SET_BACK, UNFIT, SentPlan
 from twinct.runs import Folder
 from twinct.scan import ScanStore, SimulationBuilder, line_integrals
 from twinct.scan.encoder_model import EncoderModel
@@ -167,7 +167,8 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
     time_s = images_s[used] - latency_s
     position, speed, _ = track.at(time_s)
     poses = model.poses(position)
-    commanded, drive, unfit = _planned(_sent(heard, track, epoch_ns), time_s, poses)
+    sent = _sent(heard, track, epoch_ns) if track.one_time else None
+    commanded, drive, unfit = _planned(sent, time_s, poses)
     drive["latency_ms"] = 1000 * latency_s
     images = _pixels(paths, choice, fields, set(used.tolist()), panel)
     with storage_errors(out), ExitStack() as stack:
@@ -183,7 +184,7 @@ def import_driven(paths: Sequence[Path], out: Path, choice: ArmsRecording) -> Dr
         _write(store, joints, poses, still, numbers, images)
         folder.write_scenario(scenario)
         write_json(folder.drive, drive)
-    notes = (*notes, *lost, *unfit)
+    notes = (*notes, *lost, *unfit, *(() if track.one_time else (SET_BACK,)))
     return Driven(scenario, 1000 * latency_s, drive["lag_ms"], notes, len(used))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,11 +33,14 @@ class JointReadings:
         joints: names of the joints in the scenario.
         time_s: increasing stamps, since the recording's epoch, (readings,).
         position: rad, (readings, joints).
+        breaks: readings before which the driver's clock was set back; nothing lies between such a
+            reading and the one before it, (breaks,).
     """
 
     joints: tuple[str, ...]
     time_s: Floats
     position: Floats
+    breaks: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Return positions and speeds at some times, by a local cubic, and where there are any.
@@ -51,14 +54,16 @@ class JointReadings:
         """
         position = np.full((len(time_s), len(self.joints)), np.nan)
         speed, there = position.copy(), np.zeros(len(time_s), dtype=bool)
+        bounds = np.concatenate([[0], self.breaks, [len(self.time_s)]])
         for i, t in enumerate(time_s.tolist()):
             after = int(np.searchsorted(self.time_s, t))
-            if not 0 < after < len(self.time_s):
+            begin, end = bounds[np.searchsorted(self.breaks, after, side="right") + np.arange(2)]
+            if not begin < after < end:
                 continue
             if self.time_s[after] - self.time_s[after - 1] > LARGEST_GAP_S:
                 continue
             first, last = np.searchsorted(self.time_s, (t - WINDOW_S / 2, t + WINDOW_S / 2))
-            first, last = min(first, after - 1), max(last, after + 1)
+            first, last = max(min(first, after - 1), begin), min(max(last, after + 1), end)
             since = self.time_s[first:last] - t
             degree = min(DEGREE, len(since) - 1)
             powers = np.vander(since / WINDOW_S, degree + 1, increasing=True)
@@ -78,6 +83,11 @@ class JointTrack:
 
     joints: tuple[str, ...]
     groups: tuple[JointReadings, ...]
+
+    @property
+    def one_time(self) -> bool:
+        """False if a clock was set back, so that one stamp means two times."""
+        return not any(len(group.breaks) for group in self.groups)
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
         """Return positions and speeds of all joints; see ``JointReadings.at``."""
@@ -154,10 +164,16 @@ def track_of(
                 f"{len(good)} readings are left out, the first is {back_ms:.3f} ms before the one "
                 "it follows"
             )
+        # A single reading may be out of order; a clock that was set back leaves out all that come
+        # until it is where it was.
+        late = ~good[1:] & ~good[:-1]
+        set_back = np.concatenate([[False, False], late])[: len(good)] & good
+        breaks = np.flatnonzero(set_back[good])
         position = np.array([[row[i] for i in columns] for row in rows], dtype=np.float64)
         if not np.isfinite(position).all():
             raise InputError(f"a position of {', '.join(stated_names)} is not finite")
-        groups.append(JointReadings(own, (time_ns[good] - epoch_ns) / 1e9, position[good]))
+        time_s = (time_ns[good] - epoch_ns) / 1e9
+        groups.append(JointReadings(own, time_s, position[good], breaks))
     if missing := [name for name in joints if name not in named]:
         there = sorted({name for group in heard for name in group})
         raise InputError(

@@ -20,10 +20,9 @@ from twinct.measured.joint_track import JointTrack
 if TYPE_CHECKING:
     from twinct.robots.motion import MotionPlan
 
-UNFIT = (
-    "the images do not fit the views of the plan one by one: the executed poses also stand for the "
-    "commanded ones"
-)
+NO_VIEWS = "the executed poses also stand for the commanded ones"
+UNFIT = f"the images do not fit the views of the plan one by one: {NO_VIEWS}"
+SET_BACK = f"a driver's clock was set back, so no time tells which view an image shows: {NO_VIEWS}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,9 +71,9 @@ def draw(
     Yields:
         a slice of views, and their draws.
     """
-    views, terms = len(scan.time_s), terms_of(section)
+    views = len(scan.time_s)
     tools = [
-        DrawnTool(terms, side, chain, arms_seed, 1 if tool_model else draws)
+        DrawnTool(terms_of(section, side), side, chain, arms_seed, 1 if tool_model else draws)
         for side, chain in zip(SIDES, scan.chains or (None, None), strict=True)
     ]
     towards, of_views = directions(arms_seed, draws), _AllViews(seed, draws, views)

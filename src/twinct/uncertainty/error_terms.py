@@ -47,6 +47,11 @@ def size(description: str, *, signed: bool = False) -> Any:
 class ErrorSettings(Section):
     """Keys of error terms, in a section of ``uncertainty``."""
 
+    def of(self, side: str) -> ErrorSettings:
+        """Return the settings of the source or the detector, which most errors share."""
+        del side
+        return self
+
     @property
     def sizes(self) -> tuple[float, ...]:
         """Values of the keys that are made by ``size``: without them, nothing deviates."""

@@ -44,7 +44,7 @@ class TrueCell:
         first = 0
         for side, chain in zip(SIDES, chains or (None, None), strict=True):
             own = slice(first, first := first + len(chain or ()))
-            tool = DrawnTool(terms_of(uncertainty), side, chain, arms_seed)
+            tool = DrawnTool(terms_of(uncertainty, side), side, chain, arms_seed)
             self._tools.append((tool, chain, own))
 
     def check(self, views: ScanGeometry) -> None:

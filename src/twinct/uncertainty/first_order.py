@@ -18,7 +18,7 @@ import numpy as np
 from twinct.geometry import Floats
 from twinct.uncertainty.arm_model import carried, derivatives
 from twinct.uncertainty.drawn_tool import by_view, keyed_spreads
-from twinct.uncertainty.error_terms import CONSTANT, Place, Spread
+from twinct.uncertainty.error_terms import CONSTANT, SIDES, Place, Spread
 from twinct.uncertainty.nominal_scan import NominalScan
 from twinct.uncertainty.patient import amplitudes
 from twinct.uncertainty.sections import PoseNoise, Uncertainty
@@ -114,8 +114,8 @@ def _of_terms(
     """Return the effects of all error terms, random and systematic ones."""
     of_views: list[Term] = []
     shared: dict[tuple[str, int], Term] = {}
-    for term, settings in terms_of(section):
-        for side in range(2):
+    for side, whose in enumerate(SIDES):
+        for term, settings in terms_of(section, whose):
             spreads = keyed_spreads(term, settings, scan.motion(side))
             for k, (spread, _) in enumerate(spreads):
                 factor = _of_side(side, _factor(slopes[side][spread.place], spread))

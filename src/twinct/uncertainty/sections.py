@@ -29,7 +29,7 @@ from twinct.core.settings import (
     require_usable,
     setting,
 )
-from twinct.uncertainty.error_terms import ErrorSettings, ErrorTerm, size
+from twinct.uncertainty.error_terms import SIDES, ErrorSettings, ErrorTerm, size
 
 RANDOM_WALK = "accumulated as a random walk"
 DALY = "Daly et al., Med. Phys. 35 (2008) 2124"
@@ -64,12 +64,8 @@ class PoseNoise(Section):
         return self
 
 
-class ArmErrors(ErrorSettings):
-    """Differences between the arms and their controllers' models, drawn once per scan and arm.
-
-    Spreads are standard deviations for each joint and axis. The controller uses its nominal model
-    and the encoders. So do the plan, its clearance and the trigger.
-    """
+class OneArmErrors(ErrorSettings):
+    """Differences between an arm and its controller's model; those left out are of both arms."""
 
     joint_offset_deg: Finite = size("Error of each joint's zero.")
     link_mm: Finite = size(
@@ -93,7 +89,6 @@ class ArmErrors(ErrorSettings):
     gear_deg: Finite = size(
         "Amplitude of each joint's gear error, a sine of the joint angle with a random phase."
     )
-    gear_periods: int = setting(1, "Periods of that sine per turn of the joint.", ge=1)
     rail_mm: Finite = size(
         "Error of the position of a rail's carriage along each axis, in waves along the rail."
     )
@@ -122,13 +117,6 @@ class ArmErrors(ErrorSettings):
     trigger_jitter_ms: Finite = size(
         "Standard deviation of that delay from view to view; both arms share it."
     )
-    seed: int | None = setting(
-        None,
-        "Seed of the errors that are constant in a scan; null: the scenario's seed. It lets "
-        "scans of several seeds use the same arms.",
-        ge=0,
-        lt=2**63,
-    )
 
     @property
     def sizes(self) -> tuple[float, ...]:
@@ -136,7 +124,42 @@ class ArmErrors(ErrorSettings):
         return *super().sizes, (self.ageing_mm + self.ageing_deg) * self.age_months
 
 
-class ArmServo(Section):
+class ArmErrors(OneArmErrors):
+    """Differences between the arms and their controllers' models, drawn once per scan and arm.
+
+    Spreads are standard deviations for each joint and axis. The controller uses its nominal model
+    and the encoders. So do the plan, its clearance and the trigger.
+    """
+
+    gear_periods: int = setting(1, "Periods of the gear errors per turn of the joint.", ge=1)
+    seed: int | None = setting(
+        None,
+        "Seed of the errors that are constant in a scan; null: the scenario's seed. It lets "
+        "scans of several seeds use the same arms.",
+        ge=0,
+        lt=2**63,
+    )
+    source: OneArmErrors | None = setting(
+        None, "Keys of the source arm that differ. null: as both arms."
+    )
+    detector: OneArmErrors | None = setting(
+        None, "Keys of the detector arm that differ. null: as both arms."
+    )
+
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Parameters that move a tool unless they are 0."""
+        apart = (side for side in SIDES if getattr(self, side) is not None)
+        return *super().sizes, *(size for side in apart for size in self.of(side).sizes)
+
+    def of(self, side: str) -> ArmErrors:
+        """Return the errors of one arm: its own keys, and those of both arms for the rest."""
+        own: OneArmErrors | None = getattr(self, side)
+        given = {} if own is None else {key: getattr(own, key) for key in own.model_fields_set}
+        return self.model_copy(update={**given, **dict.fromkeys(SIDES)})
+
+
+class ArmServo(ErrorSettings):
     """Deviation of one arm from its encoders while it moves, and after it stops."""
 
     resonance_hz: float = setting(
@@ -161,6 +184,11 @@ class ArmServo(Section):
         0.0, "Rate at which that clock goes slower, 1e-6 s per s.", unit="ppm"
     )
 
+    @property
+    def sizes(self) -> tuple[float, ...]:
+        """Parameters that move a tool unless they are 0."""
+        return self.resonance_hz, self.clock_ms, self.clock_ppm
+
 
 class Servos(ErrorSettings):
     """Dynamics of each arm that its encoders do not see; sag is ``arms.windup_deg``."""
@@ -171,8 +199,11 @@ class Servos(ErrorSettings):
     @property
     def sizes(self) -> tuple[float, ...]:
         """Parameters that move a tool unless they are 0."""
-        both = self.source, self.detector
-        return tuple(v for one in both for v in (one.resonance_hz, one.clock_ms, one.clock_ppm))
+        return *self.source.sizes, *self.detector.sizes
+
+    def of(self, side: str) -> ArmServo:
+        """Return the dynamics of one arm."""
+        return self.source if side == "source" else self.detector
 
 
 class ViewErrors(ErrorSettings):
@@ -320,6 +351,15 @@ class Uncertainty(Extensible):
                 object.__setattr__(self, name, section.model_copy(update=left))
             elif name not in self.model_fields_set:
                 object.__setattr__(self, name, under)
+        # What the scenario stores is complete, whatever is read with it later.
+        arms, keys = self.arms, OneArmErrors.model_fields
+        own = {
+            side: OneArmErrors(**{key: getattr(arms.of(side), key) for key in keys})
+            for side in SIDES
+            if getattr(arms, side) is not None
+        }
+        if own:
+            object.__setattr__(self, "arms", arms.model_copy(update=own))
         return self
 
     @property

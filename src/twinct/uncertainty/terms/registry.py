@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from twinct.uncertainty.error_terms import ErrorTerm
+from twinct.uncertainty.error_terms import ErrorSettings, ErrorTerm
 from twinct.uncertainty.sections import Uncertainty, error_terms
 from twinct.uncertainty.terms.displacements import AGEING, BASE, JOINT_OFFSET, LINK, TOOL
 from twinct.uncertainty.terms.drift import DRIFT
@@ -25,11 +25,12 @@ BUILT_IN: dict[str, ErrorTerm] = {
 """Terms of this package; deviations of the joints add up in this order."""
 
 
-def terms_of(uncertainty: Uncertainty) -> list[tuple[ErrorTerm, Any]]:
-    """Return the terms that make executed poses deviate, each with its settings."""
+def terms_of(uncertainty: Uncertainty, side: str) -> list[tuple[ErrorTerm, Any]]:
+    """Return the terms that make executed poses of one side deviate, each with its settings."""
     terms: list[tuple[ErrorTerm, Any]] = []
     for term in (*BUILT_IN.values(), *error_terms().values()):
-        settings = getattr(uncertainty, term.section or term.name, None)
-        if settings is not None and any(settings.sizes):
-            terms.append((term, settings))
+        settings: ErrorSettings | None = getattr(uncertainty, term.section or term.name, None)
+        own = None if settings is None else settings.of(side)
+        if own is not None and any(own.sizes):
+            terms.append((term, own))
     return terms

@@ -9,7 +9,7 @@ import numpy as np
 
 from twinct.geometry import Floats
 from twinct.uncertainty.error_terms import ErrorTerm, Spread, ToolMotion
-from twinct.uncertainty.sections import ArmServo, Servos
+from twinct.uncertainty.sections import ArmServo
 
 REST = 1e-3
 """Share of a vibration's amplitude at which its memory ends."""
@@ -21,10 +21,6 @@ With 40, a constant acceleration bends a joint by 0.14 % too little; with 20, by
 """
 
 S_PER_MS, PER_PPM = 1e-3, 1e-6
-
-
-def _servo(section: Servos, motion: ToolMotion) -> ArmServo:
-    return section.source if motion.side == "source" else section.detector
 
 
 def bent(servo: ArmServo, motion: ToolMotion) -> Floats:
@@ -45,14 +41,12 @@ def bent(servo: ArmServo, motion: ToolMotion) -> Floats:
     return -np.array(angles) * (1 if motion.chain is None else motion.chain.hinges)
 
 
-def _vibration(section: Servos, motion: ToolMotion) -> Iterator[Spread]:
-    servo = _servo(section, motion)
+def _vibration(servo: ArmServo, motion: ToolMotion) -> Iterator[Spread]:
     if motion.chain is not None and motion.accelerations is not None and servo.resonance_hz:
         yield Spread("joints", bent(servo, motion), draws="none")
 
 
-def _clock(section: Servos, motion: ToolMotion) -> Iterator[Spread]:
-    servo = _servo(section, motion)
+def _clock(servo: ArmServo, motion: ToolMotion) -> Iterator[Spread]:
     if motion.chain is not None and (servo.clock_ms or servo.clock_ppm):
         # The arm does late what its clock says, so that the image shows it where it was before.
         late_s = servo.clock_ms * S_PER_MS + servo.clock_ppm * PER_PPM * motion.time_s
@@ -63,5 +57,5 @@ def _no_prior(section: Any) -> dict[str, Floats]:
     return {}
 
 
-VIBRATION = ErrorTerm("vibration", Servos, _vibration, ("joints",), "servos", prior=_no_prior)
-CLOCK = ErrorTerm("clock", Servos, _clock, ("joints",), "servos", prior=_no_prior)
+VIBRATION = ErrorTerm("vibration", ArmServo, _vibration, ("joints",), "servos", prior=_no_prior)
+CLOCK = ErrorTerm("clock", ArmServo, _clock, ("joints",), "servos", prior=_no_prior)
