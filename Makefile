@@ -97,7 +97,7 @@ docs: setup ## Build the documentation site into build/site; its tutorials run m
 pictures: setup ## Draw the pictures of X-ray effects in docs/images anew
 	@$(VENV)/python docs/pictures/physics.py
 
-bare: ## Type the lines of the README on a bare Debian, with the seconds of each (root, debootstrap)
+bare: ## Type the lines of the README on a bare Debian 12, with the seconds of each (root, debootstrap)
 	@tools/bare-machine
 
 versions: setup ## Try the wheel on Python 3.11 to 3.13 with the newest and the lowest versions; VERSIONS_ARGS="--python 3.12 --extras all"

@@ -25,6 +25,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "generated_pages",
+    "example_links",
     "gallery_folder",
     "moved_pages",
     "search_words",

@@ -48,7 +48,10 @@ def test_a_bare_machine_gets_the_lines_of_the_readme_and_no_others() -> None:
     told = shown()
     assert told[0] == "apt-get update" and told[1] == LINE and told[-1] == "twinct demo"
     assert all(line in readme for line in told)
-    assert 'debootstrap --variant=minbase "' in (ROOT / "tools" / "bare-machine").read_text()
+    tool = (ROOT / "tools" / "bare-machine").read_text()
+    assert 'debootstrap --variant=minbase --components="$components" "$system" "$root"' in tool
+    assert shown("--system", "trixie") == shown("--system", "noble") == told
+    assert shown("--system", "sid") == []
     bare = shown("--without", "lib", "--extras", "")
     assert bare[1] == apt_line(["python3-venv"]) and 'pip install "."' in bare
 

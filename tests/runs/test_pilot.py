@@ -92,6 +92,25 @@ def test_small_scans_are_taken_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert measured_time(scenario("trajectory.views=12"), "local") is not None
 
 
+def test_what_only_the_first_process_computes_does_not_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    processes: list[int] = []
+
+    def taken(small: list[Scenario], *_: object) -> list[dict[str, float]]:
+        """Bodies are cut once on a machine, libraries are loaded by each process."""
+        cut, processes[:] = 40.0 * (not processes), [*processes, len(small)]
+        loaded = dict.fromkeys((*STAGES, "link", "specimen", "other"), 3.0) | {"plan": 3.0 + cut}
+        return [loaded, *[dict.fromkeys(loaded, 1.0)] * (len(small) - 1)]
+
+    monkeypatch.setattr(pilot, "_taken", taken)
+    time = measured_time(scenario(), "local")
+    assert processes == [5, 1]
+    assert time is not None and time.stages["plan"] == pytest.approx(3)
+    assert time.stages["link"] == 3
+
+
 @pytest.mark.tutorial
 @pytest.mark.process
 def test_a_scan_that_fails_gives_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

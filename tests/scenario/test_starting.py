@@ -58,6 +58,19 @@ def test_a_scenario_for_a_part_of_any_size_can_be_run(edge_mm: float) -> None:
     assert edge_mm < field_mm < 1.3 * edge_mm
 
 
+@pytest.mark.parametrize(("unit", "size"), [("1", "2.4 x 0.5 x 1.6"), ("25.4", "61 x 12.7 x 40.6")])
+def test_the_size_of_a_part_is_told_and_follows_the_unit_of_its_file(
+    unit: str, size: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Read as mm, a file in inches gives a part of a few mm, which a micro-CT may scan, too."""
+    _box("part.stl", 2.4, 0.5, 1.6)
+    assert run_command(["init", "mine.yaml", "--stl", "part.stl", "--unit-mm", unit]) == 0
+    said = capsys.readouterr().out
+    assert f"the part measures {size} mm" in said and ("inches" in said) == (unit == "1")
+    checked = checking.check(load_scenario("mine.yaml"), cures=False)
+    assert checked.findings["specimen size"].startswith(size)
+
+
 def test_a_scenario_for_a_ct_can_be_run() -> None:
     _ball_of_water("head.nii.gz")
     assert run_command(["init", "mine.yaml", "--ct", "head.nii.gz"]) == 0
@@ -106,6 +119,8 @@ def test_in_a_terminal_it_asks_three_questions(
         ("--stl part.stl --from head", "--stl and --from exclude each other"),
         ("--stl none.stl", "no file at none.stl"),
         ("--stl mine.txt", "is not a mesh file"),
+        ("--stl part.stl --unit-mm 0", "--unit-mm: must be above 0 mm, but is 0"),
+        ("--unit-mm 25.4", "--unit-mm: states the unit of a surface's file"),
     ],
 )
 def test_a_wrong_file_is_refused_and_nothing_written(

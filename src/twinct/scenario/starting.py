@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,12 @@ class Start:
     Attributes:
         name: name of the built-in scenario.
         changes: values by dotted key.
+        size_mm: lengths of a part from a file along x, y and z.
     """
 
     name: str = "demo"
     changes: dict[str, Any] = field(default_factory=dict[str, Any])
+    size_mm: tuple[float, ...] | None = None
 
     def with_arms(self, file: Path) -> Start:
         """Return the start with two arms from an MJCF or URDF file."""
@@ -41,21 +43,28 @@ class Start:
             for side in ("source", "detector")
             for key, value in arm.items()
         }
-        return Start(self.name, self.changes | keys)
+        return replace(self, changes=self.changes | keys)
 
 
-def start_from_mesh(file: Path) -> Start:
+def start_from_mesh(file: Path, unit_mm: float = 1.0) -> Start:
     """Return a scan of aluminium in the shape of a closed surface, in the middle of the beam.
 
     Pixels and voxels fit its size: with arms if the panel that they carry is large enough, else
     on a gantry that is larger by the factor that the part needs.
 
+    Args:
+        file: mesh file.
+        unit_mm: length of one unit of the file.
+
     Raises:
         SpecimenError: the file holds no closed surface.
     """
     mesh = read_mesh(file, str(file))
-    diameter = BESIDE * float(np.linalg.norm(np.ptp(mesh.bounds, axis=0)))
-    part = {"name": file.stem, "shape": {"kind": "mesh", "path": str(file), "centre": True}}
+    size = unit_mm * np.ptp(mesh.bounds, axis=0)
+    size_mm, diameter = tuple(map(float, size)), BESIDE * float(np.linalg.norm(size))
+    shape = {"kind": "mesh", "path": str(file), "centre": True}
+    shape |= {} if unit_mm == 1 else {"unit_mm": unit_mm}
+    part = {"name": file.stem, "shape": shape}
     changes: dict[str, Any] = {
         "name": file.stem,
         "description": f"A scan of {file.name}.",
@@ -65,13 +74,13 @@ def start_from_mesh(file: Path) -> Start:
     fitting = [name for name, width in fields.items() if width >= diameter]
     if fitting:
         scale = diameter / fields[fitting[0]]
-        return Start(fitting[0], changes | _detail(fitting[0], scale))
+        return Start(fitting[0], changes | _detail(fitting[0], scale), size_mm)
     name = "circle_gantry"
     path, scale = load_scenario(name).trajectory, diameter / _field_mm(name)
     distances = {
         f"trajectory.{key}": _round(scale * getattr(path, key)) for key in ("sod_mm", "sdd_mm")
     }
-    return Start(name, changes | distances | _detail(name, scale))
+    return Start(name, changes | distances | _detail(name, scale), size_mm)
 
 
 def start_from_ct(file: Path) -> Start:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -30,6 +31,7 @@ def init(
     stl: _File = None,
     ct: _File = None,
     arm: _File = None,
+    unit_mm: float = 1.0,
     from_: Annotated[
         str | None,
         tyro.conf.arg(name="from", metavar="NAME", help_behavior_hint="(default: demo)"),
@@ -43,6 +45,7 @@ def init(
         stl: Closed surface of your part; pixels and voxels fit its size.
         ct: CT to scan, such as a patient's: NIfTI, MetaImage, or the folder of a DICOM series.
         arm: URDF or MJCF file of the robot that carries source and panel.
+        unit_mm: Length of one unit of the surface's file, which STL does not state; 25.4: inches.
         from_: Built-in scenario to copy, such as circle_gantry, head or patient_spine.
     """
     if file.suffix not in (".yaml", ".yml"):
@@ -51,14 +54,21 @@ def init(
         raise InputError(f"{file} exists already; choose another name, or remove it")
     asked = not (stl or ct or arm or from_) and sys.stdin.isatty()
     own = _answers() if asked else {"stl": stl, "ct": ct, "arm": arm}
-    text = commented_scenario(_start(from_, **own), file)
+    start = _start(from_, unit_mm=unit_mm, **own)
+    text = commented_scenario(start, file)
     with storage_errors(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         write_text(file, text)
+    if start.size_mm is not None:
+        size = " x ".join(f"{edge:.3g}" for edge in start.size_mm)
+        hint = "; if its file is in inches: --unit-mm 25.4" if unit_mm == 1 else ""
+        say(f"the part measures {size} mm{hint}")
     say(f"wrote {file}; 'twinct check {file}' says whether it can be run")
 
 
-def _start(from_: str | None, stl: Path | None, ct: Path | None, arm: Path | None) -> Start:
+def _start(
+    from_: str | None, stl: Path | None, ct: Path | None, arm: Path | None, unit_mm: float
+) -> Start:
     objects = {"--stl": stl, "--ct": ct, "--from": from_}
     given = [name for name, value in objects.items() if value is not None]
     if len(given) > 1:
@@ -66,9 +76,13 @@ def _start(from_: str | None, stl: Path | None, ct: Path | None, arm: Path | Non
     for path in (stl, ct, arm):
         if path is not None and not path.exists():
             raise InputError(f"no file at {path}")
+    if not (math.isfinite(unit_mm) and unit_mm > 0):
+        raise InputError(f"--unit-mm: must be above 0 mm, but is {unit_mm}")
+    if unit_mm != 1 and stl is None:
+        raise InputError("--unit-mm: states the unit of a surface's file; name it by --stl")
     start = Start(from_ or "demo")
     if stl:
-        start = start_from_mesh(stl)
+        start = start_from_mesh(stl, unit_mm)
     elif ct:
         start = start_from_ct(ct)
     return start.with_arms(arm) if arm else start

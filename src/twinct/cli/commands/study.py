@@ -99,8 +99,8 @@ def study(
     if finished.failed:
         sys.stderr.write(
             f"twinct: {counted(finished.failed, 'trial')} failed, the first because: "
-            f"{shortened(finished.problem)}{if_little()}; --resume --retry-failed tries them "
-            "again\n"
+            f"{shortened(finished.problem)}{if_little()}; change the study and continue it with "
+            "--resume, or let --resume --retry-failed try them again\n"
         )
 
 
