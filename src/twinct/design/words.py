@@ -58,7 +58,7 @@ def problems_of(bench: Workbench) -> tuple[str, ...]:
 def prices_in_words(prices: Sequence[Price]) -> str:
     """Return the prices as a table: now, and the change against the saved state."""
     rows = [f"| {one.name} | {_now(one)} | {_change(one)} |" for one in prices]
-    return "\n".join(["| | now | change |", "|---|---|---|", *rows])
+    return "\n".join(["| | now | since saving |", "|---|---|---|", *rows])
 
 
 def _now(price: Price) -> str:
@@ -67,13 +67,19 @@ def _now(price: Price) -> str:
     if math.isnan(price.now):
         return "none" if price.state is State.FRESH else str(price.state)
     mark = "" if price.state is State.FRESH else f" ({price.state})"
-    return f"{price.now:.4g} {price.unit}{mark}".strip()
+    return f"{_short(price.now)} {price.unit}{mark}".strip()
 
 
 def _change(price: Price) -> str:
     if math.isnan(price.change):
         return ""
-    return "0" if abs(price.change) < 1e-9 else f"{price.change:+.3g} {price.unit}".strip()
+    sign = "+" if price.change > 0 else ""
+    return "0" if abs(price.change) < 1e-9 else f"{sign}{_short(price.change)} {price.unit}".strip()
+
+
+def _short(number: float) -> str:
+    """Return three digits of a number, or all before the point."""
+    return f"{number:.3g}" if abs(number) < 999.5 else f"{number:.0f}"
 
 
 def proposal_in_words(proposal: Proposal) -> str:

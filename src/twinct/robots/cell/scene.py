@@ -280,7 +280,7 @@ def _table(
         return
     top = table.top_z_mm
     x, y = world_from_specimen.position[:2]
-    middle = cell.table_middle_mm(world_from_specimen.position)
+    middle = cell.table_middle_mm((x, y))
     if cell.room == "plain":
         _plain_table(spec, cell, *middle)
     elif bottom_mm is not None and bottom_mm < top + LYING_MM:

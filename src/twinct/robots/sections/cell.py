@@ -423,7 +423,7 @@ class Cell(Section):
         """Return the middle of the table's plate along x, y.
 
         Args:
-            specimen_mm: position of the specimen.
+            specimen_mm: position of the specimen, of which x and y count.
         """
         x, y = self.table.moved_mm
         if self.room == "operating":
