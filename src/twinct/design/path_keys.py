@@ -55,8 +55,10 @@ class Slider:
     def label(self) -> str:
         """Name for users, with the unit, such as ``longitude range, deg``."""
         stem, _, unit = self.name.rpartition("_")
-        named = f"{stem}, {unit}" if unit in UNITS else self.name
-        return named.replace("_", " ")
+        if unit not in UNITS:
+            return self.name.replace("_", " ")
+        words = stem.upper() if stem in ("sod", "sdd") else stem.replace("_", " ")
+        return f"{words}, {unit}"
 
     @property
     def key(self) -> str:

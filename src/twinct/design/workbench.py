@@ -278,7 +278,7 @@ class Workbench:
 
     def prices(self) -> list[Price]:
         """Return what the present state costs, and what the saved one costs."""
-        prices: list[Price] = []
+        prices, told = list[Price](), set[str]()
         for subject, name, unit, value in _PRICES:
             answer, saved = self.answer(subject), self._at_saved.get(subject)
             now = math.nan if answer.value is None else float(value(answer.value))
@@ -286,14 +286,18 @@ class Workbench:
             why = "; ".join(answer.problems) if answer.state is State.FAILED else ""
             if not why and math.isnan(now):
                 why = self._why_unknown(name)
-            prices.append(Price(name, unit, now, before, answer.state, why))
+            # A long reason is said once: several prices may have it.
+            prices.append(
+                Price(name, unit, now, before, answer.state, "see above" if why in told else why)
+            )
+            told |= {why} - {""}
         return prices
 
     def _why_unknown(self, price: str) -> str:
         """Return what a price without a value needs; empty if its value may still come."""
         scenario = self.draft.scenario
         if self.answer("costs").state is State.FRESH and price == "reconstruction time":
-            return "press *measure time*"
+            return "press 'measure time'"
         if scenario is not None and price in OF_DOSE and not dose_is_known(scenario):
             return "needs a tube, or source.photons_per_mm2_mas"
         return ""
