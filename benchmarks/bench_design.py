@@ -122,7 +122,7 @@ def slider(page: DesignPage) -> tuple[str, list[float]]:
     for key in ("latitude_amplitude_deg", "latitude_deg", "longitude_range_deg"):
         if key in known:
             now = known[key].value
-            return key, [now - 2 - k for k in range(7)]
+            return known[key].label, [now - 2 - k for k in range(7)]
     raise SystemExit(f"no slider to move among {', '.join(known)}")
 
 

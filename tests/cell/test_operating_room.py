@@ -67,4 +67,18 @@ def test_a_body_beyond_all_reach_costs_no_distance(head: trimesh.Trimesh) -> Non
     assert "object far" not in names
 
 
+def test_a_table_is_moved_with_all_its_parts() -> None:
+    def tables(moved: list[float]) -> dict[str, tuple[float, ...]]:
+        data = {"room": "operating", "table": {"top_z_mm": -450, "moved_mm": moved}}
+        objects = Cell.model_validate(data).keyed_objects
+        return {body.name: body.position_mm for _, body in objects}
+
+    before, after = tables([0, 0]), tables([800, -50])
+    parts = {name for name in before if before[name] != after[name]}
+    assert parts == {name for name in before if name.startswith(("table", "mattress", "drape"))}
+    for name in parts:
+        shift = np.subtract(after[name], before[name])
+        np.testing.assert_allclose(shift, (800, -50, 0), atol=1e-9)
+
+
 NEAR = {"kind": "sphere", "radius_mm": 50}

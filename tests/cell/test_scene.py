@@ -132,6 +132,19 @@ def test_smallest_distance_over_a_motion_is_that_of_every_instant(cell: CellMode
     assert interior  # not only at the ends, where it looks first
 
 
+@pytest.mark.parametrize("room", ["plain", "operating"])
+@pytest.mark.parametrize(("aside", "held"), [(100, True), (800, False)])
+def test_a_specimen_beside_the_table_has_no_post(
+    head: trimesh.Trimesh, room: str, aside: float, held: bool
+) -> None:
+    data = {"room": room, "table": {"moved_mm": [aside, 0]}}
+    cell = build_cell(Cell.model_validate(data), head, Pose.identity(), Detector().panel)
+    names = {cell.model.body(k).name for k in range(cell.model.nbody)}
+    assert ("holder" in names) == held
+    if room == "plain":
+        assert cell.model.geom("table_top").pos[0] == pytest.approx(aside / 1000)
+
+
 @pytest.mark.parametrize(
     ("section", "message"),
     [

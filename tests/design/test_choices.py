@@ -13,7 +13,7 @@ import pytest
 from twinct.design import choices
 from twinct.design.bench import Bench
 from twinct.design.draft import Draft
-from twinct.design.movable import movables
+from twinct.design.movable import Movable, movables
 from twinct.design.profiles import profile_of
 from twinct.design.seen import SeenShare
 from twinct.geometry import Panel, Pose
@@ -73,14 +73,25 @@ def test_a_material_is_that_of_a_part(draft: Draft) -> None:
     assert choices.of_material(draft.scenario, "7: none", "titanium") == {}
 
 
-def test_the_table_moves_up_and_down_only(draft: Draft) -> None:
-    assert draft.scenario is not None
-    table = next(one for one in movables(draft.scenario) if one.name == "table")
-    assert table.axes == (False, False, True)
-    moved = table.moved(Pose.from_euler((50, 60, -703), (0, 0, 30)), 10.0, 5.0)
-    assert moved == {"cell.table.top_z_mm": -700}
+@pytest.mark.parametrize("room", choices.ROOMS)
+def test_the_table_moves_but_does_not_turn(draft: Draft, room: str) -> None:
+    def table() -> Movable:
+        assert draft.scenario is not None and not draft.problems
+        return next(one for one in movables(draft.scenario) if one.name == "table")
+
+    draft.set({"specimen.position_mm": [3, 4, 0], "cell.room": room})
+    x, y, _ = table().position_mm
+    to = Pose.from_euler((x + 702, y - 1, -653), (0, 0, 30))
+    moved = table().moved(to)
+    assert moved == {"cell.table.moved_mm": [702, -1], "cell.table.top_z_mm": -653}
+    assert "cell.table.moved_mm" not in table().moved(Pose.from_euler((x, y, -600), (0, 0, 0)))
     draft.set(moved)
-    assert isinstance(draft.scenario.cell, Cell) and draft.scenario.cell.table.top_z_mm == -700
+    assert table().position_mm == pytest.approx((x + 702, y - 1, -653))
+    assert table().moved(to) == {}
+    snapped = table().moved(Pose.from_euler((x + 708, y - 1, -653), (0, 0, 0)), 10.0)
+    assert set(snapped) == {"cell.table.moved_mm"}
+    draft.set(snapped)
+    assert table().position_mm[0] % 10 == pytest.approx(0)
 
 
 @pytest.mark.parametrize("axis", [(0.0, 1.0, 0.0), (-2.0, 1.0, 0.5)])

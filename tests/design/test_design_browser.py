@@ -104,9 +104,10 @@ def test_a_newcomer_puts_an_own_part_into_the_room(
         says("holds no triangles")
 
         browser.choose("body", "table")
-        says("height, mm")
-        browser.number("height, mm", -700)
-        browser.wait(lambda: "top_z_mm: -700" in page.bench.draft.text, "the table stays")
+        says("position, mm")
+        browser.type_numbers("position, mm", (300, -40, -700))
+        for key in ("moved_mm: [300, -40]", "top_z_mm: -700"):
+            browser.wait(lambda key=key: key in page.bench.draft.text, "the table stays")
 
         # An arm out of the way: some views are dead; the page says why, and finds a better place.
         browser.choose("body", "source arm")

@@ -15,6 +15,7 @@ from waiting import HANG_S, until
 from twinct.core.errors import InputError
 from twinct.design.draft import Draft, open_draft
 from twinct.design.page import DesignPage
+from twinct.viewer.room import Room
 from twinct.viewer.server import Server, address
 
 pytestmark = pytest.mark.process
@@ -71,6 +72,39 @@ def test_a_design_goes_from_opening_to_saving(
     listener.wait(lambda: "small.yaml: saved" in listener.texts())
     assert "trajectory: {views: 8} # few" in small_file.read_text(encoding="utf-8")
     assert page.settle(HANG_S)
+
+
+def test_bodies_that_overlap_are_shown_where_they_were_put(
+    listener: Listener, page: DesignPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms: list[Room] = []
+    monkeypatch.setattr(page.page, "put_room", lambda run, room: rooms.append(room))
+    listener.wait(lambda: "12 of 12 views within reach" in listener.texts())
+    listener.set("body", "table")
+    listener.wait(lambda: listener.control("position, mm")["value"][2] == -450)
+    listener.set("position, mm", (700.0, 0.0, -450.0))
+    listener.wait(lambda: "the source arm's pillar reaches" in listener.texts())
+    listener.wait(lambda: "no motion plan" in listener.texts())
+    assert page.settle(HANG_S)
+    assert "12 of 12 views within reach" not in listener.texts()
+    assert "moved_mm: [700, 0]" in page.bench.draft.text
+    table = next(body.mesh for body in rooms[-1].bodies if body.name == "table")
+    assert table.bounds.mean(axis=0)[0] == pytest.approx(0.7)
+
+
+def test_the_beam_is_set(listener: Listener, page: DesignPage) -> None:
+    listener.wait(lambda: "12 of 12 views within reach" in listener.texts())
+    listener.set("spectrum", "tube")
+    listener.wait(lambda: "spectrum: {kind: tube, kvp: 120}" in page.bench.draft.text)
+    listener.set("tube voltage, kV", 90)
+    listener.wait(lambda: "kvp: 90" in page.bench.draft.text)
+    listener.set("tube load, mAs a view", 0.5)
+    listener.wait(lambda: "current_ma: 50" in page.bench.draft.text)
+    listener.set("noise", True)
+    listener.wait(lambda: "noise: {kind: quantum}" in page.bench.draft.text)
+    assert page.bench.draft.problems == ()
+    listener.press("undo")
+    listener.wait(lambda: listener.control("noise")["value"] is False)
 
 
 def test_a_dead_view_says_why(listener: Listener, page: DesignPage) -> None:

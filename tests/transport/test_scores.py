@@ -317,6 +317,13 @@ def test_unscattered_energy_is_that_of_the_coefficients() -> None:
     assert energy == pytest.approx(kerma * mass_mg, rel=0.015)
 
 
+def test_a_soft_line_gives_a_thick_voxel_all_of_its_energy() -> None:
+    """Its exponent, 840 up to the middle of the voxel, is beyond the largest float."""
+    body = box((1, 1, 1), (10.0, 10.0, 400.0))
+    energy = Simulation(body, beam_down(2.0, 5.0, height_mm=1000.0)).primary_energy()[0, 0, 0]
+    assert energy == pytest.approx(5.0, rel=0.03)  # keV of a photon
+
+
 def test_voxels_at_the_edge_of_a_field_count_by_their_share() -> None:
     """A field that is narrower than coarse voxels gives them the energy of fine ones."""
     beam = beam_down(3.3, [60.0], height_mm=300.0)

@@ -27,8 +27,6 @@ class Movable:
             does not turn.
         position_mm: its position.
         rotation_deg: its rotations.
-        axis: index of the only axis along which it moves, whose place is then the value of
-            ``position_key``; None: all.
     """
 
     name: str
@@ -36,13 +34,6 @@ class Movable:
     rotation_key: str
     position_mm: tuple[float, ...]
     rotation_deg: tuple[float, ...]
-    axis: int | None = None
-
-    @property
-    def axes(self) -> tuple[bool, bool, bool]:
-        """Axes along which it moves."""
-        x, y, z = (self.axis in (None, k) for k in range(3))
-        return x, y, z
 
     @property
     def pose(self) -> Pose:
@@ -60,12 +51,42 @@ class Movable:
             (self.rotation_key, self.rotation_deg, angles, snap_deg),
         ):
             moved = np.abs(np.asarray(new) - now) > LEAST
-            if self.axis is not None:
-                moved &= self.axes
             if key and moved.any():
                 rounded = np.where(moved, rounded_to(np.asarray(new), step), now)
-                numbers = [tidy(number) for number in rounded.tolist()]
-                changes[key] = numbers if self.axis is None else numbers[self.axis]
+                changes[key] = [tidy(number) for number in rounded.tolist()]
+        return changes
+
+
+@dataclass(frozen=True)
+class MovableTable(Movable):
+    """The table, placed at the middle of its plate's upper face; it does not turn.
+
+    Attributes:
+        usual_mm: its place along x, y before it is moved.
+    """
+
+    usual_mm: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def of(cls, cell: Cell, specimen_mm: tuple[float, ...]) -> MovableTable:
+        """Return the table of a cell."""
+        (x, y), (dx, dy) = cell.table_middle_mm(specimen_mm), cell.table.moved_mm
+        at, level = (x, y, cell.table.top_z_mm), (0.0, 0.0, 0.0)
+        return cls("table", "cell.table.moved_mm", "", at, level, usual_mm=(x - dx, y - dy))
+
+    def moved(
+        self, pose: Pose, snap_mm: float = 0.0, snap_deg: float = 0.0
+    ) -> Mapping[str, list[float] | float]:
+        """Return the keys of shift and height that a new pose changes."""
+        found = super().moved(pose, snap_mm).get(self.position_key)
+        if not isinstance(found, list):
+            return {}
+        changes: dict[str, list[float] | float] = {}
+        if np.abs(np.subtract(found[:2], self.position_mm[:2])).max() > LEAST:
+            aside = np.subtract(found[:2], self.usual_mm)
+            changes[self.position_key] = [tidy(number) for number in aside.tolist()]
+        if abs(found[2] - self.position_mm[2]) > LEAST:
+            changes["cell.table.top_z_mm"] = found[2]
         return changes
 
 
@@ -160,10 +181,8 @@ def movables(scenario: Scenario) -> tuple[Movable, ...]:
             if arm.rail is not None
         ]
     if isinstance(cell, Cell) and cell.table.present:
-        at = (0.0, 0.0, cell.table.top_z_mm)
-        table = Movable("table", "cell.table.top_z_mm", "", at, (0.0, 0.0, 0.0), axis=2)
         after = 1 + [body.name for body in bodies].index("specimen")
-        bodies.insert(after, table)
+        bodies.insert(after, MovableTable.of(cell, scenario.specimen.position_mm))
     return tuple(bodies)
 
 

@@ -27,6 +27,9 @@ RANGES: Mapping[str, tuple[float, float, float]] = {
 }
 """Smallest and largest value, and step, of the keys that sliders can set; others are typed."""
 
+UNITS = ("mm", "deg")
+"""Units at the ends of keys."""
+
 
 @dataclass(frozen=True)
 class Slider:
@@ -47,6 +50,15 @@ class Slider:
     high: float
     step: float
     hint: str
+
+    @property
+    def label(self) -> str:
+        """Name for users, with the unit, such as ``longitude range, deg``."""
+        stem, _, unit = self.name.rpartition("_")
+        if unit not in UNITS:
+            return self.name.replace("_", " ")
+        words = stem.upper() if stem in ("sod", "sdd") else stem.replace("_", " ")
+        return f"{words}, {unit}"
 
     @property
     def key(self) -> str:

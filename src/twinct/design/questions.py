@@ -281,12 +281,17 @@ class Costs:
         exposure_s: exposure of all views, s.
         memory_bytes: largest memory of a stage.
         disk_bytes: size of the run's folder.
+        reconstruction_bytes: memory of the reconstruction.
+        reconstruction_s: expected time of the reconstruction, s; NaN unless small scans of this
+            kind were timed on this machine.
     """
 
     views: int
     exposure_s: float
     memory_bytes: int
     disk_bytes: int
+    reconstruction_bytes: int
+    reconstruction_s: float
 
 
 @dataclass(frozen=True)
@@ -299,13 +304,38 @@ class ScanCosts(Question):
         """Return the costs."""
         scenario = bench.scenario(self.source)
         views = len(bench.builder(scenario).requested)
-        stages = needs(scenario, "local").values()
+        stages = needs(scenario, "local")
+        reconstruction = stages["reconstruction"]
+        seconds = reconstruction.seconds
         return Costs(
             views,
             views * scenario.source.exposure_ms / 1000,
-            max(stage.memory_bytes for stage in stages),
-            sum(stage.disk_bytes for stage in stages),
+            max(stage.memory_bytes for stage in stages.values()),
+            sum(stage.disk_bytes for stage in stages.values()),
+            reconstruction.memory_bytes,
+            math.nan if seconds is None else seconds,
         )
+
+
+@dataclass(frozen=True)
+class MeasuredTime(Question):
+    """The time of a run by small scans on this machine, which ``ScanCosts`` then knows."""
+
+    subject: ClassVar[str] = "time"
+
+    def answered(self, bench: Bench) -> str:
+        """Return the time of the whole run, in words.
+
+        Raises:
+            InputError: a small scan fails.
+        """
+        from twinct.runs.pilot import measured_time
+
+        bench.close()  # gVXR is a scene of the process
+        found = measured_time(bench.scenario(self.source), "local")
+        if found is None:
+            raise InputError("a small scan fails, such as by a view that is out of reach")
+        return found.in_words
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,10 +23,12 @@ def state_of(bench: Workbench) -> str:
     """Return reach, time and clearance in one line, with the states of the answers."""
     views, motion = bench.answer("views"), bench.answer("motion")
     said: list[str] = []
-    if views.value is not None:
+    if views.value is not None and views.state is not State.FAILED:
         held = int(np.asarray(views.value).sum())
         said.append(f"{held} of {len(views.value)} views within reach{_in_brackets(views)}")
-    if motion.value is not None and motion.value.plan is not None:
+    if motion.state is State.FAILED:
+        said.append("no motion plan")
+    elif motion.value is not None and motion.value.plan is not None:
         said.append(
             f"motion {motion.value.duration_s:.1f} s, smallest clearance "
             f"{motion.value.clearance_mm:.1f} mm{_in_brackets(motion)}"
@@ -46,11 +48,12 @@ def problems_of(bench: Workbench) -> tuple[str, ...]:
     """Return all problems of the draft and of its answers, one sentence each."""
     if bench.draft.problems:
         return bench.draft.problems
-    found: list[str] = []
+    failed: dict[str, list[str]] = {}
     for subject in ("motion", "image", "views", "volume", "check"):
         answer = bench.answer(subject)
-        if answer.state is State.FAILED:
-            found += [f"{subject}: {problem}" for problem in answer.problems]
+        for problem in answer.problems if answer.state is State.FAILED else ():
+            failed.setdefault(problem, []).append(subject)
+    found = [f"{', '.join(subjects)}: {problem}" for problem, subjects in failed.items()]
     motion = bench.answer("motion").value
     return tuple(dict.fromkeys([*found, *(motion.problems if motion is not None else ())]))
 
@@ -58,7 +61,7 @@ def problems_of(bench: Workbench) -> tuple[str, ...]:
 def prices_in_words(prices: Sequence[Price]) -> str:
     """Return the prices as a table: now, and the change against the saved state."""
     rows = [f"| {one.name} | {_now(one)} | {_change(one)} |" for one in prices]
-    return "\n".join(["| | now | change |", "|---|---|---|", *rows])
+    return "\n".join(["| | now | since saving |", "|---|---|---|", *rows])
 
 
 def _now(price: Price) -> str:
@@ -67,13 +70,19 @@ def _now(price: Price) -> str:
     if math.isnan(price.now):
         return "none" if price.state is State.FRESH else str(price.state)
     mark = "" if price.state is State.FRESH else f" ({price.state})"
-    return f"{price.now:.4g} {price.unit}{mark}".strip()
+    return f"{_short(price.now)} {price.unit}{mark}".strip()
 
 
 def _change(price: Price) -> str:
     if math.isnan(price.change):
         return ""
-    return "0" if abs(price.change) < 1e-9 else f"{price.change:+.3g} {price.unit}".strip()
+    sign = "+" if price.change > 0 else ""
+    return "0" if abs(price.change) < 1e-9 else f"{sign}{_short(price.change)} {price.unit}".strip()
+
+
+def _short(number: float) -> str:
+    """Return three digits of a number, or all before the point."""
+    return f"{number:.3g}" if abs(number) < 999.5 else f"{number:.0f}"
 
 
 def proposal_in_words(proposal: Proposal) -> str:

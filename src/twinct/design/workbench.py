@@ -42,7 +42,7 @@ OF_SCATTER = ("scatter",)
 OF_REACH = ("views", "sphere", "reason")
 """Subjects of the desk for reach, which waits neither for images nor for a motion plan."""
 
-ON_REQUEST = ("volume", "check", "proposal", "upload", "dose")
+ON_REQUEST = ("volume", "check", "time", "proposal", "upload", "dose")
 """Subjects of the desk for longer work, which neither images nor reach wait for."""
 
 
@@ -78,13 +78,17 @@ _PRICES: tuple[tuple[str, str, str, Callable[[Any], float]], ...] = (
     ("views", "views within reach", "", lambda value: float(value.sum())),
     ("costs", "views", "", lambda value: value.views),
     ("costs", "exposure", "s", lambda value: value.exposure_s),
-    ("costs", "memory", "GB", lambda value: value.memory_bytes / 1e9),
-    ("costs", "disk", "GB", lambda value: value.disk_bytes / 1e9),
+    ("costs", "reconstruction time", "s", lambda value: value.reconstruction_s),
+    ("costs", "reconstruction memory", "GB", lambda value: value.reconstruction_bytes / 1e9),
+    ("costs", "largest memory of the run", "GB", lambda value: value.memory_bytes / 1e9),
+    ("costs", "disk space of the run", "MB", lambda value: value.disk_bytes / 1e6),
     ("seen", "specimen in every view", "%", lambda value: 100 * value.by_all),
     ("dose", "mean dose", "mGy", lambda value: 1000 * value.mean_gy),
     ("dose", "kerma-area product", "Gy cm2", lambda value: value.kerma_area_product_gy_cm2),
 )
 """Subject, name, unit and value of each price."""
+
+OF_DOSE = tuple(name for subject, name, _, _ in _PRICES if subject == "dose")
 
 
 class Workbench:
@@ -203,6 +207,11 @@ class Workbench:
             self._asked[question.subject] = question.reads(scenario)
         self._desk_of(question.subject).ask(question)
 
+    def ask_for_costs(self) -> None:
+        """Ask for the costs of a run again, as its time has become known."""
+        if not self.draft.problems:
+            self._images.ask(ScanCosts(self.draft.source))
+
     def cancel(self) -> None:
         """Stop the calculations of scatter, reach, motions, volumes, proposals; a run goes on."""
         for desk in (self._scatter, self._reach, self._motions, self._longer):
@@ -269,14 +278,29 @@ class Workbench:
 
     def prices(self) -> list[Price]:
         """Return what the present state costs, and what the saved one costs."""
-        prices: list[Price] = []
+        prices, told = list[Price](), set[str]()
         for subject, name, unit, value in _PRICES:
             answer, saved = self.answer(subject), self._at_saved.get(subject)
             now = math.nan if answer.value is None else float(value(answer.value))
             before = math.nan if saved is None else float(value(saved))
             why = "; ".join(answer.problems) if answer.state is State.FAILED else ""
-            prices.append(Price(name, unit, now, before, answer.state, why))
+            if not why and math.isnan(now):
+                why = self._why_unknown(name)
+            # A long reason is said once: several prices may have it.
+            prices.append(
+                Price(name, unit, now, before, answer.state, "see above" if why in told else why)
+            )
+            told |= {why} - {""}
         return prices
+
+    def _why_unknown(self, price: str) -> str:
+        """Return what a price without a value needs; empty if its value may still come."""
+        scenario = self.draft.scenario
+        if self.answer("costs").state is State.FRESH and price == "reconstruction time":
+            return "press 'measure time'"
+        if scenario is not None and price in OF_DOSE and not dose_is_known(scenario):
+            return "needs a tube, or source.photons_per_mm2_mas"
+        return ""
 
     def settle(self, timeout_s: float | None = None) -> bool:
         """Wait until all questions are answered; return False on timeout."""

@@ -154,6 +154,28 @@ def _prepare(solids, boxes, organs, data, x, y, z, radius, chosen, ends, active,
 
 
 @njit(**OPTIONS)
+def _near(organs, active, number, distances, reach, needed, near):
+    """List the active organs that can be painted within ``reach`` mm, and their hosts, in order.
+
+    ``distances`` are those of the point in the middle. Returns the number of organs in ``near``.
+    """
+    for back in range(number):
+        o = active[back]
+        needed[o if o >= 0 else -1 - o] = False
+    count = 0
+    for back in range(number):
+        o = active[back]
+        seen = o >= 0 and distances[o] < SAFE * reach + organs[o, 14]
+        o = o if o >= 0 else -1 - o
+        if seen or needed[o]:
+            near[count] = o if seen else -1 - o
+            count += 1
+            if organs[o, 2] >= 0:
+                needed[int(organs[o, 2])] = True
+    return count
+
+
+@njit(**OPTIONS)
 def _tissue(
     solids, organs, data, tile, chosen, ends, active, number, distances, x, y, z, reach, out
 ):
@@ -240,6 +262,7 @@ def on_grid(solids, boxes, organs, data, tile, m, samples, hu, labels):
         k0, j0, i0 = k0 * BLOCK_EDGE, j0 * BLOCK_EDGE, i0 * BLOCK_EDGE
         chosen, ends = np.empty(len(solids), np.int64), np.empty(len(organs) + 1, np.int64)
         active, distances = np.empty(len(organs), np.int64), np.empty(len(organs))
+        near, needed = np.empty(len(organs), np.int64), np.empty(len(organs), np.bool_)
         out = np.empty(3)
         a, b, c = i0 + BLOCK_EDGE / 2 - 0.5, j0 + BLOCK_EDGE / 2 - 0.5, k0 + BLOCK_EDGE / 2 - 0.5
         x = m[0, 0] * a + m[0, 1] * b + m[0, 2] * c + m[0, 3]
@@ -256,7 +279,7 @@ def on_grid(solids, boxes, organs, data, tile, m, samples, hu, labels):
                         continue
                     _voxel(
                         *(solids, organs, data, tile, chosen, ends, active, number, distances),
-                        *(m, samples, reach, i, j, k, out),
+                        *(near, needed, m, samples, reach, i, j, k, out),
                     )
                     hu[k, j, i], labels[k, j, i] = out[0], int(out[1])
 
@@ -272,6 +295,8 @@ def _voxel(
     active,
     number,
     distances,
+    near,
+    needed,
     m,
     samples,
     reach,
@@ -291,6 +316,7 @@ def _voxel(
     if out[2] == 0.0 or samples == 1:
         return
     label, total = out[1], 0.0
+    count = _near(organs, active, number, distances, reach, needed, near)
     for c in range(samples):
         w = (c + 0.5) / samples - 0.5
         for b in range(samples):
@@ -301,7 +327,7 @@ def _voxel(
                 py = y + m[1, 0] * u + m[1, 1] * v + m[1, 2] * w
                 pz = z + m[2, 0] * u + m[2, 1] * v + m[2, 2] * w
                 _tissue(
-                    *(solids, organs, data, tile, chosen, ends, active, number, distances),
+                    *(solids, organs, data, tile, chosen, ends, near, count, distances),
                     *(px, py, pz, 0.0, out),
                 )
                 total += out[0]

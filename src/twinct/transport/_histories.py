@@ -480,7 +480,8 @@ def primary_energy(field, weights, attenuation, transfer, voxels, cells, energie
             for medium in range(len(amounts)):
                 depth += amounts[medium] * attenuation[medium, line]
             x = chord * density * attenuation[own, line]
-            mean = math.exp(x / 2) * -math.expm1(-x) / x if x > 0.0 else 1.0
+            mean = -math.expm1(-x) / x if x > 0.0 else 1.0
             photons = weights[line] * _factor(field, line, across, up)
-            energy += photons * math.exp(-depth) * mean * transfer[own, line]
+            # The depth is that of the middle; half of the voxel may absorb all of a soft line.
+            energy += photons * math.exp(x / 2 - depth) * mean * transfer[own, line]
         energies[n] = share * energy * density * ex * ey * ez / (r * r)

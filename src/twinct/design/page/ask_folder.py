@@ -5,21 +5,22 @@ from __future__ import annotations
 from twinct.design import words
 from twinct.design.desk import Answer, State
 from twinct.design.page.tools import Tool, Tools
-from twinct.design.questions import Checked, SmallVolume
+from twinct.design.questions import Checked, MeasuredTime, SmallVolume
 from twinct.viewer.markdown import plain
 
-NAMES = {"volume": "small volume", "check": "whole check"}
+KINDS = {"small volume": SmallVolume, "whole check": Checked, "measure time": MeasuredTime}
+NAMES = {kind.subject: name for name, kind in KINDS.items()}
 
 
 class AskFolder(Tool):
-    """Small volume, whole check, and cancelling."""
+    """Small volume, whole check, time, and cancelling."""
 
     def __init__(self, tools: Tools, order: float) -> None:
         """Add the folder."""
         super().__init__(tools)
         gui = tools.server.gui
         with gui.add_folder("Ask", order=order):
-            self._ask = gui.add_button_group("", ("small volume", "whole check", "cancel"))
+            self._ask = gui.add_button_group("", (*KINDS, "cancel"))
             self._answer = gui.add_markdown("")
         tools.pressed(self._ask, self._request)
 
@@ -27,8 +28,7 @@ class AskFolder(Tool):
         if button == "cancel":
             self.bench.cancel()
         elif not self.bench.draft.problems:
-            kind = SmallVolume if button == "small volume" else Checked
-            self.bench.ask(kind(self.bench.draft.source))
+            self.bench.ask(KINDS[button](self.bench.draft.source))
 
     def hear(self, subject: str, answer: Answer) -> None:
         """Show the answer."""
@@ -37,6 +37,9 @@ class AskFolder(Tool):
         lines = [f"{NAMES[subject]}: {answer.state}"]
         if answer.state is State.FRESH and subject == "check":
             lines += [f"{topic}: {plain(text)}" for topic, text in answer.value.items()]
+        elif answer.state is State.FRESH and subject == "time":
+            lines.append(plain(answer.value))
+            self.bench.ask_for_costs()
         elif answer.state is State.FRESH:
             lines[0] += f", {answer.seconds:.1f} s; see Slices"
         elif answer.state is State.COMPUTING and answer.progress:

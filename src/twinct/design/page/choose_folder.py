@@ -142,19 +142,19 @@ class ChooseFolder(Tool):
         for arm, (on_rail, ends) in self._rails.items():
             rail = getattr(cell, arm).rail if arms else None
             on_rail.visible, ends.visible = arms, rail is not None
-            self._put(on_rail, rail is not None)
+            self.put(on_rail, rail is not None)
             if rail is not None:
-                self._put(ends, tuple(rail.range_mm))
+                self.put(ends, tuple(rail.range_mm))
         if isinstance(cell, Cell):
-            self._put(self._room, cell.room)
-            self._put(self._table, cell.table.present)
+            self.put(self._room, cell.room)
+            self.put(self._table, cell.table.present)
             for arm, handle in self._arms.items():
                 model = getattr(cell, arm).model
                 if model is not None and model not in handle.options:
                     handle.options = (*handle.options, model)
                 handle.visible = model is not None  # an arm from a file has no name
                 if model is not None:
-                    self._put(handle, model)
+                    self.put(handle, model)
 
     def _paint_material(self) -> None:
         scenario = self.tools.shown
@@ -165,8 +165,4 @@ class ChooseFolder(Tool):
         if material is not None:
             if material not in self._material.options:
                 self._material.options = (*self._material.options, material)
-            self._put(self._material, material)
-
-    def _put(self, handle: Any, value: Any) -> None:
-        if handle.value != value and handle not in self.tools.by:
-            handle.value = value
+            self.put(self._material, material)

@@ -12,6 +12,7 @@ from twinct.design.desk import Answer
 from twinct.design.draft import Draft
 from twinct.design.hand import Hand
 from twinct.design.page.ask_folder import AskFolder, RunFolder
+from twinct.design.page.beam_folder import BeamFolder
 from twinct.design.page.choose_folder import ChooseFolder
 from twinct.design.page.draft_folder import ChangesTab, DraftFolder
 from twinct.design.page.image_tab import ImageTab
@@ -66,6 +67,7 @@ class DesignPage:
         self.choose = ChooseFolder(tools, order + 0.05)
         self.move = MoveFolder(tools, order + 0.1)
         self.path = PathFolder(tools, order + 0.2)
+        beam = BeamFolder(tools, order + 0.22)
         proposals = ProposalFolder(tools, order + 0.25)
         asks = AskFolder(tools, order + 0.3)
         sphere = Sphere(tools, order + 0.4)
@@ -73,8 +75,8 @@ class DesignPage:
         self._changes = ChangesTab(tools)
         self.scene = Scene(tools, self._rooms)
         self._all: tuple[Tool, ...] = (
-            *(self.scene, self._draft, self.choose, self.move, self.path, proposals, asks, runs),
-            *(sphere, image, prices, self._changes),
+            *(self.scene, self._draft, self.choose, self.move, self.path, beam, proposals, asks),
+            *(runs, sphere, image, prices, self._changes),
         )
         self.page.watch_view(lambda view: self._hand.ask("view", lambda: self._look(view)))
         self._hand.ask("begin", self._begin)

@@ -25,25 +25,20 @@ class MoveFolder(Tool):
         with gui.add_folder("Move", order=order):
             self._body: Any = gui.add_dropdown("body", (NOTHING,))
             self._at = gui.add_vector3("position, mm", (0.0, 0.0, 0.0), visible=False)
-            self._height = gui.add_number("height, mm", 0.0, visible=False)
             self._turned = gui.add_vector3("rotation, deg", (0.0, 0.0, 0.0), visible=False)
             self._snap_mm = gui.add_number("snap, mm", 10.0, min=0.0)
             self._snap_deg = gui.add_number("snap, deg", 5.0, min=0.0)
-        self.gizmo = self._add_gizmo((True, True, True))
+        self.gizmo = self._add_gizmo(turns=True)
         tools.on(self._body, "body", lambda _: self._paint_chosen())
         tools.on(self._at, "typed place", lambda at: self._typed(at=at))
         tools.on(self._turned, "typed turn", lambda turned: self._typed(turned=turned))
-        tools.on(self._height, "typed", self._typed_height)
 
-    def _add_gizmo(self, axes: tuple[bool, bool, bool]) -> Any:
-        whole = all(axes)
-        self._axes = axes
+    def _add_gizmo(self, *, turns: bool) -> Any:
+        self._turns = turns
         gizmo = self.tools.server.scene.add_transform_controls(
             "/design/gizmo",
             scale=GIZMO_M,
-            active_axes=axes,
-            disable_rotations=not whole,
-            disable_sliders=not whole,
+            disable_rotations=not turns,
             visible=False,
             depth_test=False,
         )
@@ -64,19 +59,13 @@ class MoveFolder(Tool):
     def _typed(self, at: Any = None, turned: Any = None) -> None:
         """Move the chosen body to the typed numbers."""
         body = self.chosen()
-        if body is not None and body.axis is None:
+        if body is not None:
             pose = Pose.from_euler(
                 body.position_mm if at is None else at,
                 body.rotation_deg if turned is None else turned,
             )
             by = (self._at, self._turned)
             self.tools.change(dict(body.moved(pose)), ("typed", body.name), by)
-
-    def _typed_height(self, height: float) -> None:
-        body = self.chosen()
-        if body is not None and body.axis is not None:
-            pose = Pose.from_euler((0.0, 0.0, height), (0.0, 0.0, 0.0))
-            self.tools.change(dict(body.moved(pose)), ("typed", body.name), (self._height,))
 
     def drop(self) -> None:
         """Move the chosen body to the gizmo."""
@@ -99,15 +88,14 @@ class MoveFolder(Tool):
     def _paint_chosen(self) -> None:
         """Show gizmo and numbers of the chosen body."""
         body = self.chosen()
-        if body is not None and body.axes != self._axes:
+        turns = body is not None and bool(body.rotation_key)
+        if body is not None and turns != self._turns:
             self.gizmo.remove()
-            self.gizmo = self._add_gizmo(body.axes)
-        free = body is not None and body.axis is None
+            self.gizmo = self._add_gizmo(turns=turns)
         for handle, visible in (
             (self.gizmo, body is not None),
-            (self._at, free),
-            (self._turned, free),
-            (self._height, body is not None and not free),
+            (self._at, body is not None),
+            (self._turned, turns),
         ):
             if handle.visible != visible:
                 handle.visible = visible
@@ -115,11 +103,6 @@ class MoveFolder(Tool):
             return
         position, quat = body.pose.to_metres()
         self.gizmo.position, self.gizmo.wxyz = position, quat[[3, 0, 1, 2]]
-        if body.axis is not None:
-            height = body.position_mm[body.axis]
-            if self._height.value != height and self._height not in self.tools.by:
-                self._height.value = height
-            return
         for handle, numbers in ((self._at, body.position_mm), (self._turned, body.rotation_deg)):
             if tuple(handle.value) != tuple(numbers) and handle not in self.tools.by:
                 handle.value = np.asarray(numbers, float)

@@ -108,7 +108,8 @@ class PathFolder(Tool):
         with self._folder:
             for one in sliders:
                 handle = self.tools.server.gui.add_slider(
-                    one.name, one.low, one.high, one.step, one.value, hint=one.hint
+                    *(one.label, one.low, one.high, one.step, one.value),
+                    hint=f"{one.key}: {one.hint}",
                 )
                 self.sliders[one.name] = handle
                 self._hear_slider(one, handle)

@@ -19,6 +19,7 @@ from twinct.scenario import Cell, Scenario
 from twinct.viewer.filling import specimen_as_it_looks, whole_room
 from twinct.viewer.following import mark
 from twinct.viewer.planned import field_of_view
+from twinct.viewer.room import Room
 from twinct.viewer.run_folder import RunFolder
 from twinct.viewer.scenery import see_whole_room
 from twinct.viewer.show import RECONSTRUCTION, TRUTH, Show
@@ -106,6 +107,15 @@ class Scene(Tool):
         if self.bench.answer("run").state is State.COMPUTING and self.bench.shows_run:
             self.paint_show()
 
+    @staticmethod
+    def _room_of(scenario: Scenario, show: Show, builder: SharedBuilder) -> Room:
+        """Return the room, also if fixed bodies overlap: this is what its user has to see."""
+        if isinstance(scenario.cell, Cell):
+            return Room(builder.cell_of(scenario.cell))
+        room = whole_room(show, builder)
+        assert room is not None  # only rooms without a scenario may be none
+        return room
+
     def _paint_bodies(self, scenario: Scenario) -> None:
         """Build the room, the specimen and the field of view anew, as far as they differ."""
         reads = (scenario.cell, scenario.specimen, scenario.detector.panel)
@@ -120,8 +130,7 @@ class Scene(Tool):
             builder = SharedBuilder(scenario, shelf=self.bench.shelf)
             show = self.show_of(scenario)
             if reads != known[0] or not isinstance(scenario.cell, Cell):
-                if (room := whole_room(show, builder)) is not None:
-                    page.put_room(0, room)
+                page.put_room(0, self._room_of(scenario, show, builder))
                 if known[0] is None or scenario.specimen != known[0][1]:
                     page.put_specimen(0, specimen_as_it_looks(builder.specimen))
             page.put_field(0, field_of_view(show))

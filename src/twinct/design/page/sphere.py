@@ -22,7 +22,9 @@ class Sphere(Tool):
         """Add the switch."""
         super().__init__(tools)
         self._shaded: Shading | None = None
-        self._on = tools.server.gui.add_checkbox("sphere of directions", True, order=order)
+        gui = tools.server.gui
+        self._on = gui.add_checkbox("sphere of directions", True, order=order)
+        self._legend = gui.add_markdown("", order=order + 0.01)
         tools.on(self._on, "sphere", lambda _: self.hear("sphere", self.bench.answer("sphere")))
 
     def hear(self, subject: str, answer: Answer) -> None:
@@ -42,8 +44,13 @@ class Sphere(Tool):
         scene = self.tools.server.scene
         if shading is None:
             scene.remove_by_name("/design/sphere")
+            self._legend.content = ""
             return
-        held = shading.alone.sum(axis=0)
+        held, both = shading.alone.sum(axis=0), 100 * float(shading.both.mean())
+        self._legend.content = (
+            f"source directions at this radius: green, both arms ({both:.0f} %); orange, one arm "
+            "only or not both at once; red, none"
+        )
         colours = np.where(shading.both[:, None], BOTH, np.where(held[:, None] > 0, ONE, NONE))
         points = (shading.isocentre_mm + shading.sod_mm * shading.directions) * MM
         scene.add_point_cloud(

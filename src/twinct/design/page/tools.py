@@ -108,6 +108,11 @@ class Tool:
         """The model."""
         return self.tools.bench
 
+    def put(self, handle: Any, value: Any) -> None:
+        """Set a control, unless it asked for the change that is being painted."""
+        if handle.value != value and handle not in self.tools.by:
+            handle.value = value
+
     def paint(self, scenario: Scenario) -> None:
         """Show a scenario that has changed."""
 

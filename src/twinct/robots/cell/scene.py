@@ -280,11 +280,13 @@ def _table(
         return
     top = table.top_z_mm
     x, y = world_from_specimen.position[:2]
+    middle = cell.table_middle_mm((x, y))
     if cell.room == "plain":
-        _plain_table(spec, cell, x, y)
+        _plain_table(spec, cell, *middle)
     elif bottom_mm is not None and bottom_mm < top + LYING_MM:
         return  # it lies on the mattress; ``apart`` judges whether it reaches into it
-    if bottom_mm is None:
+    beside = np.abs(np.subtract((x, y), middle)) > np.divide(table.size_mm[:2], 2)
+    if bottom_mm is None or beside.any():
         return
     if bottom_mm <= top:
         raise ScenarioError(
@@ -300,7 +302,7 @@ def _table(
 
 
 def _plain_table(spec: mujoco.MjSpec, cell: Cell, x: float, y: float) -> None:
-    """Add a top plate, its column and its foot under a point."""
+    """Add a top plate, its column and its foot about a vertical line."""
     sx, sy, sz = cell.table.size_mm
     top, floor = cell.table.top_z_mm, cell.floor_z_mm
     if top - sz <= floor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -30,7 +30,7 @@ from twinct.core.settings import (
 )
 from twinct.robots.arm_files import BUILT_IN, ArmFile
 from twinct.robots.sections.c_arm import CArm
-from twinct.robots.sections.operating_room import operating_room
+from twinct.robots.sections.operating_room import operating_room, plate_middle_mm
 from twinct.robots.sections.tool import Tool
 from twinct.specimen.sections.room_objects import (
     LEAST_HEIGHT_MM,
@@ -346,6 +346,11 @@ class Table(Section):
     present: bool = setting(True, "Whether there is a table.")
     size_mm: Lengths = setting((500.0, 900.0, 50.0), "Size of the top plate along x, y, z.")
     top_z_mm: Coordinate = setting(-450.0, "Height of the upper face of the plate.")
+    moved_mm: tuple[Coordinate, Coordinate] = setting(
+        (0.0, 0.0),
+        "Shift of the table along x, y from its usual place: below the specimen or, in an "
+        "operating room, below the isocentre. A specimen beside the plate stands without a post.",
+    )
     holder_radius_mm: Length = setting(30.0, "Radius of the specimen holder's post.")
 
 
@@ -410,9 +415,20 @@ class Cell(Section):
             return own
         table = self.table
         furniture = operating_room(
-            self.floor_z_mm, table.top_z_mm, table.size_mm, table=table.present
+            self.floor_z_mm, table.top_z_mm, table.size_mm, table.moved_mm, table=table.present
         )
         return (*(("cell.room", body) for body in furniture), *own)
+
+    def table_middle_mm(self, specimen_mm: Sequence[float]) -> tuple[float, float]:
+        """Return the middle of the table's plate along x, y.
+
+        Args:
+            specimen_mm: position of the specimen, of which x and y count.
+        """
+        x, y = self.table.moved_mm
+        if self.room == "operating":
+            return x, y + plate_middle_mm(self.table.size_mm[1])
+        return x + float(specimen_mm[0]), y + float(specimen_mm[1])
 
 
 class GantryCell(Section):

@@ -35,12 +35,13 @@ STEEL, DARK, WHITE, GREY = "#b4bbc0", "#23282d", "#d9dfe2", "#8c979f"
 CLOTH, FOLD, SCREEN, LIGHT = "#2c7f86", "#256c73", "#2f6f9f", "#fff7d8"
 WALL, PANEL, DOOR, FREE = "#cfdad8", "#9dbab4", "#b3c0c3", "#3fae741c"
 
+Pair = tuple[float, float]
 Triple = tuple[float, float, float]
 
 
 @cache
 def operating_room(
-    floor_z_mm: float, top_z_mm: float, size_mm: Triple, *, table: bool
+    floor_z_mm: float, top_z_mm: float, size_mm: Triple, moved_mm: Pair = (0, 0), *, table: bool
 ) -> tuple[RoomObject, ...]:
     """Return the objects of the room.
 
@@ -48,13 +49,24 @@ def operating_room(
         floor_z_mm: height of the floor.
         top_z_mm: height of the mattress's upper face.
         size_mm: width, length and thickness of the table's top plate.
+        moved_mm: shift of the table along x, y.
         table: whether there is a table, with its drapes.
     """
     objects = [*_walls(floor_z_mm), *_lamp(floor_z_mm), *_anaesthesia(floor_z_mm)]
     objects += [*_trolley(floor_z_mm), *_staff(floor_z_mm)]
     if table:
-        objects += _table(floor_z_mm, top_z_mm, size_mm)
+        objects += [_moved(one, moved_mm) for one in _table(floor_z_mm, top_z_mm, size_mm)]
     return tuple(objects)
+
+
+def plate_middle_mm(length_mm: float) -> float:
+    """Return the place along y of the middle of a table's plate, before it is moved."""
+    return (0.5 - HEAD_SHARE) * length_mm
+
+
+def _moved(one: RoomObject, by_mm: Pair) -> RoomObject:
+    x, y, z = one.position_mm
+    return one.model_copy(update={"position_mm": (x + by_mm[0], y + by_mm[1], z)})
 
 
 def _shape(
@@ -83,7 +95,7 @@ def _rod(
 def _table(floor: float, top: float, size: Triple) -> Iterator[RoomObject]:
     """Yield the operating table; the beam sees its plate and its mattress."""
     width, length, thick = size
-    middle, foot = (0.5 - HEAD_SHARE) * length, (1 - HEAD_SHARE) * length
+    middle, foot = plate_middle_mm(length), (1 - HEAD_SHARE) * length
     plate, column = top - MATTRESS_MM - thick, COLUMN_SHARE * length
     yield _box(
         "table plate",
