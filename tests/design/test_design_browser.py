@@ -12,6 +12,7 @@ from browser import Browser
 from waiting import HANG_S
 
 from twinct.design.draft import Draft
+from twinct.design.kept import kept_beside
 from twinct.design.page import DesignPage
 from twinct.viewer.server import Server
 
@@ -115,7 +116,7 @@ def test_a_newcomer_puts_an_own_part_into_the_room(
         browser.type_numbers("position, mm", (1000, 0, -150))
         says("source arm: out of reach")
         browser.press("cure")
-        says("proposed")
+        says("accept")  # its words come before: "looking at the proposed state"
         browser.press("accept")
         browser.wait(lambda: len(page.bench.draft.edits) == 4, "it is not accepted")
         browser.press("undo")
@@ -136,5 +137,32 @@ def test_a_newcomer_puts_an_own_part_into_the_room(
         assert {"reconstruction", "truth"} <= {*page.page.shows[0].volumes}
         assert page.page.shows[0].acquired == 12
         assert (small_file.parent / "out" / "small" / "report.html").is_file()
+        assert browser.complaints() == []
+        browser.leave()
+
+
+def test_a_killed_browser_leaves_draft_and_page(
+    browser: Browser, server: Server, small_file: Path, tmp_path: Path
+) -> None:
+    with closing(DesignPage(server, Draft.open(small_file), tmp_path / "workers")) as page:
+        for views in (9, 10, 11):
+            killed = Browser()
+            killed.open(page.page)
+            killed.number("views", views)
+            killed.kill()
+            browser.wait(
+                lambda views=views: f"views: {views}" in page.bench.draft.text, "the edit is lost"
+            )
+            kept = kept_beside(small_file)
+            assert kept is not None and kept.edits[-1].values == {"trajectory.views": views}
+        browser.open(page.page)
+        browser.wait(
+            lambda: "11 of 11 views within reach" in browser.text(), "the page does not answer"
+        )
+        # Edits of one number in a row are one edit, as while a slider is dragged.
+        browser.press("undo")
+        browser.wait(
+            lambda: "12 of 12 views within reach" in browser.text(), "the edit is not undone"
+        )
         assert browser.complaints() == []
         browser.leave()

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import io
 import itertools
+import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +133,15 @@ class Browser:
 
     def close(self) -> None:
         self._driver.quit()
+        shutil.rmtree(self._profile, ignore_errors=True)
+
+    def kill(self) -> None:
+        """Kill all processes of Chromium, as the kernel does when memory runs out."""
+        for process in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):  # some end meanwhile
+                if self._profile.encode() in (process / "cmdline").read_bytes():
+                    os.kill(int(process.name), signal.SIGKILL)
+        self._driver.service.stop()
         shutil.rmtree(self._profile, ignore_errors=True)
 
     def open(self, page: Page | str | Path) -> None:
