@@ -6,6 +6,7 @@ import io
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -13,7 +14,11 @@ from twinct.core.errors import InputError
 from twinct.design import uploads
 from twinct.design.bench import Bench
 from twinct.design.draft import Draft
-from twinct.design.uploads import ReceivedSpecimen, forget, kept, plain_name
+from twinct.design.uploads import KINDS, SURFACE, ReceivedSpecimen, forget, kept, plain_name
+from twinct.geometry import VolumeGrid
+from twinct.recon.volume import Volume
+from twinct.recon.volume_formats import VolumeFacts
+from twinct.scan import SimulationBuilder
 
 
 def ball(radius_mm: float = 30.0) -> bytes:
@@ -42,6 +47,31 @@ def test_a_mesh_becomes_the_specimen(small_file: Path) -> None:
     assert (part.name, part.shape.kind, part.material) == ("My-Ball", "mesh", "bone")
     assert "path: small_files/My-Ball.stl" in draft.text  # moves with the scenario
     assert "trajectory: {views: 12} # few" in draft.text
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["scan.nii", "series.zip"])
+def test_a_ct_becomes_the_specimen(small_file: Path, tmp_path: Path, name: str, kind: str) -> None:
+    """A ball of bone with a radius of 12 mm, in 1 mm voxels of air, as NIfTI and as DICOM."""
+    grid = VolumeGrid([33, 33, 33], 1.0)
+    z, y, x = np.indices(grid.shape) - 16.0
+    hu = np.where(x**2 + y**2 + z**2 < 12.0**2, 1000.0, -1000.0).astype(np.float32)
+    volume, facts = Volume(hu, grid), VolumeFacts(unit="HU", kvp=120)
+    if name == "scan.nii":
+        volume.write(tmp_path / name)
+        content = (tmp_path / name).read_bytes()
+    else:
+        volume.write(tmp_path / "series", to="dicom", facts=facts)
+        content = zipped(**{f.name: f.read_bytes() for f in (tmp_path / "series").iterdir()})
+    draft = Draft.open(small_file)
+    found = ReceivedSpecimen(draft.source, kept(small_file, name, content), kind).answered(Bench())
+    draft.apply(found.edit)
+    assert draft.scenario is not None and not draft.problems
+    (part,) = draft.scenario.specimen.parts
+    assert part.shape.kind == ("ct" if kind == SURFACE else "volume")
+    low, high = SimulationBuilder(draft.scenario).specimen.bounds
+    # The surface passes between voxels; bodies of voxels end at their faces.
+    np.testing.assert_allclose(high - low, 24.0, atol=1.5)
 
 
 def test_a_unit_counts_and_what_is_larger_than_the_volume_is_said(small_file: Path) -> None:
