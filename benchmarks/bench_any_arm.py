@@ -1,6 +1,6 @@
 """Arms of vendors as they are: written by ``twinct arm``, placed, checked, planned and run.
 
-    python benchmarks/bench_any_arm.py FOLDER [--only ur30 ...] [--seed 0]
+    python benchmarks/bench_any_arm.py FOLDER [--only ur30 ...] [--seed 0] [--seconds 15]
 
 FOLDER holds checkouts of the public repositories in ``vendor_arms.yaml``, which also has the list
 from which ten arms are drawn by seed; ``xacro`` is needed. Two arms of a kind scan 60 views on an
@@ -86,7 +86,7 @@ def missing(lacking: Mapping[str, tuple[str, ...]], reach: float) -> dict[str, A
     return keys
 
 
-def figures(one: dict[str, Any], folder: Path, seed: int) -> dict[str, Any]:
+def figures(one: dict[str, Any], folder: Path, seed: int, most_s: float) -> dict[str, Any]:
     """Return everything about one arm."""
     found: dict[str, Any] = {"arm": one["name"]}
     panel, head = Panel(120, 160, 2.0, 2.0), trimesh.creation.icosphere(subdivisions=3)
@@ -128,7 +128,7 @@ def figures(one: dict[str, Any], folder: Path, seed: int) -> dict[str, Any]:
                 began = time.process_time()
                 placed = place(
                     cell, build, MOTION, poses, roll_free=(False, False), bounds=bounds, seed=seed,
-                    limit=SearchLimit(SECONDS, time.process_time),
+                    limit=SearchLimit(most_s, time.process_time),
                 )  # fmt: skip
                 seconds = max(found.get("place_s", 0.0), round(time.process_time() - began, 1))
                 found |= {"arc_deg": arc_deg, "place_s": seconds, "held": int(placed.after.sum())}
@@ -154,11 +154,12 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--only", nargs="*", default=[arm["name"] for arm in arms()])
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of place, for each arc")
     args = parser.parse_args()
     all_found = []
     for arm in arms():
         if arm["name"] in args.only:
-            all_found.append(figures(arm, args.folder, args.seed))
+            all_found.append(figures(arm, args.folder, args.seed, args.seconds))
             print(json.dumps(all_found[-1]), flush=True)
     usable = [found["arm"] for found in all_found if found.get("exposed") == VIEWS]
     longest = max((found.get("place_s", 0.0) for found in all_found), default=0.0)
