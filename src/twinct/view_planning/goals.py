@@ -123,3 +123,19 @@ def best_added(
                 worth[figures < min(goal.at_least, goal.of(instead_of))] = -np.inf
     best = int(worth.argmax())
     return views[best], float(worth[best])
+
+
+def greedily(goals: Sequence[Goal], candidates: int, number: int) -> list[int]:
+    """Choose one view after the other, each time the one with the largest gain.
+
+    Args:
+        goals: goals without upper limits.
+        candidates: number of candidates, at least ``number``.
+        number: number of views to choose.
+    """
+    chosen: list[int] = []
+    while len(chosen) < number:
+        best, _ = best_added(goals, candidates, number, chosen)
+        assert best is not None  # without limits, any view may be added
+        chosen.append(best)
+    return chosen

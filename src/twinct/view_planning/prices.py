@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twinct.view_planning.goals import Goal, best_added
+from twinct.view_planning.goals import Goal, greedily
 
 CHEAP, DEAR = 1e-3, 1e3
 """Range of prices: the weight of an amount equal to the limit, as a share of all weights."""
@@ -56,10 +56,7 @@ def has_limit(goal: Goal) -> bool:
 
 def _kept(by: list[Goal], k: int, candidates: int, number: int) -> bool:
     """Check if views that are chosen without limits keep the limits of a goal."""
-    free, chosen = [replace(one, at_most=None, at_least=None) for one in by], list[int]()
-    while len(chosen) < number:
-        best, _ = best_added(free, candidates, number, chosen)
-        assert best is not None
-        chosen.append(best)
+    free = [replace(one, at_most=None, at_least=None) for one in by]
+    chosen = greedily(free, candidates, number)
     most, least, has = by[k].at_most, by[k].at_least, free[k].of(chosen)
     return (most is None or has <= most) and (least is None or has >= least)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from twinct.view_planning.goals import Goal, best_added, worth_of
+from twinct.view_planning.goals import Goal, best_added, greedily, worth_of
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,5 @@ def best_alone(goals: Sequence[Goal], candidates: int, number: int) -> dict[str,
     for goal in goals:
         less = goal.weight < 0 or (goal.weight == 0 and goal.at_most is not None)
         alone = [replace(goal, weight=-1.0 if less else 1.0, at_most=None, at_least=None)]
-        chosen: list[int] = []
-        while len(chosen) < number:
-            added, _ = best_added(alone, candidates, number, chosen)
-            assert added is not None
-            chosen.append(added)
-        best[goal.name] = goal.of(chosen)
+        best[goal.name] = goal.of(greedily(alone, candidates, number))
     return best

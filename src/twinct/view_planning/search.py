@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twinct.core.errors import InputError
-from twinct.view_planning.goals import Goal, Mean, best_added, worth_of
+from twinct.view_planning.goals import Goal, Mean, best_added, greedily, worth_of
 from twinct.view_planning.prices import priced
 
 BETTER = 1e-9
@@ -174,10 +174,8 @@ def _limits(goals: Sequence[Goal], candidates: int, number: int) -> None:
         if isinstance(goal.measure, Mean):
             least = float(np.sort(goal.measure.each[:candidates])[:number].mean())
         else:
-            alone, near = [replace(goal, weight=-1.0, at_most=None)], list[int]()
-            while len(near) < number:
-                near.append(best_added(alone, candidates, number, near)[0] or 0)
-            least = goal.of(near)
+            alone = [replace(goal, weight=-1.0, at_most=None)]
+            least = goal.of(greedily(alone, candidates, number))
         if least > goal.at_most * (1 + BETTER):
             problems.append(
                 f"{goal.name}: at most {goal.at_most:.4g} is allowed, but the {number} "
